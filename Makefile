@@ -1,0 +1,48 @@
+# Two commands for a person: `make demo` and `make test`. Each sets up its own virtual environment.
+PYTHON ?= python3
+VENV   ?= .venv
+BIN     = $(VENV)/bin
+STAMP   = $(VENV)/.installed
+OUT    ?= demo
+export OMP_NUM_THREADS ?= 1
+export OPENBLAS_NUM_THREADS ?= 1
+export PIP_DISABLE_PIP_VERSION_CHECK = 1
+
+.PHONY: demo test lint bench bench-gap study format clean setup
+
+demo: $(STAMP)
+	$(BIN)/sideslip demo --out $(OUT)
+
+test: $(STAMP)
+	$(BIN)/pytest -q -n 2 --dist worksteal
+
+lint: $(STAMP)
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+bench: $(STAMP)
+	$(BIN)/pytest -q -m benchmark -p no:randomly -s tests/benchmarks
+
+bench-gap: $(STAMP)
+	$(BIN)/python -m tests.studies.gap_benchmark
+
+study: $(STAMP)
+	$(BIN)/pytest -q -m study
+
+format: $(STAMP)
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix .
+
+setup: $(STAMP)
+
+$(STAMP): pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys; sys.exit("Sideslip needs Python 3.11 or newer; set PYTHON=..." if sys.version_info < (3, 11) else 0)'
+	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install -q -c constraints.txt -e '.[dev]'
+	@$(BIN)/rerun analytics disable >/dev/null 2>&1 || echo 'note: could not switch off rerun analytics'
+	@touch $(STAMP)
+
+clean:
+	rm -rf $(VENV) build *.egg-info demo

@@ -1,0 +1,168 @@
+"""One scan of all channels, and its protobuf form, both derived from the channel table.
+
+A `Scan` is what the sampler makes twenty times a second, the recorder writes and the downlink packs. Its protobuf
+schema is built from the table, so the recording opens in any MCAP reader with the channel names in it.
+A channel that has no value in a scan (sensor absent, no new GPS fix) is simply not set in the message.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import IntEnum
+from functools import cache
+from typing import Any
+
+from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+from google.protobuf.message import DecodeError
+
+from daq.contract.channels import CHANNELS, GROUP_NAMES
+from daq.contract.errors import UserError
+
+SCHEMA_NAME = "sideslip.Scan"
+SCAN_TOPIC = "/scan"
+
+RawValue = int | float
+
+
+class SensorState(IntEnum):
+    """State of a sensor group in one scan, with the word a person reads."""
+
+    OK = 0
+    STALE = 1  # the chip answered but had no new sample
+    OUT_OF_RANGE = 2  # a value outside what the sensor or the configuration allows
+    STUCK = 3  # the same value for longer than noise permits
+    ABSENT = 4  # the chip does not answer
+    RECOVERING = 5  # answering again, not yet trusted
+    FAULT = 6  # the chip itself reports a fault
+    OFF = 7  # not fitted according to the configuration
+
+    @property
+    def words(self) -> str:
+        """The state in words."""
+        return self.name.lower().replace("_", " ")
+
+    @property
+    def usable(self) -> bool:
+        """Whether values of this state may be used for estimation."""
+        return self is SensorState.OK
+
+
+class ScanDecodeError(UserError):
+    """Bytes that are not a scan of a known channel table."""
+
+
+@dataclass(frozen=True, slots=True)
+class GroupStatus:
+    """When within the scan a group was read, and how its sensor was."""
+
+    state: SensorState
+    offset_us: int = 0  # time of the group's sample after the scan's time [us]
+
+
+@dataclass(frozen=True, slots=True)
+class Scan:
+    """All channels at one instant.
+
+    number: 32-bit counter, one per scan slot, never reused within a recording session (a missed slot is a gap).
+    time_monotonic_ns: start of the scan on the aircraft's monotonic clock.
+    time_utc_ns: the same instant in UTC as well as known; 0 while unknown.
+    utc_accuracy_ns: one-sigma accuracy of time_utc_ns; 0 while unknown.
+    lateness_us: how late after its deadline the scan started.
+    """
+
+    number: int
+    time_monotonic_ns: int
+    time_utc_ns: int = 0
+    utc_accuracy_ns: int = 0
+    lateness_us: int = 0
+    groups: Mapping[str, GroupStatus] = field(default_factory=dict)
+    values: Mapping[str, RawValue] = field(default_factory=dict)  # only channels that have a value
+
+    @property
+    def time(self) -> float:
+        """Monotonic time of the scan [s]."""
+        return self.time_monotonic_ns * 1e-9
+
+
+_HEADER = (
+    ("number", "u32"),
+    ("time_monotonic_ns", "u64"),
+    ("time_utc_ns", "u64"),
+    ("utc_accuracy_ns", "u32"),
+    ("lateness_us", "u32"),
+)
+
+_F = descriptor_pb2.FieldDescriptorProto
+_PROTO_TYPE = {
+    "bit": _F.TYPE_UINT32,
+    "u8": _F.TYPE_UINT32,
+    "u16": _F.TYPE_UINT32,
+    "u32": _F.TYPE_UINT32,
+    "u64": _F.TYPE_UINT64,
+    "i16": _F.TYPE_SINT32,
+    "i32": _F.TYPE_SINT32,
+    "f32": _F.TYPE_FLOAT,
+}
+
+
+def _add_field(message: descriptor_pb2.DescriptorProto, name: str, kind: str, number: int, optional: bool) -> None:
+    row = message.field.add(name=name, number=number, type=_PROTO_TYPE[kind], label=_F.LABEL_OPTIONAL)
+    if optional:
+        row.proto3_optional = True
+        row.oneof_index = len(message.oneof_decl)
+        message.oneof_decl.add(name=f"_{name}")
+
+
+@cache
+def file_descriptor_set() -> descriptor_pb2.FileDescriptorSet:
+    """The protobuf schema of a scan, built from the channel table.
+
+    Header fields take numbers 1-15, groups 16-127 (state and offset in turn), channels 128 on, in table order.
+    """
+    file = descriptor_pb2.FileDescriptorProto(name="sideslip/scan.proto", package="sideslip", syntax="proto3")
+    message = file.message_type.add(name="Scan")
+    for i, (name, kind) in enumerate(_HEADER):
+        _add_field(message, name, kind, 1 + i, optional=False)
+    for i, group in enumerate(GROUP_NAMES):
+        _add_field(message, f"{group}_state", "u8", 16 + 2 * i, optional=True)
+        _add_field(message, f"{group}_offset_us", "i32", 17 + 2 * i, optional=True)
+    for i, channel in enumerate(CHANNELS):
+        _add_field(message, channel.name, channel.raw_type, 128 + i, optional=True)
+    return descriptor_pb2.FileDescriptorSet(file=[file])
+
+
+@cache
+def scan_message_class() -> Any:
+    """The protobuf message class of `file_descriptor_set`."""
+    pool = descriptor_pool.DescriptorPool()
+    for file in file_descriptor_set().file:
+        pool.Add(file)  # type: ignore[no-untyped-call]
+    return message_factory.GetMessageClass(pool.FindMessageTypeByName(SCHEMA_NAME))
+
+
+def encode_scan(scan: Scan) -> bytes:
+    """A scan as protobuf bytes."""
+    fields: dict[str, RawValue] = {name: getattr(scan, name) for name, _ in _HEADER}
+    for group, status in scan.groups.items():
+        fields[f"{group}_state"] = int(status.state)
+        fields[f"{group}_offset_us"] = status.offset_us
+    fields.update(scan.values)
+    return bytes(scan_message_class()(**fields).SerializeToString(deterministic=True))
+
+
+def decode_scan(data: bytes) -> Scan:
+    """A scan from protobuf bytes.
+
+    Raises ScanDecodeError when the bytes are not a scan.
+    """
+    message = scan_message_class()()
+    try:
+        message.ParseFromString(data)
+    except DecodeError as error:
+        raise ScanDecodeError(f"{len(data)} bytes are not a scan ({error}); the recording is damaged there") from error
+    groups = {
+        g: GroupStatus(SensorState(getattr(message, f"{g}_state")), getattr(message, f"{g}_offset_us"))
+        for g in GROUP_NAMES
+        if message.HasField(f"{g}_state")
+    }
+    values = {c.name: getattr(message, c.name) for c in CHANNELS if message.HasField(c.name)}
+    return Scan(**{name: getattr(message, name) for name, _ in _HEADER}, groups=groups, values=values)

@@ -1,0 +1,1 @@
+"""Aircraft identification: models, estimators, the gap workflow and their reports."""

@@ -1,0 +1,430 @@
+"""The calibrated flight: named columns over time, in SI and radians, with segments and provenance.
+
+This is the hand-over between the ground station and the estimation package. A flight is read from MCAP (as written by
+`sideslip calibrate`, `import` and `ground`), CSV or Parquet; columns and signs are those of `daq.contract.channels`.
+NaN means "not measured". Time is checked on reading: unsorted rows are sorted, repeated instants dropped, and
+gaps split the flight into segments, each of it said in `notes`.
+"""
+
+import csv
+import hashlib
+import json
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.contract.channels import COLUMN_BY_NAME
+from daq.contract.errors import UserError
+
+Array = NDArray[np.float64]
+
+GAP_FACTOR = 4.5
+"""A step in time longer than this many median sample intervals is a gap: never integrated across."""
+
+FLIGHT_TOPIC = "/flight"
+FLIGHT_SCHEMA = "sideslip.FlightSample"
+METADATA_NAME = "sideslip.flight"
+
+
+class FlightError(UserError):
+    """A flight file that cannot be used."""
+
+
+class MissingColumnError(FlightError):
+    """A column that the work at hand needs is not in the flight."""
+
+    def __init__(self, flight: str, missing: Sequence[str], purpose: str) -> None:
+        self.missing = tuple(missing)
+        names = ", ".join(missing)
+        plural = "s" if len(missing) > 1 else ""
+        super().__init__(
+            f"{flight}: column{plural} {names} missing, needed for {purpose}; add the column{plural} or choose a model without"
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Provenance:
+    """Where a flight's numbers come from, so that every result can be traced."""
+
+    source: str = "imported"  # real | simulated | replayed | imported
+    path: str = ""
+    sha256: str = ""
+    aircraft: str = ""
+    software: str = ""
+    calibration: Mapping[str, str] = field(default_factory=dict)  # calibration file -> sha256
+    detail: Mapping[str, Any] = field(default_factory=dict)  # JSON-able extras (alignment, delays, noise, ...)
+
+
+@dataclass(frozen=True)
+class Flight:
+    """Calibrated columns of one flight over common time.
+
+    time: (N,) seconds, strictly increasing. columns: name -> (N,) float64. segment: (N,) int, 0 upward in order of
+    time; motion may be integrated within a segment, never from one to the next.
+    """
+
+    name: str
+    time: Array
+    columns: Mapping[str, Array]
+    segment: NDArray[np.int64]
+    provenance: Provenance = Provenance()
+    notes: tuple[str, ...] = ()
+
+    @classmethod
+    def build(
+        cls,
+        name: str,
+        time: Array,
+        columns: Mapping[str, Array],
+        *,
+        segment: NDArray[Any] | None = None,
+        provenance: Provenance | None = None,
+        notes: Iterable[str] = (),
+        gap_factor: float = GAP_FACTOR,
+    ) -> "Flight":
+        """A flight from raw arrays: sorts time, drops repeats, splits at gaps, and notes what it did.
+
+        Raises FlightError when the arrays differ in length, fewer than two samples remain or time is not finite.
+        """
+        time = np.asarray(time, float)
+        arrays = {k: np.asarray(v, float) for k, v in columns.items()}
+        for key, values in arrays.items():
+            if values.shape != time.shape:
+                raise FlightError(f"{name}: column {key} has {values.size} samples, time has {time.size}")
+        said = list(notes)
+        labels = np.zeros(time.size, np.int64) if segment is None else np.asarray(segment).astype(np.int64)
+        keep, words = _order(name, time)
+        said += words
+        time, labels = time[keep], labels[keep]
+        arrays = {k: v[keep] for k, v in arrays.items()}
+        segments, words = _split(time, labels, gap_factor)
+        said += words
+        return cls(name, time, MappingProxyType(arrays), segments, provenance or Provenance(), tuple(said))
+
+    def __getitem__(self, column: str) -> Array:
+        try:
+            return self.columns[column]
+        except KeyError:
+            raise MissingColumnError(self.name, [column], "this step") from None
+
+    def __contains__(self, column: object) -> bool:
+        return column in self.columns
+
+    def __len__(self) -> int:
+        return int(self.time.size)
+
+    @property
+    def sample_interval(self) -> float:
+        """Median time between samples [s]."""
+        return float(np.median(np.diff(self.time)))
+
+    @property
+    def segments(self) -> tuple[slice, ...]:
+        """Index range of each segment, in order."""
+        edges = np.flatnonzero(np.diff(self.segment)) + 1
+        bounds = [0, *edges.tolist(), self.time.size]
+        return tuple(slice(a, b) for a, b in zip(bounds, bounds[1:], strict=False))
+
+    def measured(self, column: str) -> bool:
+        """Whether the column exists and has at least one finite value."""
+        return column in self.columns and bool(np.isfinite(self.columns[column]).any())
+
+    def require(self, columns: Iterable[str], purpose: str) -> None:
+        """Raise MissingColumnError naming every one of `columns` that is absent or entirely NaN."""
+        missing = [c for c in columns if not self.measured(c)]
+        if missing:
+            raise MissingColumnError(self.name, missing, purpose)
+
+    def with_columns(self, **columns: Array) -> "Flight":
+        """A copy with columns added or replaced."""
+        return replace(self, columns=MappingProxyType({**self.columns, **columns}))
+
+    def part(self, keep: slice | NDArray[np.bool_], name: str | None = None) -> "Flight":
+        """A copy of a range of samples; segments are renumbered from 0."""
+        segment = self.segment[keep]
+        _, renumbered = np.unique(segment, return_inverse=True)
+        columns = MappingProxyType({k: v[keep] for k, v in self.columns.items()})
+        return replace(
+            self, name=name or self.name, time=self.time[keep], columns=columns, segment=renumbered.astype(np.int64)
+        )
+
+
+def _order(name: str, time: Array) -> tuple[NDArray[np.int64], list[str]]:
+    """Indices that make time strictly increasing, and what had to be done for it."""
+    notes: list[str] = []
+    finite = np.flatnonzero(np.isfinite(time))
+    if finite.size < time.size:
+        notes.append(f"{time.size - finite.size} rows without a time dropped")
+    steps = np.diff(time[finite])
+    order = finite
+    if np.any(steps < 0):
+        order = finite[np.argsort(time[finite], kind="stable")]
+        at = time[finite][1:][steps < 0][0]
+        notes.append(f"time runs backwards {int(np.sum(steps < 0))} times (first at t = {at:g} s): rows sorted by time")
+    repeated = np.concatenate([[False], np.diff(time[order]) == 0]) if order.size else np.zeros(0, bool)
+    if repeated.any():
+        at = time[order][repeated][0]
+        notes.append(f"{int(repeated.sum())} repeated instants (first at t = {at:g} s): the first row of each kept")
+    order = order[~repeated]
+    if order.size < 2:
+        raise FlightError(f"{name}: only {order.size} usable samples; a flight needs at least two rows with a time")
+    return order, notes
+
+
+def _split(time: Array, labels: NDArray[np.int64], gap_factor: float) -> tuple[NDArray[np.int64], list[str]]:
+    """Segment number of each sample from the given labels and the gaps in time."""
+    steps = np.diff(time)
+    gap = steps > gap_factor * np.median(steps)
+    notes = [
+        f"gap of {steps[i]:.3g} s at t = {time[i]:g} s: split there, never integrated across"
+        for i in np.flatnonzero(gap)
+    ]
+    if len(notes) > 5:
+        notes = [*notes[:5], f"{len(notes) - 5} more gaps"]
+    edge = gap | (np.diff(labels) != 0)
+    return np.concatenate([[0], np.cumsum(edge)]).astype(np.int64), notes
+
+
+# ------------------------------------------------------------------------------------------------ reading and writing
+
+
+def read_flight(path: str | Path, *, gap_factor: float = GAP_FACTOR) -> Flight:
+    """Read a flight from .mcap, .csv or .parquet.
+
+    Unknown columns are kept and named in a note. Raises FlightError with one sentence for anything unusable.
+    """
+    path = Path(path)
+    readers = {".mcap": _read_mcap, ".csv": _read_csv, ".parquet": _read_parquet}
+    if path.suffix.lower() not in readers:
+        raise FlightError(
+            f"{path}: not a flight file; give .mcap, .csv or .parquet, or convert it with 'sideslip import'"
+        )
+    if not path.is_file():
+        raise FlightError(f"{path}: no such file")
+    columns, provenance, notes = readers[path.suffix.lower()](path)
+    if "time" not in columns:
+        raise FlightError(f"{path}: no column 'time' [s]; found {', '.join(columns) or 'nothing'}")
+    time = columns.pop("time")
+    segment = columns.pop("segment", None)
+    if segment is not None and not np.all(np.isfinite(segment)):
+        raise FlightError(
+            f"{path}: column segment has empty cells; give an integer in each row or leave the column out"
+        )
+    unknown = [c for c in columns if c not in COLUMN_BY_NAME]
+    if unknown:
+        notes.append(f"columns not known to Sideslip, kept as they are: {', '.join(unknown)}")
+    provenance = replace(provenance, path=str(path), sha256=hashlib.sha256(path.read_bytes()).hexdigest())
+    return Flight.build(
+        path.stem, time, columns, segment=segment, provenance=provenance, notes=notes, gap_factor=gap_factor
+    )
+
+
+def write_flight(flight: Flight, path: str | Path) -> None:
+    """Write a flight as .mcap, .csv or .parquet, by suffix; reading it back gives the same arrays."""
+    path = Path(path)
+    writers = {".mcap": _write_mcap, ".csv": _write_csv, ".parquet": _write_parquet}
+    if path.suffix.lower() not in writers:
+        raise FlightError(f"{path}: cannot write this kind of file; name it .mcap, .csv or .parquet")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    writers[path.suffix.lower()](flight, path)
+
+
+_Read = tuple[dict[str, Array], Provenance, list[str]]
+
+
+def _read_csv(path: Path) -> _Read:
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as handle:
+            rows = csv.reader(handle)
+            header = [h.strip() for h in next(rows, [])]
+            if not header or all(_is_number(h) for h in header):
+                raise FlightError(f"{path}: the first line is not a header of column names (time,ax,ay,...)")
+            if len(set(header)) < len(header):
+                twice = next(h for h in header if header.count(h) > 1)
+                raise FlightError(f"{path}: column {twice} appears twice in the header")
+            table = list(_csv_rows(path, header, rows))
+    except UnicodeDecodeError as error:
+        raise FlightError(
+            f"{path}: not a text file ({error.reason} at byte {error.start}); a CSV is expected"
+        ) from error
+    values = np.array(table, float).reshape(-1, len(header))
+    return {h: values[:, i] for i, h in enumerate(header) if h}, Provenance(), []
+
+
+def _csv_rows(path: Path, header: list[str], rows: Iterator[list[str]]) -> Iterator[list[float]]:
+    for number, row in enumerate(rows, start=2):
+        if not any(cell.strip() for cell in row):
+            continue
+        if len(row) != len(header):
+            raise FlightError(f"{path}: line {number} has {len(row)} cells, the header has {len(header)}")
+        try:
+            yield [float(cell) if cell.strip() else np.nan for cell in row]
+        except ValueError:
+            bad = next(i for i, cell in enumerate(row) if cell.strip() and not _is_number(cell))
+            raise FlightError(f"{path}: line {number}, column {header[bad]}: {row[bad]!r} is not a number") from None
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
+
+
+def _write_csv(flight: Flight, path: Path) -> None:
+    names = ["time", *flight.columns, "segment"]
+    table = [flight.time, *flight.columns.values(), flight.segment]
+    with path.open("w", newline="", encoding="utf-8") as handle:
+        writer = csv.writer(handle)
+        writer.writerow(names)
+        for row in zip(*(c.tolist() for c in table), strict=True):
+            writer.writerow(["" if v != v else v for v in row])
+
+
+def _read_parquet(path: Path) -> _Read:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    try:
+        table = pq.read_table(path)
+    except (pa.ArrowException, OSError) as error:
+        raise FlightError(f"{path}: not a readable Parquet file ({error})") from error
+    columns: dict[str, Array] = {}
+    notes = []
+    for name in table.column_names:
+        try:
+            columns[name] = np.asarray(table[name].cast(pa.float64()).to_numpy(), float)
+        except pa.ArrowException:
+            notes.append(f"column {name} is not numeric: left out")
+    meta = (table.schema.metadata or {}).get(METADATA_NAME.encode())
+    return columns, _provenance_from(json.loads(meta)) if meta else Provenance(), notes
+
+
+def _write_parquet(flight: Flight, path: Path) -> None:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    table = pa.table({"time": flight.time, **dict(flight.columns), "segment": flight.segment})
+    pq.write_table(table.replace_schema_metadata({METADATA_NAME: json.dumps(_provenance_to(flight))}), path)
+
+
+def _provenance_to(flight: Flight) -> dict[str, Any]:
+    p = flight.provenance
+    return {
+        "source": p.source,
+        "aircraft": p.aircraft,
+        "software": p.software,
+        "calibration": dict(p.calibration),
+        "detail": dict(p.detail),
+        "derived_from": {"path": p.path, "sha256": p.sha256},
+        "name": flight.name,
+        "notes": list(flight.notes),
+    }
+
+
+def _provenance_from(meta: Mapping[str, Any]) -> Provenance:
+    return Provenance(
+        source=str(meta.get("source", "imported")),
+        aircraft=str(meta.get("aircraft", "")),
+        software=str(meta.get("software", "")),
+        calibration=dict(meta.get("calibration", {})),
+        detail={**meta.get("detail", {}), "derived_from": meta.get("derived_from", {})},
+    )
+
+
+def _message_class(names: Sequence[str]) -> tuple[Any, bytes]:
+    """Protobuf class with one optional double per column, and its serialised descriptor set."""
+    from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+
+    kind = descriptor_pb2.FieldDescriptorProto
+    file = descriptor_pb2.FileDescriptorProto(name="sideslip/flight.proto", package="sideslip", syntax="proto3")
+    message = file.message_type.add(name=FLIGHT_SCHEMA.split(".")[1])
+    for i, name in enumerate(names):
+        message.field.add(
+            name=name,
+            number=i + 1,
+            type=kind.TYPE_DOUBLE,
+            label=kind.LABEL_OPTIONAL,
+            proto3_optional=True,
+            oneof_index=i,
+        )
+        message.oneof_decl.add(name=f"_{name}")
+    pool = descriptor_pool.DescriptorPool()
+    pool.Add(file)  # type: ignore[no-untyped-call]
+    cls = message_factory.GetMessageClass(pool.FindMessageTypeByName(FLIGHT_SCHEMA))
+    return cls, descriptor_pb2.FileDescriptorSet(file=[file]).SerializeToString()
+
+
+def _write_mcap(flight: Flight, path: Path) -> None:
+    from mcap.writer import CompressionType, Writer
+
+    bad = [c for c in flight.columns if not c.isidentifier()]
+    if bad:
+        raise FlightError(f"{path}: column name {bad[0]!r} cannot be a field of an MCAP flight; rename it or write CSV")
+    names = ["time", *flight.columns, "segment"]
+    cls, schema = _message_class(names)
+    table = np.column_stack([flight.time, *flight.columns.values(), flight.segment])
+    with path.open("wb") as handle:
+        writer = Writer(handle, compression=CompressionType.ZSTD)
+        writer.start(profile="sideslip", library=f"sideslip {flight.provenance.software}".strip())
+        writer.add_metadata(METADATA_NAME, {"json": json.dumps(_provenance_to(flight))})
+        schema_id = writer.register_schema(FLIGHT_SCHEMA, "protobuf", schema)
+        channel = writer.register_channel(FLIGHT_TOPIC, "protobuf", schema_id)
+        for i, row in enumerate(table.tolist()):
+            data = cls(**{n: v for n, v in zip(names, row, strict=True) if v == v}).SerializeToString()
+            stamp = max(0, round(row[0] * 1e9))
+            writer.add_message(channel, stamp, data, stamp, i)
+        writer.finish()
+
+
+def _read_mcap(path: Path) -> _Read:
+    import struct
+
+    from google.protobuf.message import DecodeError
+    from mcap.exceptions import McapError
+    from mcap.reader import make_reader
+    from zstandard import ZstdError
+
+    rows: list[Any] = []
+    names: list[str] = []
+    provenance = Provenance()
+    try:
+        with path.open("rb") as handle:
+            reader = make_reader(handle, validate_crcs=True)
+            for meta in reader.iter_metadata():
+                if meta.name == METADATA_NAME:
+                    provenance = _provenance_from(json.loads(meta.metadata["json"]))
+            cls: Any = None
+            for schema, _, message in reader.iter_messages(topics=[FLIGHT_TOPIC], log_time_order=False):
+                if cls is None and schema is not None:
+                    names, cls = _class_from_schema(path, schema.data)
+                row = cls()
+                row.ParseFromString(message.data)
+                rows.append([getattr(row, n) if row.HasField(n) else np.nan for n in names])
+    except (McapError, DecodeError, ZstdError, struct.error, OSError, EOFError, ValueError, KeyError) as error:
+        raise FlightError(
+            f"{path}: damaged or not an MCAP file ({type(error).__name__}: {error}); try 'sideslip recover' on the raw recording"
+        ) from error
+    if not rows:
+        raise FlightError(
+            f"{path}: no calibrated flight in this file; a raw recording must pass 'sideslip calibrate' first"
+        )
+    values = np.array(rows, float)
+    return {n: values[:, i] for i, n in enumerate(names)}, provenance, []
+
+
+def _class_from_schema(path: Path, data: bytes) -> tuple[list[str], Any]:
+    from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+
+    files = descriptor_pb2.FileDescriptorSet.FromString(data)
+    pool = descriptor_pool.DescriptorPool()
+    for file in files.file:
+        pool.Add(file)  # type: ignore[no-untyped-call]
+    descriptor = pool.FindMessageTypeByName(FLIGHT_SCHEMA)
+    return [f.name for f in descriptor.fields], message_factory.GetMessageClass(descriptor)

@@ -1,0 +1,101 @@
+"""The test floor: nothing may leak threads or processes, nothing may leave this machine, seeds are printed."""
+
+import multiprocessing
+import os
+import socket
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.setdefault("MPLBACKEND", "Agg")
+
+ROOT = Path(__file__).resolve().parent.parent
+LOCAL_FAMILIES = {socket.AF_UNIX}
+
+# Pools that libraries keep for the life of the process, by the prefix of their thread names.
+LIBRARY_THREADS = ("pytest_timeout", "execnet", "tokio", "rerun", "asyncio_", "ThreadPoolExecutor-rerun", "Dummy-")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def loopback_only() -> Iterator[None]:
+    """Connecting to, or listening on, anything but loopback fails the test."""
+    connect, bind = socket.socket.connect, socket.socket.bind
+
+    def local(sock: socket.socket, address: Any) -> None:
+        if sock.family in LOCAL_FAMILIES or not isinstance(address, tuple):
+            return
+        host = str(address[0])
+        if not (host.startswith("127.") or host in ("localhost", "::1")):
+            raise RuntimeError(f"a test reached for {address}: only loopback is allowed")
+
+    def guarded_connect(self: socket.socket, address: Any) -> None:
+        local(self, address)
+        connect(self, address)
+
+    def guarded_bind(self: socket.socket, address: Any) -> None:
+        local(self, address)
+        bind(self, address)
+
+    patch = pytest.MonkeyPatch()
+    patch.setattr(socket.socket, "connect", guarded_connect)
+    patch.setattr(socket.socket, "bind", guarded_bind)
+    yield
+    patch.undo()
+
+
+def _threads() -> set[threading.Thread]:
+    return {t for t in threading.enumerate() if t.is_alive() and not t.name.startswith(LIBRARY_THREADS)}
+
+
+def _children() -> set[int]:
+    found: set[int] = set()
+    for task in Path("/proc/self/task").glob("*/children"):
+        found.update(int(pid) for pid in task.read_text().split())
+    return found
+
+
+@pytest.fixture(autouse=True)
+def nothing_leaks() -> Iterator[None]:
+    """Threads and child processes started by a test must be gone when it ends."""
+    threads, children = _threads(), _children()
+    yield
+    left = _threads() - threads
+    for thread in left:
+        thread.join(timeout=2.0)
+    left = {t for t in left if t.is_alive()}
+    if left:
+        pytest.fail(f"test left threads running: {sorted(t.name for t in left)}")
+    multiprocessing.active_children()  # reaps finished ones
+    leaked = {pid for pid in _children() - children if _running(pid)}
+    if leaked:
+        pytest.fail(f"test left processes running: {sorted(leaked)}")
+
+
+def _running(pid: int) -> bool:
+    try:
+        stat = Path(f"/proc/{pid}/stat").read_text()
+    except OSError:
+        return False
+    if stat.rsplit(")", 1)[1].split()[0] == "Z":
+        return False
+    return "resource_tracker" not in Path(f"/proc/{pid}/cmdline").read_text()
+
+
+@pytest.fixture
+def rng(request: pytest.FixtureRequest) -> np.random.Generator:
+    """A generator whose seed is fixed by the test's name, so that a failure can be repeated."""
+    seed = sum(ord(c) * 31**i for i, c in enumerate(request.node.name)) % 2**32
+    print(f"seed {seed}")
+    return np.random.default_rng(seed)
+
+
+@pytest.fixture(scope="session")
+def root() -> Path:
+    """The project's root folder."""
+    return ROOT
