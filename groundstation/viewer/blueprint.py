@@ -1,0 +1,94 @@
+"""The layout of the viewer: a full page for a ground station, and a light one for weak machines.
+
+Sixty-second sliding windows that follow live data; for a recorded flight the whole time range. Stored with the
+project as .rbl by `sideslip view --save-blueprint`, and embedded in every recording that is written.
+"""
+
+from collections.abc import Mapping
+from typing import Any, Literal
+
+import rerun as rr
+import rerun.blueprint as rrb
+
+from groundstation.viewer import entities as e
+
+Layout = Literal["full", "light"]
+WINDOW_S = 60.0
+
+
+def _window(live: bool) -> dict[str, Any]:
+    """Arguments of a time series view that make it a sliding window (live) or the whole flight."""
+    if not live:
+        return {}
+    start = rr.TimeRangeBoundary.cursor_relative(seconds=-WINDOW_S)
+    end = rr.TimeRangeBoundary.cursor_relative(seconds=0.0)
+    return {
+        "axis_x": rrb.TimeAxis(view_range=rr.TimeRange(start=start, end=end)),
+        "time_ranges": [rrb.VisibleTimeRange(e.TIMELINE, start=start, end=end)],
+    }
+
+
+# Strip-chart scales of the live view, in the units shown. rerun fits the vertical axis only once, to the first data.
+SCALES: Mapping[str, tuple[float, float]] = {
+    "Alpha, beta": (-20.0, 20.0),
+    "True airspeed": (0.0, 35.0),
+    "Rates": (-60.0, 60.0),
+    "Attitude": (-180.0, 180.0),
+    "Specific force": (-25.0, 15.0),
+    "Controls: potentiometer and PWM": (-20.0, 20.0),
+}
+
+
+def _plot(name: str, contents: list[str], live: bool) -> rrb.TimeSeriesView:
+    legend = rrb.PlotLegend(rrb.Corner2D.LeftTop)
+    extra = _window(live)
+    if live and name in SCALES:
+        extra["axis_y"] = rrb.ScalarAxis(range=SCALES[name])
+    return rrb.TimeSeriesView(origin="/", contents=contents, name=name, plot_legend=legend, **extra)
+
+
+def _plots(live: bool) -> dict[str, rrb.TimeSeriesView]:
+    return {
+        "airdata": _plot("Alpha, beta", ["/airdata/angles", "/model/airdata/angles"], live),
+        "speed": _plot("True airspeed", ["/airdata/speed", "/model/airdata/speed"], live),
+        "rates": _plot("Rates", ["/rates", "/model/rates"], live),
+        "attitude": _plot("Attitude", ["/attitude", "/model/attitude"], live),
+        "acceleration": _plot("Specific force", ["/acceleration", "/model/acceleration"], live),
+        "controls": _plot("Controls: potentiometer and PWM", ["/controls/measured", "/controls/commanded"], live),
+        "power": _plot("Thrust and supply", ["/propulsion", "/power", "/controls/throttle"], live),
+        "altitude": _plot("Altitude", ["/airdata/altitude", "/gnss/altitude"], live),
+        "inputs": _plot("Analog and digital inputs", ["/inputs/analog", "/inputs/digital"], live),
+        "link": _plot("Link quality", [e.LINK_LOSS, e.LINK_RATE, e.LINK_SIGNAL, e.LINK_LATENCY], live),
+    }
+
+
+def blueprint(layout: Layout = "full", *, live: bool = True) -> rrb.Blueprint:
+    """The blueprint for a live or a recorded flight."""
+    plots = _plots(live)
+    columns = rrb.TextLogColumns(text_log_columns=["loglevel", "body"])
+    events = rrb.TextLogView(origin=e.EVENTS, name="Events and alarms", columns=columns)
+    following = "following" if live else "paused"
+    panels = (
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(state="collapsed", timeline=e.TIMELINE, play_state=following),
+    )
+    if layout == "light":
+        left = rrb.Vertical(plots["airdata"], plots["rates"], plots["controls"])
+        return rrb.Blueprint(rrb.Horizontal(left, events, column_shares=[3, 1]), *panels)
+    world = rrb.Spatial3DView(
+        origin=e.AIRCRAFT, name="Attitude", contents=[f"{e.AIRCRAFT}/**"], background=[18, 22, 28], line_grid=False
+    )
+    track = rrb.Spatial3DView(origin="/world", name="Track", contents=["/world/**"], background=[18, 22, 28])
+    map_view = rrb.MapView(origin="/map", name="Map")
+    status = rrb.TextDocumentView(origin=e.STATUS, name="Status")
+    health = rrb.StateTimelineView(origin=e.HEALTH, name="Sensor health")
+    left = rrb.Vertical(plots["airdata"], plots["rates"], plots["controls"], plots["acceleration"])
+    middle = rrb.Vertical(
+        rrb.Tabs(world, track, map_view, name="Where"),
+        plots["attitude"],
+        rrb.Tabs(plots["speed"], plots["altitude"], plots["power"], plots["inputs"]),
+        row_shares=[2, 1, 1],
+    )
+    right = rrb.Vertical(health, plots["link"], rrb.Tabs(events, status), row_shares=[2, 1, 1.4])
+    return rrb.Blueprint(rrb.Horizontal(left, middle, right, column_shares=[1.3, 1.1, 0.9]), *panels)

@@ -1,0 +1,105 @@
+"""What the viewer shows, derived from the channel table: groups of series, their units and colours.
+
+Columns that share an entity in the table are logged together as one vector of scalars, because in rerun the cost is
+per entity and chunk, not per number. Angles are shown in degrees: this is a person's face, not the inside.
+"""
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.contract.channels import COLUMNS, GROUPS, Column
+
+TIMELINE = "flight_time"
+APPLICATION = "sideslip"
+
+HEALTH = "/health"
+EVENTS = "/events"
+STATUS = "/status"
+AIRCRAFT = "/world/aircraft"
+TRACK = "/world/track"
+MAP_POSITION = "/map/position"
+MAP_TRACK = "/map/track"
+LINK_LOSS = "/link/loss"
+LINK_RATE = "/link/rate"
+LINK_SIGNAL = "/link/signal"
+LINK_LATENCY = "/link/latency"
+MODEL = "/model"
+
+# Okabe-Ito: told apart by colour-blind people too, and readable on rerun's dark ground.
+PALETTE = (0x56B4E9FF, 0xE69F00FF, 0x009E73FF, 0xF0E442FF, 0xCC79A7FF, 0xD55E00FF, 0x0072B2FF, 0xBBBBBBFF)
+
+_SHOWN: Mapping[str, tuple[str, float, float]] = {
+    "rad": ("deg", math.degrees(1), 0.0),
+    "rad/s": ("deg/s", math.degrees(1), 0.0),
+    "T": ("µT", 1e6, 0.0),
+    "K": ("°C", 1.0, -273.15),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class SeriesGroup:
+    """Columns drawn from one entity. shown = value * scale + offset, element by element."""
+
+    entity: str
+    columns: tuple[str, ...]
+    labels: tuple[str, ...]
+    scale: NDArray[np.float64]
+    offset: NDArray[np.float64]
+
+    def shown(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Column values, last axis in order of `columns`, in the units a person reads."""
+        return values * self.scale + self.offset
+
+    @property
+    def colors(self) -> NDArray[np.uint32]:
+        """One colour a series, in table order."""
+        return np.array([PALETTE[i % len(PALETTE)] for i in range(len(self.columns))], np.uint32)
+
+
+def _group(entity: str, columns: Iterable[Column], suffix: str = "") -> SeriesGroup:
+    rows = tuple(columns)
+    shown = [_SHOWN.get(c.unit, (c.unit, 1.0, 0.0)) for c in rows]
+    labels = tuple(f"{c.name}{suffix} [{unit}]" for c, (unit, _, _) in zip(rows, shown, strict=True))
+    scale, offset = np.array([s for _, s, _ in shown]), np.array([o for _, _, o in shown])
+    return SeriesGroup(entity, tuple(c.name for c in rows), labels, scale, offset)
+
+
+def series_groups(available: Iterable[str] | None = None) -> tuple[SeriesGroup, ...]:
+    """Series groups in table order, of the columns that are available (all of the table by default)."""
+    wanted = {c.name for c in COLUMNS} if available is None else set(available)
+    entities = dict.fromkeys(c.entity for c in COLUMNS if c.name in wanted)
+    return tuple(_group(e, (c for c in COLUMNS if c.entity == e and c.name in wanted)) for e in entities)
+
+
+def model_groups(available: Iterable[str]) -> tuple[SeriesGroup, ...]:
+    """Series of an estimated model that a flight carries beside the measured ones, as columns `<name>_model`."""
+    names = {c.removesuffix("_model") for c in available if c.endswith("_model")}
+    rows = [c for c in COLUMNS if c.name in names]
+    groups = []
+    for entity in dict.fromkeys(c.entity for c in rows):
+        group = _group(MODEL + entity, (c for c in rows if c.entity == entity), " model")
+        names_in_flight = tuple(f"{c}_model" for c in group.columns)
+        groups.append(SeriesGroup(group.entity, names_in_flight, group.labels, group.scale, group.offset))
+    return tuple(groups)
+
+
+def health_entity(group: str) -> str:
+    """Entity of one sensor's state lane."""
+    return f"{HEALTH}/{group}"
+
+
+HEALTH_TITLES: Mapping[str, str] = {g.name: g.title for g in GROUPS}
+STATE_COLORS: Mapping[str, int] = {
+    "ok": 0x2E8B57FF,
+    "stale": 0xF0E442FF,
+    "out of range": 0xE69F00FF,
+    "stuck": 0xD55E00FF,
+    "absent": 0xB22222FF,
+    "recovering": 0x56B4E9FF,
+    "fault": 0xB22222FF,
+    "off": 0x555555FF,
+}

@@ -1,0 +1,170 @@
+"""The live view: a thread that logs to rerun, fed through a bounded queue that drops the oldest.
+
+The ground station's receiver never waits for the picture: `LiveView` calls return at once, and when the viewer side is
+slow the oldest pictures are dropped and counted. Received and recorded data are elsewhere and lose nothing. The gRPC
+server that viewers attach to lives in this process, on loopback, with bounded memory; viewers may come, die and come
+back. Each start makes a recording id of its own, because a viewer shows an old recording for a known id.
+"""
+
+import queue
+import socket
+import threading
+import time
+import uuid
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import rerun as rr
+
+from daq.contract.errors import UserError
+from groundstation.viewer import entities as e
+from groundstation.viewer.blueprint import Layout, blueprint
+from groundstation.viewer.scene import LinkSample, Scene
+
+LOOPBACK = "127.0.0.1"
+DEFAULT_PORT = 9876
+QUEUE_LENGTH = 600
+TICK_S: Mapping[str, float] = {"full": 0.1, "light": 1.0}
+FLUSH_TIMEOUT_S = 5.0
+
+
+class ViewerError(UserError):
+    """The viewer cannot be started."""
+
+
+@dataclass(frozen=True, slots=True)
+class ViewOptions:
+    """How to show: layout, gRPC port on loopback, memory the server may keep, and a file to write instead or too."""
+
+    layout: Layout = "full"
+    port: int = DEFAULT_PORT
+    memory_limit: str = "64MiB"
+    rrd: Path | None = None
+    serve: bool = True
+
+
+def port_is_free(port: int) -> bool:
+    """Whether a TCP port on loopback can be bound."""
+    with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((LOOPBACK, port))
+        except OSError:
+            return False
+    return True
+
+
+def free_port() -> int:
+    """A TCP port on loopback that is free now."""
+    with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as probe:
+        probe.bind((LOOPBACK, 0))
+        return int(probe.getsockname()[1])
+
+
+class LiveView:
+    """One aircraft, live. Methods may be called from any thread and never block."""
+
+    def __init__(self, title: str, options: ViewOptions, columns: tuple[str, ...] | None = None) -> None:
+        if options.serve and not port_is_free(options.port):
+            raise ViewerError(
+                f"viewer port {LOOPBACK}:{options.port} is in use; close the other viewer or give another port"
+            )
+        self._queue: queue.Queue[Callable[[Scene], None] | None] = queue.Queue(QUEUE_LENGTH)
+        self._dropped = 0
+        self._shown = 0
+        self._closing = False
+        config = rr.ChunkBatcherConfig(flush_tick=TICK_S[options.layout])
+        run = f"{title}-{uuid.uuid4().hex[:12]}"
+        self._stream = rr.RecordingStream(e.APPLICATION, recording_id=run, batcher_config=config)
+        sinks: list[rr.GrpcServerSink | rr.FileSink] = []
+        self.url = ""
+        if options.serve:
+            server = rr.GrpcServerSink(bind_ip=LOOPBACK, port=options.port, server_memory_limit=options.memory_limit)
+            self.url = server.uri
+            sinks.append(server)
+        if options.rrd is not None:
+            sinks.append(rr.FileSink(str(options.rrd), write_footer=False))
+        if not sinks:
+            raise ViewerError("nothing to show to: neither a server nor a file was asked for")
+        self._stream.set_sinks(*sinks, default_blueprint=blueprint(options.layout, live=True))
+        self._columns = columns
+        self._thread = threading.Thread(target=self._run, name="viewer", daemon=True)
+        self._thread.start()
+
+    # ------------------------------------------------------------------------------------------------ callers' side
+    @property
+    def dropped(self) -> int:
+        """Pictures dropped because the viewer side was slow."""
+        return self._dropped
+
+    @property
+    def shown(self) -> int:
+        """Pictures handed to rerun."""
+        return self._shown
+
+    def sample(self, time_s: float, values: Mapping[str, float]) -> None:
+        """Show one calibrated sample."""
+        self._put(lambda scene: scene.sample(time_s, values))
+
+    def states(self, time_s: float, states: Mapping[str, str]) -> None:
+        """Show sensor states in words."""
+        self._put(lambda scene: scene.states(time_s, states))
+
+    def event(self, time_s: float, text: str, level: str = "INFO") -> None:
+        """Show an event."""
+        self._put(lambda scene: scene.event(time_s, text, level))
+
+    def link(self, time_s: float, link: LinkSample) -> None:
+        """Show link quality."""
+        self._put(lambda scene: scene.link(time_s, link))
+
+    def status(self, time_s: float, markdown: str) -> None:
+        """Show the status page."""
+        self._put(lambda scene: scene.status(time_s, markdown))
+
+    def close(self) -> None:
+        """Show what is queued, then stop."""
+        if self._closing:
+            return
+        self._closing = True
+        try:
+            self._queue.put(None, timeout=FLUSH_TIMEOUT_S)
+        except queue.Full:  # the viewer side hangs: give up the pictures, not the ground station
+            self._drop_oldest()
+            self._queue.put_nowait(None)
+        self._thread.join(FLUSH_TIMEOUT_S)
+        self._stream.disconnect()
+
+    def _put(self, job: Callable[[Scene], None]) -> None:
+        if self._closing:
+            return
+        while True:
+            try:
+                self._queue.put_nowait(job)
+                return
+            except queue.Full:
+                self._drop_oldest()
+
+    def _drop_oldest(self) -> None:
+        try:
+            self._queue.get_nowait()
+            self._dropped += 1
+        except queue.Empty:
+            pass
+
+    # ------------------------------------------------------------------------------------------------ viewer's side
+    def _run(self) -> None:
+        scene = Scene(self._stream, self._columns)
+        while (job := self._queue.get()) is not None:
+            job(scene)
+            self._shown += 1
+
+    def drain(self, timeout_s: float) -> bool:
+        """Wait until everything queued so far was logged; False when that took longer."""
+        deadline = time.monotonic() + timeout_s
+        while not self._queue.empty():
+            if time.monotonic() > deadline:
+                return False
+            threading.Event().wait(0.005)
+        return True

@@ -1,0 +1,202 @@
+"""Turns calibrated samples, states and events into rerun entities; used alike for live data and for replay.
+
+Time is the flight's own time [s] on the timeline `flight_time`. Nothing here opens a socket or a file: the
+`RecordingStream` with its sinks is given by the caller.
+"""
+
+import math
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import rerun as rr
+from numpy.typing import NDArray
+
+from groundstation.flight import Flight
+from groundstation.viewer import entities as e
+from groundstation.viewer.airframe import airframe_mesh
+
+EARTH_RADIUS = 6_371_000.0
+TRACK_POINTS = 400
+TRACK_PERIOD_S = 2.0
+
+
+def quaternion_xyzw(phi: float, theta: float, psi: float) -> tuple[float, float, float, float]:
+    """Rotation body to NED from Euler angles [rad], as x, y, z, w (3-2-1 sequence)."""
+    cr, sr = math.cos(phi / 2), math.sin(phi / 2)
+    cp, sp = math.cos(theta / 2), math.sin(theta / 2)
+    cy, sy = math.cos(psi / 2), math.sin(psi / 2)
+    return (
+        sr * cp * cy - cr * sp * sy,
+        cr * sp * cy + sr * cp * sy,
+        cr * cp * sy - sr * sp * cy,
+        cr * cp * cy + sr * sp * sy,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class LinkSample:
+    """State of the radio link: loss [%], frame rate [1/s], received signal [dBm], latency [s]; NaN unknown."""
+
+    loss_percent: float = math.nan
+    rate_hz: float = math.nan
+    signal_dbm: float = math.nan
+    latency_s: float = math.nan
+
+
+class Scene:
+    """Logs one aircraft into a recording stream. Not thread-safe: one thread logs."""
+
+    def __init__(self, stream: rr.RecordingStream, columns: tuple[str, ...] | None = None) -> None:
+        self._stream = stream
+        self._groups = (*e.series_groups(columns), *e.model_groups(columns or ()))
+        self._states: dict[str, str] = {}
+        self._origin: tuple[float, float] | None = None
+        self._track: deque[tuple[float, float, float, float, float]] = deque(maxlen=TRACK_POINTS)
+        self._next_track = -math.inf
+        self.log_statics()
+
+    def log_statics(self) -> None:
+        """Names, colours, the aircraft's mesh: what a viewer needs once. Logged again after a reconnect."""
+        rec = self._stream
+        rec.log("/world", rr.ViewCoordinates.FRD, static=True)
+        for group in self._groups:
+            rec.log(group.entity, rr.SeriesLines(names=list(group.labels), colors=group.colors), static=True)
+        vertices, triangles, colors = airframe_mesh()
+        mesh = rr.Mesh3D(vertex_positions=vertices, triangle_indices=triangles, vertex_colors=colors)
+        rec.log(f"{e.AIRCRAFT}/airframe", mesh, static=True)
+        axes = rr.Arrows3D(
+            vectors=np.eye(3, dtype=np.float32) * 0.7,
+            colors=np.array([0xD55E00FF, 0x009E73FF, 0x56B4E9FF], np.uint32),
+            labels=["x", "y", "z"],
+        )
+        rec.log(f"{e.AIRCRAFT}/axes", axes, static=True)
+        names = list(e.STATE_COLORS)
+        lane = rr.StateConfiguration(
+            values=names, labels=names, colors=np.array(list(e.STATE_COLORS.values()), np.uint32)
+        )
+        for sensor in e.HEALTH_TITLES:
+            rec.log(e.health_entity(sensor), lane, static=True)
+        for entity, label in (
+            (e.LINK_LOSS, "lost [%]"),
+            (e.LINK_RATE, "frames [1/s]"),
+            (e.LINK_SIGNAL, "signal [dBm]"),
+            (e.LINK_LATENCY, "latency [ms]"),
+        ):
+            rec.log(entity, rr.SeriesLines(names=[label]), static=True)
+
+    # ------------------------------------------------------------------------------------------------ live
+    def sample(self, time: float, values: Mapping[str, float]) -> None:
+        """One calibrated sample. Columns not given are not measured."""
+        rec = self._stream
+        rec.set_time(e.TIMELINE, duration=time)
+        for group in self._groups:
+            row = np.array([values.get(c, math.nan) for c in group.columns])
+            if np.isfinite(row).any():
+                rec.log(group.entity, rr.Scalars(group.shown(row)))
+        angles = [values.get(k, math.nan) for k in ("phi", "theta", "psi")]
+        if all(math.isfinite(a) for a in angles):
+            rec.log(e.AIRCRAFT, self._pose(angles))
+        self._position(time, values)
+
+    def _pose(self, angles: list[float]) -> rr.Transform3D:
+        translation = self._track[-1][2:] if self._track else (0.0, 0.0, 0.0)
+        return rr.Transform3D(quaternion=rr.Quaternion(xyzw=quaternion_xyzw(*angles)), translation=translation)
+
+    def _position(self, time: float, values: Mapping[str, float]) -> None:
+        latitude, longitude = values.get("latitude", math.nan), values.get("longitude", math.nan)
+        if not (math.isfinite(latitude) and math.isfinite(longitude)) or (latitude == 0 and longitude == 0):
+            return
+        altitude = values.get("altitude_gnss", values.get("altitude", math.nan))
+        north, east = self._local(latitude, longitude)
+        down = -altitude if math.isfinite(altitude) else 0.0
+        self._track.append((latitude, longitude, north, east, down))
+        self._stream.log(e.MAP_POSITION, rr.GeoPoints(lat_lon=[(latitude, longitude)], radii=rr.Radius.ui_points(7.0)))
+        if time < self._next_track:
+            return
+        self._next_track = time + TRACK_PERIOD_S
+        points = np.array(self._track)
+        self._stream.log(e.TRACK, rr.LineStrips3D([points[:, 2:]], colors=np.array([e.PALETTE[0]], np.uint32)))
+        self._stream.log(e.MAP_TRACK, rr.GeoLineStrings(lat_lon=[points[:, :2]]))
+
+    def _local(self, latitude: float, longitude: float) -> tuple[float, float]:
+        if self._origin is None:
+            self._origin = (latitude, longitude)
+        lat0, lon0 = self._origin
+        north = math.radians(latitude - lat0) * EARTH_RADIUS
+        return north, math.radians(longitude - lon0) * EARTH_RADIUS * math.cos(math.radians(lat0))
+
+    def states(self, time: float, states: Mapping[str, str]) -> None:
+        """State of each sensor group in words; only changes are logged."""
+        changed = {g: s for g, s in states.items() if self._states.get(g) != s}
+        if not changed:
+            return
+        self._stream.set_time(e.TIMELINE, duration=time)
+        for group, state in changed.items():
+            self._stream.log(e.health_entity(group), rr.StateChange(state=state))
+        self._states.update(changed)
+
+    def event(self, time: float, text: str, level: str = "INFO") -> None:
+        """An event or alarm in the log; level INFO, WARN, ERROR or CRITICAL."""
+        self._stream.set_time(e.TIMELINE, duration=time)
+        self._stream.log(e.EVENTS, rr.TextLog(text, level=level))
+
+    def status(self, time: float, markdown: str) -> None:
+        """The status page: recorder, link, alarms in force."""
+        self._stream.set_time(e.TIMELINE, duration=time)
+        self._stream.log(e.STATUS, rr.TextDocument(markdown, media_type=rr.MediaType.MARKDOWN))
+
+    def link(self, time: float, link: LinkSample) -> None:
+        """Quality of the radio link."""
+        self._stream.set_time(e.TIMELINE, duration=time)
+        for entity, value in (
+            (e.LINK_LOSS, link.loss_percent),
+            (e.LINK_RATE, link.rate_hz),
+            (e.LINK_SIGNAL, link.signal_dbm),
+            (e.LINK_LATENCY, 1e3 * link.latency_s),
+        ):
+            if math.isfinite(value):
+                self._stream.log(entity, rr.Scalars([value]))
+
+    # ------------------------------------------------------------------------------------------------ whole flight
+    def flight(self, flight: Flight) -> None:
+        """A whole recorded flight in a few column batches."""
+        for group in self._groups:
+            present = [c for c in group.columns if c in flight]
+            table = np.column_stack(
+                [flight[c] if c in flight else np.full(len(flight), math.nan) for c in group.columns]
+            )
+            keep = np.isfinite(table).any(axis=1)
+            if present and keep.any():
+                self._columns(group.entity, flight.time[keep], group.shown(table[keep]))
+        self._flight_pose(flight)
+        for note in flight.notes:
+            self.event(float(flight.time[0]), note, "WARN")
+
+    def _columns(self, entity: str, time: NDArray[np.float64], table: NDArray[np.float64]) -> None:
+        index = rr.TimeColumn(e.TIMELINE, duration=time)
+        width = table.shape[1]
+        scalars = rr.Scalars.columns(scalars=table.ravel())
+        self._stream.send_columns(entity, indexes=[index], columns=scalars.partition([width] * len(time)))
+
+    def _flight_pose(self, flight: Flight) -> None:
+        position: Mapping[str, NDArray[np.float64]] = {
+            k: flight[k] for k in ("latitude", "longitude", "altitude_gnss", "altitude") if k in flight
+        }
+        if "latitude" in position and "longitude" in position:
+            fixes = np.flatnonzero(np.isfinite(position["latitude"]) & np.isfinite(position["longitude"]))
+            step = max(1, fixes.size // TRACK_POINTS)
+            for i in fixes[::step]:
+                self._stream.set_time(e.TIMELINE, duration=float(flight.time[i]))
+                self._position(float(flight.time[i]), {k: float(v[i]) for k, v in position.items()})
+        if not all(c in flight for c in ("phi", "theta", "psi")):
+            return
+        angles = np.column_stack([flight[c] for c in ("phi", "theta", "psi")])
+        keep = np.flatnonzero(np.isfinite(angles).all(axis=1))
+        if keep.size:
+            quaternions = [quaternion_xyzw(*row) for row in angles[keep]]
+            index = rr.TimeColumn(e.TIMELINE, duration=flight.time[keep])
+            self._stream.send_columns(
+                e.AIRCRAFT, indexes=[index], columns=rr.Transform3D.columns(quaternion=quaternions)
+            )
