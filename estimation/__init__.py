@@ -1,1 +1,45 @@
-"""Aircraft identification: models, estimators, the gap workflow and their reports."""
+"""Aircraft identification: models, estimators, the gap workflow and their reports.
+
+    from estimation import load_model, output_error
+    result = output_error(load_model("lateral"), [read_flight("flight.csv")])
+
+Names are imported on first use, so that the simulator can read an aircraft without a numerical library.
+"""
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from estimation.aircraft import Aircraft, load_aircraft
+    from estimation.engine.simulate import simulate, simulate_with_sensitivities
+    from estimation.estimators.output_error import OutputErrorOptions, output_error
+    from estimation.estimators.result import Result
+    from estimation.models import InputTransform, Model, Parameter, Signal, load_model, read_model, write_model
+
+_HOMES = {
+    "Aircraft": "estimation.aircraft",
+    "load_aircraft": "estimation.aircraft",
+    "simulate": "estimation.engine.simulate",
+    "simulate_with_sensitivities": "estimation.engine.simulate",
+    "OutputErrorOptions": "estimation.estimators.output_error",
+    "output_error": "estimation.estimators.output_error",
+    "Result": "estimation.estimators.result",
+    "InputTransform": "estimation.models",
+    "Model": "estimation.models",
+    "Parameter": "estimation.models",
+    "Signal": "estimation.models",
+    "load_model": "estimation.models",
+    "read_model": "estimation.models",
+    "write_model": "estimation.models",
+}
+__all__ = [
+    "Aircraft", "InputTransform", "Model", "OutputErrorOptions", "Parameter", "Result", "Signal", "load_aircraft",
+    "load_model", "output_error", "read_model", "simulate", "simulate_with_sensitivities", "write_model",
+]  # fmt: skip
+
+
+def __getattr__(name: str) -> Any:
+    if name in _HOMES:
+        import importlib
+
+        return getattr(importlib.import_module(_HOMES[name]), name)
+    raise AttributeError(f"module 'estimation' has no attribute {name!r}")

@@ -3,6 +3,7 @@
 A `Scan` is what the sampler makes twenty times a second, the recorder writes and the downlink packs. Its protobuf
 schema is built from the table, so the recording opens in any MCAP reader with the channel names in it.
 A channel that has no value in a scan (sensor absent, no new GPS fix) is simply not set in the message.
+The last field of an encoded scan is its seal, a checksum over all the rest (`daq.contract.seal`).
 """
 
 from collections.abc import Mapping
@@ -16,6 +17,7 @@ from google.protobuf.message import DecodeError
 
 from daq.contract.channels import CHANNELS, GROUP_NAMES
 from daq.contract.errors import UserError
+from daq.contract.seal import SEAL_FIELD, SEAL_NUMBER, has_seal, seal, seal_holds
 
 SCHEMA_NAME = "sideslip.Scan"
 SCAN_TOPIC = "/scan"
@@ -116,12 +118,14 @@ def _add_field(message: descriptor_pb2.DescriptorProto, name: str, kind: str, nu
 def file_descriptor_set() -> descriptor_pb2.FileDescriptorSet:
     """The protobuf schema of a scan, built from the channel table.
 
-    Header fields take numbers 1-15, groups 16-127 (state and offset in turn), channels 128 on, in table order.
+    Header fields take numbers 1-14, the seal 15, groups 16-127 (state and offset in turn), channels 128 on, in table
+    order.
     """
     file = descriptor_pb2.FileDescriptorProto(name="sideslip/scan.proto", package="sideslip", syntax="proto3")
     message = file.message_type.add(name="Scan")
     for i, (name, kind) in enumerate(_HEADER):
         _add_field(message, name, kind, 1 + i, optional=False)
+    message.field.add(name=SEAL_FIELD, number=SEAL_NUMBER, type=_F.TYPE_FIXED32, label=_F.LABEL_OPTIONAL)
     for i, group in enumerate(GROUP_NAMES):
         _add_field(message, f"{group}_state", "u8", 16 + 2 * i, optional=True)
         _add_field(message, f"{group}_offset_us", "i32", 17 + 2 * i, optional=True)
@@ -140,29 +144,38 @@ def scan_message_class() -> Any:
 
 
 def encode_scan(scan: Scan) -> bytes:
-    """A scan as protobuf bytes."""
+    """A scan as sealed protobuf bytes."""
     fields: dict[str, RawValue] = {name: getattr(scan, name) for name, _ in _HEADER}
     for group, status in scan.groups.items():
         fields[f"{group}_state"] = int(status.state)
         fields[f"{group}_offset_us"] = status.offset_us
     fields.update(scan.values)
-    return bytes(scan_message_class()(**fields).SerializeToString(deterministic=True))
+    return seal(SCHEMA_NAME, scan_message_class()(**fields).SerializeToString(deterministic=True))
 
 
 def decode_scan(data: bytes) -> Scan:
     """A scan from protobuf bytes.
 
-    Raises ScanDecodeError when the bytes are not a scan.
+    Raises ScanDecodeError when the bytes are not a scan or their seal shows that they were altered.
     """
+    if has_seal(data) and not seal_holds(SCHEMA_NAME, data):
+        raise ScanDecodeError(f"{len(data)} bytes of a scan fail their checksum; the recording is damaged there")
     message = scan_message_class()()
     try:
         message.ParseFromString(data)
     except DecodeError as error:
         raise ScanDecodeError(f"{len(data)} bytes are not a scan ({error}); the recording is damaged there") from error
-    groups = {
+    try:
+        groups = _groups(message)
+    except ValueError as error:
+        raise ScanDecodeError(f"scan {message.number} has an unknown sensor state ({error})") from error
+    values = {c.name: getattr(message, c.name) for c in CHANNELS if message.HasField(c.name)}
+    return Scan(**{name: getattr(message, name) for name, _ in _HEADER}, groups=groups, values=values)
+
+
+def _groups(message: Any) -> dict[str, GroupStatus]:
+    return {
         g: GroupStatus(SensorState(getattr(message, f"{g}_state")), getattr(message, f"{g}_offset_us"))
         for g in GROUP_NAMES
         if message.HasField(f"{g}_state")
     }
-    values = {c.name: getattr(message, c.name) for c in CHANNELS if message.HasField(c.name)}
-    return Scan(**{name: getattr(message, name) for name, _ in _HEADER}, groups=groups, values=values)

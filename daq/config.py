@@ -1,0 +1,152 @@
+"""The logger's configuration: one TOML file, checked before anything is opened.
+
+Each part of the logger defines the model of its own section; this module puts the sections together, reads the file
+and turns every mistake into one sentence that names the key.
+"""
+
+import hashlib
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from daq.contract.errors import UserError
+from daq.downlink_config import DownlinkConfig
+from daq.recorder_config import RecorderConfig
+from daq.sensors.config import SensorsConfig
+
+
+class ConfigError(UserError):
+    """A configuration file that cannot be used."""
+
+
+class Section(BaseModel):
+    """Base of all configuration sections: unknown keys are mistakes, values do not change after reading."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class AircraftConfig(Section):
+    """`[aircraft]`: which aircraft carries the logger."""
+
+    name: str = Field(default="cdfp", min_length=1, description="name under which results are filed")
+    tail_number: str = Field(default="", description="the individual aircraft")
+
+
+class ScanConfig(Section):
+    """`[scan]`: how often all channels are read, and how the process is scheduled."""
+
+    rate_hz: Annotated[float, Field(gt=0, le=2000)] = 20.0
+    realtime_priority: Annotated[int, Field(ge=0, le=99)] = 0  # SCHED_FIFO priority; 0 keeps the ordinary scheduler
+    lock_memory: bool = False  # mlockall: pages of the process are never swapped out
+    collect_garbage: bool = True  # False: the collector runs once a second, outside the scan
+
+    @property
+    def period_ns(self) -> int:
+        """Time from one scan to the next [ns]."""
+        return round(1e9 / self.rate_hz)
+
+
+class PreflightConfig(Section):
+    """`[preflight]`: the limits of the go/no-go table."""
+
+    scans: Annotated[int, Field(ge=2, le=10_000)] = 60  # scans looked at; must outlast the stuck-value time
+    free_space_mb: Annotated[float, Field(ge=0)] = 200.0
+    write_latency_ms: Annotated[float, Field(gt=0)] = 500.0  # slowest write + fdatasync tolerated
+    lateness_p99_ms: Annotated[float, Field(gt=0)] = 5.0
+    time_accuracy_ms: Annotated[float, Field(gt=0)] = 1.0  # of UTC from GPS
+    radio_margin_db: Annotated[float, Field(ge=0)] = 10.0  # signal above noise, where the radio reports it
+    require_time: bool = True  # False: no UTC from GPS is a caution, not a no-go
+    require_radio: bool = False
+
+
+class LoggerConfig(Section):
+    """The whole file. `calibration` is a directory of calibration files, embedded in every recording."""
+
+    aircraft: AircraftConfig = AircraftConfig()
+    scan: ScanConfig = ScanConfig()
+    recorder: RecorderConfig = RecorderConfig()
+    sensors: SensorsConfig
+    downlink: DownlinkConfig | None = None
+    preflight: PreflightConfig = PreflightConfig()
+    calibration: Path | None = None
+
+    @model_validator(mode="after")
+    def _queue_holds_a_stall(self) -> "LoggerConfig":
+        if self.recorder.queue_s < self.recorder.flush_s:
+            raise ValueError("recorder.queue_s must not be shorter than recorder.flush_s")
+        return self
+
+
+def load_config(path: str | Path) -> tuple[LoggerConfig, str]:
+    """Read and check a configuration; returns it and the text of the file, which every recording carries.
+
+    Relative paths in the file are taken from the file's directory. Raises ConfigError naming file, key, value
+    and limit.
+    """
+    path = Path(path)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise ConfigError(f"{path}: no such configuration file") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: cannot be read as a text file ({error})") from error
+    return parse_config(text, path), text
+
+
+def parse_config(text: str, origin: Path) -> LoggerConfig:
+    """Check the text of a configuration; `origin` names it in errors and anchors relative paths."""
+    try:
+        table = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"{origin}: not valid TOML: {error}") from error
+    try:
+        config = LoggerConfig.model_validate(table)
+    except ValidationError as error:
+        raise ConfigError(f"{origin}: {describe(error)}") from error
+    return _anchor(config, origin.parent)
+
+
+def describe(error: ValidationError) -> str:
+    """A validation error as one sentence: each wrong key with its value and what it must be."""
+    return "; ".join(_one(e) for e in error.errors(include_url=False)[:5])
+
+
+def _one(error: Any) -> str:
+    key = ".".join(str(p) for p in error["loc"]) or "the file as a whole"
+    if error["type"] == "extra_forbidden":
+        return f"key {key} is not known; check its spelling or remove it"
+    if error["type"] == "missing":
+        return f"key {key} is missing"
+    value = error["input"]
+    shown = f" is {value!r}" if isinstance(value, (str, int, float, bool)) else ""
+    return f"key {key}{shown}: {error['msg'][0].lower()}{error['msg'][1:]}"
+
+
+def _anchor(config: LoggerConfig, base: Path) -> LoggerConfig:
+    directories = tuple(base / d for d in config.recorder.directories)
+    changes: dict[str, Any] = {"recorder": config.recorder.model_copy(update={"directories": directories})}
+    if config.calibration is not None:
+        changes["calibration"] = base / config.calibration
+    return config.model_copy(update=changes)
+
+
+def read_calibration(directory: Path | None) -> dict[str, bytes]:
+    """The calibration files of a directory by name relative to it; empty without a directory.
+
+    Raises ConfigError when the directory is named but absent or holds no .toml file.
+    """
+    if directory is None:
+        return {}
+    if not directory.is_dir():
+        raise ConfigError(f"{directory}: calibration directory not found; correct the key calibration")
+    files = {str(p.relative_to(directory)): p.read_bytes() for p in sorted(directory.rglob("*.toml"))}
+    if not files:
+        raise ConfigError(f"{directory}: no calibration files (*.toml) in it; correct the key calibration")
+    return files
+
+
+def digest(data: bytes) -> str:
+    """SHA-256 of a file's bytes, as recordings and reports quote it."""
+    return hashlib.sha256(data).hexdigest()

@@ -1,0 +1,345 @@
+"""Byte ports of the link: serial, UDP, TCP and memory, none of which ever waits.
+
+`read` returns what has arrived, possibly nothing; `write` takes what fits and says how much that was. A loop that
+scans sensors or draws pictures can therefore use any of them directly. Listeners bind to loopback unless a host is
+named.
+"""
+
+import errno
+import os
+import socket
+from collections import deque
+from dataclasses import dataclass
+from typing import Any, Literal, Protocol
+
+from daq.contract.errors import UserError
+
+DEFAULT_BAUD = 57600
+MAX_PEERS = 8
+_LOOPBACK = "127.0.0.1"
+_READ_BYTES = 65536
+_CLIENT_BACKLOG = 1 << 20
+_WOULD_BLOCK = (errno.EAGAIN, errno.EWOULDBLOCK, errno.EINTR)
+_PEER_GONE = (errno.ECONNREFUSED, errno.ENETUNREACH, errno.EHOSTUNREACH, errno.ENETDOWN)
+
+
+class PortError(UserError):
+    """A port that cannot be opened or a port description that cannot be understood."""
+
+
+class BytePort(Protocol):
+    """What the link needs of a port."""
+
+    def read(self, limit: int = _READ_BYTES) -> bytes:
+        """Bytes that have arrived, at most `limit`; empty when there are none."""
+        ...
+
+    def write(self, data: bytes) -> int:
+        """Hand over bytes; returns how many were taken, 0 when the port is busy."""
+        ...
+
+    def close(self) -> None:
+        """Give the port back."""
+        ...
+
+
+PortKind = Literal["serial", "udp", "udpin", "tcp", "tcpin"]
+
+
+@dataclass(frozen=True, slots=True)
+class PortSpec:
+    """A port as people write it: `serial:DEVICE[:BAUD]`, `udp|udpin|tcp|tcpin:[HOST:]PORT`."""
+
+    kind: PortKind
+    address: str
+    number: int  # baud rate or port number
+
+
+def parse_port(text: str) -> PortSpec:
+    """Understand a port description; PortError says what is wrong with it."""
+    kind, _, rest = text.partition(":")
+    usage = "write serial:DEVICE:BAUD, udp:HOST:PORT, udpin:[HOST:]PORT, tcp:HOST:PORT or tcpin:[HOST:]PORT"
+    if kind == "serial" and rest:
+        device, colon, baud = rest.rpartition(":")
+        if colon and baud.isdigit():
+            return PortSpec("serial", device, int(baud))
+        return PortSpec("serial", rest, DEFAULT_BAUD)
+    if kind in ("udp", "udpin", "tcp", "tcpin"):
+        host, _, number = rest.rpartition(":")
+        if number.isdigit() and int(number) < 65536:
+            return PortSpec(kind, host.strip("[]") or _LOOPBACK, int(number))  # type: ignore[arg-type]
+    raise PortError(f"port {text!r} cannot be understood; {usage}")
+
+
+def open_socket_port(spec: PortSpec) -> "UdpPort | TcpClientPort | TcpServerPort":
+    """Open a UDP or TCP port; PortError when the address is taken or nobody answers."""
+    try:
+        match spec.kind:
+            case "udp":
+                return UdpPort(remote=(spec.address, spec.number))
+            case "udpin":
+                return UdpPort(local=(spec.address, spec.number))
+            case "tcp":
+                return TcpClientPort(spec.address, spec.number)
+            case "tcpin":
+                return TcpServerPort(spec.address, spec.number)
+            case _:
+                raise PortError(f"{spec.kind}:{spec.address} is not a network port")
+    except OSError as error:
+        what = error.strerror or str(error)
+        raise PortError(
+            f"{spec.kind}:{spec.address}:{spec.number} cannot be opened ({what}); is another program using it?"
+        ) from error
+
+
+class UdpPort:
+    """Datagrams: to a fixed remote, or (listening) to everyone heard from, the latest few of them."""
+
+    def __init__(self, *, local: tuple[str, int] | None = None, remote: tuple[str, int] | None = None) -> None:
+        host = (local or remote or (_LOOPBACK, 0))[0]
+        family = socket.getaddrinfo(host, None, type=socket.SOCK_DGRAM)[0][0]
+        self._socket = socket.socket(family, socket.SOCK_DGRAM)
+        try:
+            self._socket.setblocking(False)
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
+            if local is not None:
+                self._socket.bind(local)
+            if remote is not None:
+                self._socket.connect(remote)
+        except OSError:
+            self._socket.close()
+            raise
+        self._fixed = remote is not None
+        self._peers: dict[Any, None] = {}
+
+    @property
+    def address(self) -> tuple[str, int]:
+        """Local host and port."""
+        name = self._socket.getsockname()
+        return str(name[0]), int(name[1])
+
+    def receive(self) -> list[tuple[str, bytes]]:
+        """All datagrams that have arrived, with a name of their sender."""
+        out = []
+        while True:
+            try:
+                data, peer = self._socket.recvfrom(_READ_BYTES)
+            except OSError as error:
+                if error.errno in _PEER_GONE:
+                    continue
+                if error.errno in _WOULD_BLOCK:
+                    return out
+                raise
+            if not self._fixed:
+                self._peers.pop(peer, None)
+                self._peers[peer] = None
+                if len(self._peers) > MAX_PEERS:
+                    self._peers.pop(next(iter(self._peers)))
+            out.append((f"{peer[0]}:{peer[1]}", data))
+
+    def read(self, limit: int = _READ_BYTES) -> bytes:
+        return b"".join(data for _, data in self.receive())
+
+    def write(self, data: bytes) -> int:
+        """Send one datagram to each peer; with nobody to send to it is taken and gone, as on a radio."""
+        if self._fixed:
+            return self._send(data, None)
+        taken = [self._send(data, peer) for peer in list(self._peers)]
+        return min(taken, default=len(data))
+
+    def _send(self, data: bytes, peer: Any) -> int:
+        try:
+            return self._socket.send(data) if peer is None else self._socket.sendto(data, peer)
+        except OSError as error:
+            if error.errno in _PEER_GONE:
+                return len(data)
+            if error.errno in (*_WOULD_BLOCK, errno.ENOBUFS):
+                return 0
+            raise
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+class _Stream:
+    """One TCP connection with a bounded backlog of what it has not taken yet."""
+
+    def __init__(self, connection: socket.socket, name: str) -> None:
+        connection.setblocking(False)
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self.name = name
+        self.open = True
+        self._connection = connection
+        self._backlog = b""
+
+    def read(self, limit: int) -> bytes:
+        try:
+            data = self._connection.recv(limit)
+        except OSError as error:
+            if error.errno not in _WOULD_BLOCK:
+                self.close()
+            return b""
+        if not data:
+            self.close()
+        return data
+
+    def write(self, data: bytes) -> int:
+        waiting = self._backlog + data
+        try:
+            sent = self._connection.send(waiting) if waiting else 0
+        except OSError as error:
+            if error.errno not in _WOULD_BLOCK:
+                self.close()
+            sent = 0
+        taken = sent - len(self._backlog)
+        if taken >= 0:
+            self._backlog = b""
+            return taken
+        self._backlog = self._backlog[sent:]
+        return 0
+
+    def push(self, data: bytes) -> None:
+        """Hand over all of `data`; a peer that falls too far behind is disconnected."""
+        taken = self.write(data)
+        self._backlog += data[taken:]
+        if len(self._backlog) > _CLIENT_BACKLOG:
+            self.close()
+
+    def close(self) -> None:
+        self.open = False
+        self._connection.close()
+
+
+class TcpClientPort:
+    """A connection to a listening peer."""
+
+    def __init__(self, host: str, number: int) -> None:
+        self._stream = _Stream(socket.create_connection((host, number), timeout=5.0), f"{host}:{number}")
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the peer is still there."""
+        return self._stream.open
+
+    def read(self, limit: int = _READ_BYTES) -> bytes:
+        return self._stream.read(limit) if self._stream.open else b""
+
+    def write(self, data: bytes) -> int:
+        return self._stream.write(data) if self._stream.open else len(data)
+
+    def close(self) -> None:
+        self._stream.close()
+
+
+class TcpServerPort:
+    """A listener; every peer that connects hears everything and may speak."""
+
+    def __init__(self, host: str, number: int) -> None:
+        self._listener = socket.create_server((host, number))
+        self._listener.setblocking(False)
+        self._streams: list[_Stream] = []
+
+    @property
+    def address(self) -> tuple[str, int]:
+        """Local host and port."""
+        name = self._listener.getsockname()
+        return str(name[0]), int(name[1])
+
+    def receive(self) -> list[tuple[str, bytes]]:
+        """What has arrived, by peer."""
+        self._accept()
+        out = [(s.name, data) for s in self._streams if (data := s.read(_READ_BYTES))]
+        self._streams = [s for s in self._streams if s.open]
+        return out
+
+    def read(self, limit: int = _READ_BYTES) -> bytes:
+        return b"".join(data for _, data in self.receive())
+
+    def write(self, data: bytes) -> int:
+        self._accept()
+        for stream in self._streams:
+            stream.push(data)
+        self._streams = [s for s in self._streams if s.open]
+        return len(data)
+
+    def _accept(self) -> None:
+        while True:
+            try:
+                connection, peer = self._listener.accept()
+            except OSError as error:
+                if error.errno in (*_WOULD_BLOCK, errno.ECONNABORTED):
+                    return
+                raise
+            if len(self._streams) >= MAX_PEERS:
+                connection.close()
+                continue
+            self._streams.append(_Stream(connection, f"{peer[0]}:{peer[1]}"))
+
+    def close(self) -> None:
+        for stream in self._streams:
+            stream.close()
+        self._listener.close()
+
+
+class SerialPort:
+    """An opened serial device (`pyserial` object with timeout 0, or anything with `fileno`).
+
+    Writing goes to the file descriptor: pyserial's own write with write_timeout=0 spins for as long as the driver's
+    buffer is full.
+    """
+
+    def __init__(self, device: Any) -> None:
+        self._device = device
+        self._descriptor = int(device.fileno())
+        os.set_blocking(self._descriptor, False)
+
+    def read(self, limit: int = _READ_BYTES) -> bytes:
+        try:
+            return os.read(self._descriptor, limit)
+        except OSError as error:
+            if error.errno in (*_WOULD_BLOCK, errno.EIO):  # EIO: a pseudo-terminal whose other end is closed
+                return b""
+            raise
+
+    def write(self, data: bytes) -> int:
+        try:
+            return os.write(self._descriptor, data)
+        except OSError as error:
+            if error.errno in (*_WOULD_BLOCK, errno.EIO):
+                return 0
+            raise
+
+    def close(self) -> None:
+        self._device.close()
+
+
+class MemoryPort:
+    """One end of a pair that exchanges bytes within a process; see `memory_pair`."""
+
+    def __init__(self, inbox: deque[bytes], outbox: deque[bytes]) -> None:
+        self._inbox = inbox
+        self._outbox = outbox
+
+    def read(self, limit: int = _READ_BYTES) -> bytes:
+        out = bytearray()
+        while self._inbox and len(out) < limit:
+            data = self._inbox.popleft()
+            room = limit - len(out)
+            out += data[:room]
+            if len(data) > room:
+                self._inbox.appendleft(data[room:])
+        return bytes(out)
+
+    def write(self, data: bytes) -> int:
+        self._outbox.append(bytes(data))
+        return len(data)
+
+    def close(self) -> None:
+        self._inbox.clear()
+
+
+def memory_pair() -> tuple[MemoryPort, MemoryPort]:
+    """Two connected ports: what one writes the other reads."""
+    left: deque[bytes] = deque()
+    right: deque[bytes] = deque()
+    return MemoryPort(left, right), MemoryPort(right, left)

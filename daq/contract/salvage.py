@@ -1,0 +1,458 @@
+"""Walk through the bytes of an MCAP file, sound or damaged, and give out everything that is surely right.
+
+Stock readers stop at the first damage or pass altered values on. This walk trusts a record only when its own checksum
+or structure proves it, names every damaged stretch, looks inside that stretch for messages whose seal holds, and goes
+on at the next record that can be trusted. Record layout: MCAP specification, https://mcap.dev/spec.
+"""
+
+import re
+import struct
+import zlib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from itertools import islice
+
+import zstandard
+
+from daq.contract.errors import UserError
+from daq.contract.recording import DETAIL_NAME, INFO_NAME, SCHEMA_OF_TOPIC, Entry, entry_of, metadata_digest
+from daq.contract.seal import SEAL_SIZE, seal_holds
+
+MAGIC = b"\x89MCAP0\r\n"
+HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX = range(1, 9)
+ATTACHMENT, ATTACHMENT_INDEX, STATISTICS, METADATA, METADATA_INDEX, SUMMARY_OFFSET, DATA_END = range(9, 16)
+
+_MAX_SEALED = 1 << 16  # no message of ours is longer
+_MAX_CHUNK = 1 << 28  # uncompressed; larger is taken for damage
+_MESSAGE_HEAD = 9 + 22  # record head, channel, sequence, two times
+_CHUNK_HEAD = 9 + 8 + 8 + 8 + 4 + 4 + 8  # of an uncompressed chunk
+_ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+_ZSTD_MARK = b"\x04\x00\x00\x00zstd"
+_MAYBE_RECORD = re.compile(rb"[\x01-\x0f](?=.{5}\x00{3})", re.DOTALL)
+_MAYBE_MESSAGE = re.compile(rb"\x05(?=..\x00{6})", re.DOTALL)
+
+
+@dataclass(frozen=True, slots=True)
+class Damage:
+    """A stretch of the file that is not what was written."""
+
+    at_byte: int
+    length: int
+    what: str
+
+
+@dataclass(frozen=True, slots=True)
+class Attachment:
+    """A file inside the recording, its checksum proven."""
+
+    name: str
+    data: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Metadata:
+    """A metadata record; ours have proven digests."""
+
+    name: str
+    fields: Mapping[str, str]
+
+
+@dataclass(frozen=True, slots=True)
+class Closed:
+    """The end mark of a file that was closed in order."""
+
+    at_byte: int
+
+
+Item = Entry | Attachment | Metadata | Damage | Closed
+
+
+class _Bad(Exception):
+    """The record at hand is not what was written."""
+
+
+@dataclass(slots=True)
+class _Record:
+    at: int
+    opcode: int
+    body: memoryview
+
+    @property
+    def end(self) -> int:
+        return self.at + 9 + len(self.body)
+
+
+class _Cursor:
+    """Reads the fields of a record body; `_Bad` when the body is too short for them."""
+
+    def __init__(self, body: memoryview) -> None:
+        self.body = body
+        self.at = 0
+
+    def number(self, size: int) -> int:
+        return int.from_bytes(self.take(size), "little")
+
+    def take(self, size: int) -> memoryview:
+        if self.at + size > len(self.body):
+            raise _Bad("its inner lengths do not fit")
+        self.at += size
+        return self.body[self.at - size : self.at]
+
+    def text(self) -> str:
+        try:
+            return str(self.take(self.number(4)), "utf-8")
+        except UnicodeDecodeError:
+            raise _Bad("a name in it is not text") from None
+
+    def texts(self) -> dict[str, str]:
+        part = _Cursor(self.take(self.number(4)))
+        out: dict[str, str] = {}
+        while part.at < len(part.body):
+            key = part.text()
+            out[key] = part.text()
+        return out
+
+    def finish(self) -> None:
+        if self.at != len(self.body):
+            raise _Bad("its length does not fit its content")
+
+
+class Walk:
+    """One pass over the bytes of a file. Iterate it; `closed` and `damages` are complete afterwards."""
+
+    def __init__(self, data: bytes) -> None:
+        self._data = memoryview(data)
+        self._raw = data
+        self._topics: dict[int, str] = {}
+        self._seen_damage = False
+        self._ended = False
+        self.schemas: dict[int, tuple[str, bytes]] = {}
+        self.channel_schema: dict[str, int] = {}
+
+    def __iter__(self) -> Iterator[Item]:
+        at = 0
+        if self._raw.startswith(MAGIC):
+            at = len(MAGIC)
+        else:
+            yield self._damage(0, min(len(MAGIC), len(self._raw)), "the file does not begin like an MCAP file")
+            at = self._next_trusted(0)
+            yield from self._sealed(0, at, 0)
+        while at < len(self._raw):
+            if self._ended:
+                return
+            try:
+                record = self._record(at)
+                items = list(self._items(record))
+            except _Bad as error:
+                resume = self._resume(at)
+                yield self._damage(at, resume - at, f"{self._name(at)}: {error}")
+                yield from self._sealed(at, resume, self._inner_start(at))
+                at = resume
+                continue
+            yield from items
+            at = record.end
+        if self._ended:
+            return
+        yield self._damage(at, 0, "the file ends without an end mark: it was cut off or never closed")
+
+    # ------------------------------------------------------------------------------------------ records
+
+    def _record(self, at: int) -> _Record:
+        if at + 9 > len(self._raw):
+            raise _Bad("cut off")
+        opcode, length = struct.unpack_from("<BQ", self._raw, at)
+        if not HEADER <= opcode <= DATA_END:
+            raise _Bad(f"no record has the code {opcode}")
+        if at + 9 + length > len(self._raw):
+            raise _Bad("cut off, or its length altered")
+        return _Record(at, opcode, self._data[at + 9 : at + 9 + length])
+
+    def _items(self, record: _Record) -> Iterator[Item]:
+        if record.opcode == CHUNK:
+            yield from self._chunk(record)
+        elif record.opcode == MESSAGE:
+            yield self._message(record.body)
+        elif record.opcode in (SCHEMA, CHANNEL):
+            self._declare(record)
+        elif record.opcode == ATTACHMENT:
+            yield _attachment(record.body)
+        elif record.opcode == METADATA:
+            yield _metadata(record.body)
+        elif record.opcode == DATA_END:
+            yield from self._data_end(record)
+        elif record.opcode == FOOTER:
+            yield from self._footer(record)
+        else:
+            _check_structure(record)
+
+    def _chunk(self, record: _Record) -> Iterator[Entry]:
+        content = memoryview(_chunk_content(record.body))
+        at = 0
+        while at < len(content):
+            if at + 9 > len(content):
+                raise _Bad("its content breaks off")
+            opcode, length = struct.unpack_from("<BQ", content, at)
+            if at + 9 + length > len(content):
+                raise _Bad("its content breaks off")
+            inner = _Record(at, opcode, content[at + 9 : at + 9 + length])
+            if opcode == MESSAGE:
+                yield self._message(inner.body)
+            elif opcode in (SCHEMA, CHANNEL):
+                self._declare(inner)
+            at = inner.end
+
+    def _message(self, body: memoryview) -> Entry:
+        if len(body) < 22:
+            raise _Bad("shorter than a message can be")
+        channel, sequence, log_time, publish_time = struct.unpack_from("<HIQQ", body)
+        data = bytes(body[22:])
+        topic = self._topics.get(channel)
+        if topic is None or topic in SCHEMA_OF_TOPIC:
+            sealed_as = [t for t in ([topic] if topic else SCHEMA_OF_TOPIC) if seal_holds(SCHEMA_OF_TOPIC[t], data)]
+            if not sealed_as:
+                raise _Bad("a message in it fails its checksum or belongs to a channel that was not declared")
+            topic = sealed_as[0]
+        return Entry(topic, log_time, publish_time, sequence, data)
+
+    def _declare(self, record: _Record) -> None:
+        cursor = _Cursor(record.body)
+        number = cursor.number(2)
+        if record.opcode == SCHEMA:
+            name = cursor.text()
+            cursor.text()
+            self.schemas.setdefault(number, (name, bytes(cursor.take(cursor.number(4)))))
+            cursor.finish()
+            return
+        schema_id = cursor.number(2)
+        topic = cursor.text()
+        cursor.text()
+        cursor.texts()
+        cursor.finish()
+        self._topics.setdefault(number, topic)
+        self.channel_schema.setdefault(topic, schema_id)
+
+    def _data_end(self, record: _Record) -> Iterator[Damage]:
+        cursor = _Cursor(record.body)
+        stated = cursor.number(4)
+        cursor.finish()
+        if stated and not self._seen_damage and stated != zlib.crc32(self._data[: record.at]):
+            yield self._damage(0, 0, "a byte outside the chunks was altered (checksum of the data section)")
+
+    def _footer(self, record: _Record) -> Iterator[Item]:
+        cursor = _Cursor(record.body)
+        start, _, stated = cursor.number(8), cursor.number(8), cursor.number(4)
+        cursor.finish()
+        if start and not len(MAGIC) <= start <= record.at:
+            raise _Bad("it points outside the file")
+        covered = self._data[start or record.at : record.end - 4]
+        if stated and stated != zlib.crc32(covered):
+            yield self._damage(start, record.at - start, "index at the end: checksum does not match")
+        if not self._at_end_mark(record.end):
+            yield self._damage(record.end, len(self._raw) - record.end, "the end mark is damaged or followed by more")
+        self._ended = True
+        yield Closed(record.at)
+
+    def _at_end_mark(self, at: int) -> bool:
+        return len(self._raw) - at == len(MAGIC) and self._raw.endswith(MAGIC)
+
+    # ------------------------------------------------------------------------------------------ damaged stretches
+
+    def _damage(self, at: int, length: int, what: str) -> Damage:
+        self._seen_damage = True
+        return Damage(at, length, what)
+
+    def _name(self, at: int) -> str:
+        names = {CHUNK: "chunk", METADATA: "metadata", ATTACHMENT: "attachment", DATA_END: "end of data"}
+        return names.get(self._raw[at], "record")
+
+    def _inner_start(self, at: int) -> int:
+        """Where the first message of an uncompressed chunk begins, should this be one."""
+        return at + _CHUNK_HEAD
+
+    def _resume(self, at: int) -> int:
+        """Start of the next record to be trusted after a bad one."""
+        if at + 9 <= len(self._raw):
+            stated = at + 9 + int.from_bytes(self._raw[at + 1 : at + 9], "little")
+            if stated < len(self._raw) and self._trusted(stated):
+                return stated
+        return self._next_trusted(at + 1)
+
+    def _next_trusted(self, at: int) -> int:
+        for match in _MAYBE_RECORD.finditer(self._raw, at):
+            if self._trusted(match.start()):
+                return match.start()
+        return len(self._raw)
+
+    def _trusted(self, at: int) -> bool:
+        """Whether checks prove that a record begins here; kinds too short to prove anything are not trusted."""
+        try:
+            record = self._record(at)
+            if record.opcode == CHUNK:
+                _chunk_content(record.body)
+            elif record.opcode == ATTACHMENT:
+                _attachment(record.body)
+            elif record.opcode == METADATA:
+                return _metadata(record.body).name in (INFO_NAME, DETAIL_NAME)
+            elif record.opcode in (MESSAGE_INDEX, CHUNK_INDEX):
+                _check_structure(record)
+                return len(record.body) > 6
+            elif record.opcode == DATA_END:
+                return len(record.body) == 4 and record.end < len(self._raw)
+            else:
+                return record.opcode == FOOTER and len(record.body) == 20 and self._at_end_mark(record.end)
+        except _Bad:
+            return False
+        return True
+
+    def _sealed(self, start: int, end: int, first: int) -> Iterator[Entry]:
+        """Messages whose seals hold within a damaged stretch, compressed parts included."""
+        region = self._raw[start:end]
+        yield from find_sealed(region, max(0, first - start))
+        for match in re.finditer(re.escape(_ZSTD_MAGIC), region):
+            yield from find_sealed(_decompress_torn(region[match.start() :]), 0)
+        for match in re.finditer(re.escape(_ZSTD_MARK), region):
+            frame = match.end() + 8
+            if region[frame : frame + 4] != _ZSTD_MAGIC:
+                yield from find_sealed(_decompress_torn(_ZSTD_MAGIC + region[frame + 4 :]), 0)
+
+
+def find_sealed(region: bytes, first: int) -> Iterator[Entry]:
+    """Messages with intact content in a stretch of damaged bytes.
+
+    `first`: where the first message should begin. Both ways to find one are used: by its record head, and, where the
+    head is damaged, by where the head must have been (the end of the message before).
+    """
+    done = first
+    for match in _MAYBE_MESSAGE.finditer(region):
+        at = match.start()
+        if at < done and done != first:
+            continue
+        end = at + 9 + int.from_bytes(region[at + 1 : at + 9], "little")
+        entry = _sealed_entry(region[at + _MESSAGE_HEAD : end]) if end <= len(region) else None
+        if entry is None:
+            continue
+        yield from _headless(region, done, at)
+        yield entry
+        done = end
+    yield from _headless(region, done, len(region))
+
+
+def _headless(region: bytes, start: int, end: int) -> Iterator[Entry]:
+    """Messages between `start` and `end` whose record head is damaged but whose content is not."""
+    at = start
+    while end - at > _MESSAGE_HEAD + SEAL_SIZE:
+        content = at + _MESSAGE_HEAD
+        limit = min(end, content + _MAX_SEALED)
+        tails = (t.start() + SEAL_SIZE for t in islice(re.finditer(rb"\x7d", region[content:limit]), 256))
+        found = next(((e, t) for t in tails if (e := _sealed_entry(region[content : content + t]))), None)
+        if found is None:
+            return
+        yield found[0]
+        at = content + found[1]
+
+
+def _sealed_entry(data: bytes) -> Entry | None:
+    for topic, schema in SCHEMA_OF_TOPIC.items():
+        if seal_holds(schema, data):
+            try:
+                return entry_of(topic, data)
+            except UserError:
+                return None
+    return None
+
+
+def _decompress_torn(data: bytes) -> bytes:
+    """As much of a zstd frame as can be decompressed."""
+    decoder = zstandard.ZstdDecompressor().decompressobj()
+    out = bytearray()
+    for at in range(0, len(data), 64):
+        try:
+            out += decoder.decompress(data[at : at + 64])
+        except zstandard.ZstdError:
+            break
+        if decoder.eof or len(out) > _MAX_CHUNK:
+            break
+    return bytes(out)
+
+
+def _chunk_content(body: memoryview) -> bytes | memoryview:
+    cursor = _Cursor(body)
+    cursor.take(16)
+    size, stated = cursor.number(8), cursor.number(4)
+    compression = cursor.text()
+    stored = cursor.take(cursor.number(8))
+    cursor.finish()
+    if size > _MAX_CHUNK:
+        raise _Bad("its size was altered")
+    content = _decompress(compression, stored, size)
+    if len(content) != size:
+        raise _Bad("its size does not match")
+    if stated and zlib.crc32(content) != stated:
+        raise _Bad("checksum does not match")
+    return content
+
+
+def _decompress(compression: str, stored: memoryview, size: int) -> bytes | memoryview:
+    if compression == "":
+        return stored
+    if compression == "zstd":
+        try:
+            return zstandard.ZstdDecompressor().decompress(bytes(stored), max_output_size=size)
+        except zstandard.ZstdError as error:
+            raise _Bad(f"cannot be decompressed ({error})") from error
+    if compression == "lz4":
+        return _decompress_lz4(bytes(stored))
+    raise _Bad(f"unknown compression {compression!r}")
+
+
+def _decompress_lz4(stored: bytes) -> bytes:
+    import lz4.frame
+
+    try:
+        return bytes(lz4.frame.decompress(stored))
+    except RuntimeError as error:
+        raise _Bad(f"cannot be decompressed ({error})") from error
+
+
+def _attachment(body: memoryview) -> Attachment:
+    cursor = _Cursor(body)
+    cursor.take(16)
+    name = cursor.text()
+    cursor.text()
+    data = bytes(cursor.take(cursor.number(8)))
+    covered = body[: cursor.at]
+    stated = cursor.number(4)
+    cursor.finish()
+    if stated and stated != zlib.crc32(covered):
+        raise _Bad("checksum does not match")
+    return Attachment(name, data)
+
+
+def _metadata(body: memoryview) -> Metadata:
+    cursor = _Cursor(body)
+    name = cursor.text()
+    fields = cursor.texts()
+    cursor.finish()
+    if name in (INFO_NAME, DETAIL_NAME) and fields.get("sha256") != metadata_digest(fields):
+        raise _Bad("digest does not match")
+    return Metadata(name, fields)
+
+
+def _check_structure(record: _Record) -> None:
+    """Records that only index others: their content is not used, their shape must fit."""
+    cursor = _Cursor(record.body)
+    if record.opcode == MESSAGE_INDEX:
+        cursor.take(2)
+        cursor.take(cursor.number(4))
+    elif record.opcode == CHUNK_INDEX:
+        cursor.take(32)
+        cursor.take(cursor.number(4))
+        cursor.take(8)
+        cursor.text()
+        cursor.take(16)
+    elif record.opcode == HEADER:
+        cursor.text()
+        cursor.text()
+    else:
+        return
+    cursor.finish()

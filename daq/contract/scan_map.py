@@ -1,0 +1,93 @@
+"""Sets of scan numbers, as compact as a flight's accounting needs them and bounded against forged numbers."""
+
+from collections.abc import Iterator
+
+BLOCK = 512
+"""Scans of one SENT_MAP message; blocks begin at multiples of it."""
+BLOCK_BYTES = BLOCK // 8
+_FULL = (1 << BLOCK) - 1
+MAX_BLOCKS = 65536
+"""19 days at 20 Hz; numbers beyond that many different blocks are refused."""
+
+
+class ScanMap:
+    """A set of scan numbers, kept as one bit each in blocks of 512."""
+
+    def __init__(self) -> None:
+        self._blocks: dict[int, int] = {}
+        self._count = 0
+
+    def add(self, number: int) -> bool:
+        """Put a number in; False when it was in already or there is no room for another block."""
+        block, bit = number // BLOCK, 1 << number % BLOCK
+        word = self._blocks.get(block, 0)
+        if word & bit or (not word and len(self._blocks) >= MAX_BLOCKS):
+            return False
+        self._blocks[block] = word | bit
+        self._count += 1
+        return True
+
+    def __contains__(self, number: int) -> bool:
+        return bool(self._blocks.get(number // BLOCK, 0) >> number % BLOCK & 1)
+
+    def __len__(self) -> int:
+        return self._count
+
+    def __iter__(self) -> Iterator[int]:
+        for first, last in self.ranges():
+            yield from range(first, last + 1)
+
+    def blocks(self) -> list[int]:
+        """Numbers of the blocks that have a member, ascending."""
+        return sorted(self._blocks)
+
+    def word(self, block: int) -> int:
+        """The members of a block as a bit mask."""
+        return self._blocks.get(block, 0)
+
+    def set_word(self, block: int, word: int) -> None:
+        """Replace the members of a block; an unknown block beyond the limit is ignored."""
+        if block not in self._blocks and len(self._blocks) >= MAX_BLOCKS:
+            return
+        word &= _FULL
+        self._count += word.bit_count() - self._blocks.get(block, 0).bit_count()
+        if word:
+            self._blocks[block] = word
+        else:
+            self._blocks.pop(block, None)
+
+    def to_bytes(self, block: int) -> bytes:
+        """The members of a block as SENT_MAP carries them."""
+        return self.word(block).to_bytes(BLOCK_BYTES, "little")
+
+    def minus(self, other: "ScanMap") -> "ScanMap":
+        """Members that `other` does not have."""
+        out = ScanMap()
+        for block, word in self._blocks.items():
+            out.set_word(block, word & ~other.word(block))
+        return out
+
+    def both(self, other: "ScanMap") -> "ScanMap":
+        """Members that `other` has too."""
+        out = ScanMap()
+        for block, word in self._blocks.items():
+            out.set_word(block, word & other.word(block))
+        return out
+
+    def ranges(self) -> list[tuple[int, int]]:
+        """Members as inclusive (first, last) ranges, ascending."""
+        out: list[tuple[int, int]] = []
+        for block in self.blocks():
+            word, at = self._blocks[block], block * BLOCK
+            while word:
+                skip = (word & -word).bit_length() - 1
+                word >>= skip
+                run = (~word & (word + 1)).bit_length() - 1
+                word >>= run
+                first = at + skip
+                at = first + run
+                if out and out[-1][1] == first - 1:
+                    out[-1] = (out[-1][0], at - 1)
+                else:
+                    out.append((first, at - 1))
+        return out

@@ -1,0 +1,186 @@
+"""MAVLink 2 message signing for both ends of the link.
+
+A signature is a link id, a 48-bit timestamp (10 microsecond units since 2015-01-01) and the first six bytes of
+SHA-256 over key, frame, link id and timestamp (MAVLink guide, "Message Signing"). Here the hash is verified, in
+constant time, before anything a frame says is believed or stored: a forged frame can neither advance a stream's
+timestamp nor lock the true sender out. Timestamps survive a restart, so recorded frames cannot be replayed later.
+"""
+
+import hashlib
+import hmac
+import json
+import os
+import stat
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from enum import Enum
+from pathlib import Path
+
+from daq.contract.errors import UserError
+
+KEY_BYTES = 32
+SIGNATURE_BYTES = 13
+UNITS_PER_S = 100_000
+EPOCH_UNIX_S = 1_420_070_400
+"""2015-01-01 in Unix time."""
+NEW_STREAM_MARGIN = 60 * UNITS_PER_S
+"""A stream never heard of may lag the latest known timestamp by this much (MAVLink guide: one minute)."""
+RESERVE = 60 * UNITS_PER_S
+"""Outgoing timestamps are reserved on disk this far ahead, so that a restart never repeats one."""
+MAX_STREAMS = 256
+
+_STAMP_LIMIT = 2**48 - 1
+
+
+class SigningError(UserError):
+    """A key or state file that cannot be used."""
+
+
+class Verdict(Enum):
+    """What the signature of a frame is worth."""
+
+    GOOD = "good"
+    UNSIGNED = "unsigned"
+    FORGED = "badly signed"
+    REPLAYED = "replayed"
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the frame may be acted on."""
+        return self is Verdict.GOOD
+
+
+def load_key(path: str | Path) -> bytes:
+    """The signing key in a file: 32 bytes, or 64 hexadecimal digits.
+
+    Raises SigningError when the file is absent, readable by others than its owner, or not a key.
+    """
+    path = Path(path)
+    try:
+        mode = path.stat().st_mode
+        data = path.read_bytes()
+    except OSError as error:
+        raise SigningError(f"{path}: signing key cannot be read ({error.strerror}); correct the key key_file") from error
+    if not stat.S_ISREG(mode) or stat.S_IMODE(mode) & 0o077:
+        raise SigningError(
+            f"{path}: signing key has mode {stat.S_IMODE(mode):04o}, others may read it; run 'chmod 600 {path}'"
+        )
+    text = data.strip()
+    if len(data) != KEY_BYTES and len(text) == 2 * KEY_BYTES:
+        try:
+            data = bytes.fromhex(text.decode("ascii"))
+        except (UnicodeDecodeError, ValueError):
+            data = b""
+    if len(data) != KEY_BYTES:
+        raise SigningError(f"{path}: not a signing key; it must hold 32 bytes or 64 hexadecimal digits")
+    return data
+
+
+def stamp_of(utc_ns: int) -> int:
+    """The signing timestamp of a UTC time [10 us since 2015]; 0 before 2015."""
+    return max(0, utc_ns // 10_000 - EPOCH_UNIX_S * UNITS_PER_S)
+
+
+def signature_hash(key: bytes, frame: bytes, link_id: int, stamp: int) -> bytes:
+    """The six hash bytes of a signature over `frame` (magic to checksum)."""
+    tail = bytes([link_id]) + stamp.to_bytes(6, "little")
+    return hashlib.sha256(key + frame + tail).digest()[:6]
+
+
+@dataclass
+class SigningState:
+    """What must outlive the process: the last timestamp sent (reserved) and heard, whole and by stream."""
+
+    sent: int = 0
+    heard: int = 0
+    streams: dict[tuple[int, int, int], int] = field(default_factory=dict)  # (system, component, link id) -> timestamp
+
+
+def load_state(path: Path | None) -> SigningState:
+    """The state saved at `path`; a new one when there is none yet.
+
+    Raises SigningError when the file is there and is not a signing state: starting afresh would open the door to
+    replays.
+    """
+    if path is None or not path.exists():
+        return SigningState()
+    try:
+        table = json.loads(path.read_text())
+        streams = {(int(s), int(c), int(i)): int(t) for s, c, i, t in table["streams"]}
+        return SigningState(int(table["sent"]), int(table["heard"]), streams)
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise SigningError(
+            f"{path}: not a signing state ({error}); remove the file only if the key is new, or replays become possible"
+        ) from error
+
+
+def save_state(state: SigningState, path: Path) -> None:
+    """Write the state so that either the old or the new one is on disk at any instant."""
+    rows = [[*stream, stamp] for stream, stamp in sorted(state.streams.items())]
+    text = json.dumps({"sent": state.sent, "heard": state.heard, "streams": rows})
+    path.parent.mkdir(parents=True, exist_ok=True)
+    new = path.with_name(path.name + ".new")
+    with new.open("w") as handle:
+        os.fchmod(handle.fileno(), 0o600)
+        handle.write(text)
+        handle.flush()
+        os.fsync(handle.fileno())
+    new.replace(path)
+
+
+class Signer:
+    """Signs what this end sends and judges what it hears, with one key.
+
+    now: UTC in ns. A clock that stands before the last known timestamp (no battery-backed clock) is not believed:
+    timestamps then go on from the last one by one unit a frame.
+    """
+
+    def __init__(
+        self, key: bytes, now: Callable[[], int], *, link_id: int = 0, state_path: Path | None = None
+    ) -> None:
+        if len(key) != KEY_BYTES:
+            raise SigningError(f"signing key has {len(key)} bytes; it must have {KEY_BYTES}")
+        self._key = key
+        self._now = now
+        self._link_id = link_id
+        self._path = state_path
+        self.state = load_state(state_path)
+        self._reserved = self.state.sent
+        self._last = self.state.sent
+        self._saved_heard = self.state.heard
+
+    def sign(self, frame: bytes) -> bytes:
+        """The 13 signature bytes of a frame (magic to checksum, signed flag set)."""
+        self._last = min(_STAMP_LIMIT, max(self._last + 1, stamp_of(self._now())))
+        link, stamp = self._link_id, self._last
+        return bytes([link]) + stamp.to_bytes(6, "little") + signature_hash(self._key, frame, link, stamp)
+
+    def judge(self, frame: bytes, stream: tuple[int, int], signature: bytes | None) -> Verdict:
+        """The worth of a received frame (magic to checksum) of `stream` (system, component)."""
+        if signature is None:
+            return Verdict.UNSIGNED
+        link, stamp = signature[0], int.from_bytes(signature[1:7], "little")
+        if not hmac.compare_digest(signature_hash(self._key, frame, link, stamp), signature[7:13]):
+            return Verdict.FORGED
+        key = (*stream, link)
+        known = self.state.streams.get(key)
+        floor = self.state.heard - NEW_STREAM_MARGIN if known is None else known + 1
+        if stamp < floor:
+            return Verdict.REPLAYED
+        if known is None and len(self.state.streams) >= MAX_STREAMS:
+            return Verdict.REPLAYED
+        self.state.streams[key] = stamp
+        self.state.heard = max(self.state.heard, stamp)
+        return Verdict.GOOD
+
+    def needs_saving(self) -> bool:
+        """Whether the state on disk is behind: something new was heard, or the reserve of timestamps runs out."""
+        return self.state.heard != self._saved_heard or self._last + RESERVE // 2 > self._reserved
+
+    def save(self) -> None:
+        """Save the state; a file-system call, so not for a loop that must not wait."""
+        reserved = self._last + RESERVE
+        heard = self.state.heard
+        if self._path is not None:
+            save_state(SigningState(reserved, heard, dict(self.state.streams)), self._path)
+        self._reserved, self._saved_heard = reserved, heard

@@ -1,0 +1,294 @@
+"""The packed scan messages of the downlink, laid out from the channel table.
+
+Three messages carry a scan, each with the scan's number, its exact monotonic time and the boot id of the logger:
+
+- SCAN_FAST: every channel with downlink "fast", with state and read offset of their groups. Sent at the downlink
+  rate; its payload is at most 93 bytes so that a signed frame (118 bytes) fits one packet of a SiK radio with error
+  correction.
+- SCAN_SLOW: "slow" channels that have a value in every scan, and the rest of the scan's header (UTC, lateness).
+- SCAN_RARE: "slow" channels that come less often than scans (GPS).
+
+Values are the raw counts as recorded. What does not fit is never clamped: the channel is marked missing, and if a read
+offset does not fit, all channels of its group are. Three bytes suffice for the 24-bit converters and seven for the
+time (two years); such fields are split into MAVLink's own types, low part first. Bits of a mask count from the least
+significant one of byte 0. Fields that are zero in healthy flight come last, because MAVLink 2 leaves trailing zeros
+out of the frame.
+"""
+
+import struct
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cache
+
+from daq.contract.channels import CHANNELS, GROUP_NAMES, Channel, Rate
+from daq.contract.scan import GroupStatus, RawValue, Scan, SensorState
+
+SCAN_FAST_ID, SCAN_SLOW_ID, SCAN_RARE_ID = 44100, 44101, 44102
+MAX_FAST_PAYLOAD = 93
+
+_CODE = {"u8": "B", "u16": "H", "u32": "I", "u64": "Q", "i16": "h", "i32": "i", "f32": "f"}
+_MAVLINK_TYPE = {
+    "u8": "uint8_t", "u16": "uint16_t", "u32": "uint32_t", "u64": "uint64_t",
+    "i16": "int16_t", "i32": "int32_t", "f32": "float",
+}  # fmt: skip
+_SIZE = {kind: struct.calcsize(code) for kind, code in _CODE.items()}
+
+_CONVERTER_BITS = {"static_pressure": 24, "static_temperature": 24, "thrust_load": 24}
+"""Channels whose chip delivers fewer bits than their raw type holds."""
+
+_TIME_BITS = 56
+_SPLIT = {24: ("u16", "u8"), 56: ("u32", "u16", "u8")}
+
+NOT_IN_SCAN = -(2**15)
+"""Offset of a group that the scan says nothing about [us]."""
+UNFIT_OFFSET = -(2**15) + 1
+"""Offset of a group whose offset does not fit; its channels are marked missing [us]."""
+
+_OFFSET_LIMIT = 2**15 - 2
+_STATE_BITS = 3
+
+
+@dataclass(frozen=True, slots=True)
+class WireField:
+    """One field of a packed message: raw type and, for arrays, the number of elements."""
+
+    name: str
+    raw_type: str
+    count: int = 0
+    meaning: str = ""
+
+    @property
+    def mavlink_type(self) -> str:
+        """The type as a dialect definition writes it."""
+        base = _MAVLINK_TYPE[self.raw_type]
+        return f"{base}[{self.count}]" if self.count else base
+
+
+@dataclass(frozen=True)
+class Layout:
+    """A packed scan message: which channels it carries and where each byte is."""
+
+    msg_id: int
+    name: str
+    meaning: str
+    channels: tuple[Channel, ...]
+    groups: tuple[str, ...]  # groups whose state and read offset travel in this message
+    fields: tuple[WireField, ...]  # in wire order: larger types first, as MAVLink sorts them
+    codec: struct.Struct
+    bits: tuple[Channel, ...]
+    split: Mapping[str, int]  # name of a split quantity -> its bits
+    limits: Mapping[str, tuple[float, float]] = field(repr=False)
+
+    @property
+    def size(self) -> int:
+        """Payload bytes before trailing zeros are left out."""
+        return self.codec.size
+
+
+_HEADER = (
+    *(WireField(f"time_monotonic_ns_{i}", kind, 0, f"start of the scan on the logger's monotonic clock, part {i}")
+      for i, kind in enumerate(_SPLIT[_TIME_BITS])),
+    WireField("number", "u32", meaning="scan number"),
+    WireField("boot", "u8", meaning="random number drawn when the logger started"),
+)  # fmt: skip
+_REST_OF_HEADER = (
+    WireField("time_utc_ns", "u64", meaning="the same instant in UTC since 1970, 0 while unknown"),
+    WireField("utc_accuracy_ns", "u32", meaning="one-sigma accuracy of the UTC time, 0 while unknown"),
+    WireField("lateness_us", "u32", meaning="how late after its deadline the scan started"),
+)
+
+
+def _bytes_for(bits: int) -> int:
+    return (bits + 7) // 8
+
+
+def _channel_fields(channel: Channel) -> list[WireField]:
+    bits = _CONVERTER_BITS.get(channel.name)
+    if bits is None:
+        return [WireField(channel.name, channel.raw_type, 0, channel.meaning)]
+    return [
+        WireField(f"{channel.name}_{i}", kind, 0, f"{channel.meaning}, part {i}") for i, kind in enumerate(_SPLIT[bits])
+    ]
+
+
+def _limits(channel: Channel) -> tuple[float, float]:
+    bits = _CONVERTER_BITS.get(channel.name)
+    if bits is None:
+        return channel.limits()
+    return (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1) if channel.raw_type.startswith("i") else (0, 2**bits - 1)
+
+
+def _layout(
+    msg_id: int, name: str, meaning: str, extra: Sequence[WireField], channels: Sequence[Channel], groups: Sequence[str]
+) -> Layout:
+    bits = tuple(c for c in channels if c.raw_type == "bit")
+    fields = [*_HEADER, *extra, *(f for c in channels if c.raw_type != "bit" for f in _channel_fields(c))]
+    listed = ", ".join(groups)
+    if groups:
+        fields.append(WireField("offset_us", "i16", len(groups), f"read offset of groups {listed}"))
+    if bits:
+        fields.append(WireField("bits", "u8", _bytes_for(len(bits)), ", ".join(c.name for c in bits)))
+    if groups:
+        size = _bytes_for(_STATE_BITS * len(groups))
+        fields.append(WireField("states", "u8", size, f"sensor state, 3 bits each, of groups {listed}"))
+    fields.append(WireField("missing", "u8", _bytes_for(len(channels)), "1: channel has no value; table order"))
+    ordered = tuple(sorted(fields, key=lambda f: -_SIZE[f.raw_type]))
+    codec = struct.Struct("<" + "".join(f"{f.count or ''}{_CODE[f.raw_type]}" for f in ordered))
+    split = {c.name: _CONVERTER_BITS[c.name] for c in channels if c.name in _CONVERTER_BITS}
+    split["time_monotonic_ns"] = _TIME_BITS
+    limits = {c.name: _limits(c) for c in channels}
+    return Layout(msg_id, name, meaning, tuple(channels), tuple(groups), ordered, codec, bits, split, limits)
+
+
+@cache
+def layouts(channels: tuple[Channel, ...] = CHANNELS) -> Mapping[int, Layout]:
+    """The packed scan messages of a channel table, by message id."""
+    sent = [c for c in channels if c.downlink != "none"]
+    fast = [c for c in sent if c.downlink == "fast"]
+    slow = [c for c in sent if c.downlink == "slow" and c.rate is Rate.SCAN]
+    rare = [c for c in sent if c.downlink == "slow" and c.rate is Rate.SLOW]
+    # A group's state and offset travel with the most frequent message that has a channel of it.
+    groups: list[list[str]] = []
+    seen: set[str] = set()
+    for part in (fast, slow, rare):
+        groups.append(list(dict.fromkeys(c.group for c in part if c.group not in seen)))
+        seen.update(groups[-1])
+    texts = (
+        "One scan: the channels sent at the full downlink rate.",
+        "One scan: slowly varying channels and the rest of its header.",
+        "One scan: channels renewed less often than scans.",
+    )
+    made = (
+        _layout(SCAN_FAST_ID, "SCAN_FAST", texts[0], (), fast, groups[0]),
+        _layout(SCAN_SLOW_ID, "SCAN_SLOW", texts[1], _REST_OF_HEADER, slow, groups[1]),
+        _layout(SCAN_RARE_ID, "SCAN_RARE", texts[2], (), rare, groups[2]),
+    )
+    return {layout.msg_id: layout for layout in made}
+
+
+def pack_scan(layout: Layout, scan: Scan, boot: int) -> bytes:
+    """The payload of one packed message of a scan; never raises for values a Scan can hold."""
+    offsets = [_packed_offset(scan.groups.get(g)) for g in layout.groups]
+    unfit = {g for g, o in zip(layout.groups, offsets, strict=True) if o == UNFIT_OFFSET}
+    found: dict[str, RawValue] = {"boot": boot, "number": scan.number, "time_monotonic_ns": scan.time_monotonic_ns}
+    missing = 0
+    for i, channel in enumerate(layout.channels):
+        value = scan.values.get(channel.name)
+        low, high = layout.limits[channel.name]
+        if value is None or channel.group in unfit or not low <= value <= high:
+            missing |= 1 << i
+        else:
+            found[channel.name] = value
+    states = 0
+    for i, group in enumerate(layout.groups):
+        if group in scan.groups:
+            states |= int(scan.groups[group].state) << (_STATE_BITS * i)
+    arrays: dict[str, Iterable[int]] = {
+        "offset_us": offsets,
+        "states": states.to_bytes(_bytes_for(_STATE_BITS * len(layout.groups)), "little"),
+        "missing": missing.to_bytes(_bytes_for(len(layout.channels)), "little"),
+        "bits": sum(1 << i for i, c in enumerate(layout.bits) if found.get(c.name)).to_bytes(
+            _bytes_for(len(layout.bits)), "little"
+        ),
+    }
+    for name, bits in layout.split.items():
+        word = int(found.get(name, 0)) % 2**bits
+        for i, kind in enumerate(_SPLIT[bits]):
+            found[f"{name}_{i}"] = word & (1 << 8 * _SIZE[kind]) - 1
+            word >>= 8 * _SIZE[kind]
+    for f in _REST_OF_HEADER:
+        found[f.name] = getattr(scan, f.name)
+    arguments: list[RawValue] = []
+    for f in layout.fields:
+        if f.count:
+            arguments += arrays[f.name]
+        else:
+            arguments.append(found.get(f.name, 0))
+    return layout.codec.pack(*arguments)
+
+
+def _packed_offset(status: GroupStatus | None) -> int:
+    if status is None:
+        return NOT_IN_SCAN
+    return status.offset_us if -_OFFSET_LIMIT <= status.offset_us <= _OFFSET_LIMIT else UNFIT_OFFSET
+
+
+@dataclass(frozen=True, slots=True)
+class ScanPart:
+    """What one packed message says about a scan."""
+
+    msg_id: int
+    boot: int
+    number: int
+    time_monotonic_ns: int
+    values: Mapping[str, RawValue]
+    groups: Mapping[str, GroupStatus]
+    time_utc_ns: int = 0
+    utc_accuracy_ns: int = 0
+    lateness_us: int = 0
+
+
+def unpack_scan(layout: Layout, payload: bytes) -> ScanPart:
+    """The inverse of `pack_scan`; `payload` has its trailing zeros restored.
+
+    Raises ValueError for a payload of the wrong length: a frame made from another channel table.
+    """
+    if len(payload) != layout.codec.size:
+        raise ValueError(f"{layout.name} payload has {len(payload)} bytes, not {layout.codec.size}")
+    numbers = layout.codec.unpack(payload)
+    found: dict[str, RawValue] = {}
+    arrays: dict[str, tuple[int, ...]] = {}
+    at = 0
+    for f in layout.fields:
+        if f.count:
+            arrays[f.name] = numbers[at : at + f.count]
+            at += f.count
+        else:
+            found[f.name] = numbers[at]
+            at += 1
+    for name, bits in layout.split.items():
+        found[name] = _joined(found, name, bits, signed=layout.limits.get(name, (0,))[0] < 0)
+    word = int.from_bytes(bytes(arrays.get("bits", ())), "little")
+    for i, channel in enumerate(layout.bits):
+        found[channel.name] = word >> i & 1
+    missing = int.from_bytes(bytes(arrays["missing"]), "little")
+    states = int.from_bytes(bytes(arrays.get("states", ())), "little")
+    groups = {
+        group: GroupStatus(SensorState(states >> (_STATE_BITS * i) & 7), 0 if offset == UNFIT_OFFSET else offset)
+        for i, (group, offset) in enumerate(zip(layout.groups, arrays.get("offset_us", ()), strict=True))
+        if offset != NOT_IN_SCAN
+    }
+    return ScanPart(
+        layout.msg_id,
+        **{name: int(found[name]) for name in _PART_HEADER if name in found},
+        groups=groups,
+        values={c.name: found[c.name] for i, c in enumerate(layout.channels) if not missing >> i & 1},
+    )
+
+
+_PART_HEADER = ("boot", "number", "time_monotonic_ns", *(f.name for f in _REST_OF_HEADER))
+
+
+def _joined(found: Mapping[str, RawValue], name: str, bits: int, *, signed: bool) -> int:
+    word = shift = 0
+    for i, kind in enumerate(_SPLIT[bits]):
+        word |= int(found[f"{name}_{i}"]) << shift
+        shift += 8 * _SIZE[kind]
+    return word - 2**bits if signed and word >> (bits - 1) else word
+
+
+def join_parts(parts: Iterable[ScanPart]) -> Scan:
+    """One scan from the parts of it that arrived; all of the same number and boot."""
+    ordered = sorted(parts, key=lambda p: p.msg_id)
+    found: dict[str, GroupStatus] = {}
+    values: dict[str, RawValue] = {}
+    utc = accuracy = lateness = 0
+    for part in ordered:
+        found.update(part.groups)
+        values.update(part.values)
+        if part.msg_id == SCAN_SLOW_ID:
+            utc, accuracy, lateness = part.time_utc_ns, part.utc_accuracy_ns, part.lateness_us
+    groups = {g: found[g] for g in GROUP_NAMES if g in found}
+    in_order = {c.name: values[c.name] for c in CHANNELS if c.name in values}
+    first = ordered[0]
+    return Scan(first.number, first.time_monotonic_ns, utc, accuracy, lateness, groups, in_order)

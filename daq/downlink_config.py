@@ -1,0 +1,58 @@
+"""`[downlink]`: the radio link as the aircraft's configuration describes it.
+
+The default byte budget is what a SiK radio at 57600 baud, air rate 64 kbit/s, error correction on, carries in a fair
+half of its air time (1636 bytes/s): 11.5 signed scan frames a second, the heartbeat, and the slow messages at about
+1 Hz fit in it with nothing to spare.
+"""
+
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+SCAN_FRAME_BYTES = 118
+"""Largest scan frame on the wire: 93 bytes of payload, 12 of framing, 13 of signature."""
+HEARTBEAT_BYTES = 34
+MIN_RATE_HZ = 2.0
+"""The downlink never sends fewer scans than this while it is on, whatever the radio reports."""
+
+
+class DownlinkConfig(BaseModel):
+    """What is sent to the ground, how fast, and who may command the logger.
+
+    port: `serial:/dev/ttyUSB0:57600`, `udp:HOST:PORT` (sends there), `udpin:HOST:PORT` (answers whoever asked first),
+    `tcp:HOST:PORT` or `tcpin:HOST:PORT`.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    port: str = ""
+    rate_hz: Annotated[float, Field(ge=MIN_RATE_HZ, le=100)] = 11.5
+    budget_bytes_per_s: Annotated[float, Field(gt=0)] = 1636.0
+    system_id: Annotated[int, Field(ge=1, le=250)] = 1
+    component_id: Annotated[int, Field(ge=1, le=250)] = 1  # 1: ground stations show only an autopilot as an aircraft
+    slow_rate_hz: Annotated[float, Field(gt=0, le=20)] = 1.0
+    gnss_rate_hz: Annotated[float, Field(gt=0, le=20)] = 1.0
+    attitude_rate_hz: Annotated[float, Field(gt=0, le=20)] = 1.0
+    sys_status_rate_hz: Annotated[float, Field(gt=0, le=20)] = 0.5
+    statistics_rate_hz: Annotated[float, Field(gt=0, le=20)] = 0.2
+    supply_volts_per_count: float | None = None  # for SYS_STATUS only; None: voltage is sent as unknown
+    key_file: Path | None = None  # 32 bytes or 64 hexadecimal digits, mode 0600; with it unsigned commands do nothing
+    signing_state: Path | None = None  # where the signing timestamps survive a restart; default beside the key
+    backfill_memory_mb: Annotated[float, Field(gt=0)] = 64.0  # scans kept compressed in memory for late requests
+    scan_queue: Annotated[int, Field(ge=1, le=1000)] = 4  # scan frames waiting for the port before the oldest is dropped
+
+    @model_validator(mode="after")
+    def _fits_budget(self) -> "DownlinkConfig":
+        most = max_rate(self.budget_bytes_per_s)
+        if self.rate_hz > most:
+            raise ValueError(
+                f"rate_hz {self.rate_hz:g} needs {self.rate_hz * SCAN_FRAME_BYTES + HEARTBEAT_BYTES:.0f} bytes/s; "
+                f"budget_bytes_per_s {self.budget_bytes_per_s:g} allows at most {most:.1f} Hz"
+            )
+        return self
+
+
+def max_rate(budget_bytes_per_s: float) -> float:
+    """Scan frames a second [Hz] that a byte budget [bytes/s] carries beside the heartbeat."""
+    return (budget_bytes_per_s - HEARTBEAT_BYTES) / SCAN_FRAME_BYTES

@@ -1,0 +1,179 @@
+"""Health of the sensors as data: a state with a sentence for each group, since when, and how often.
+
+`Watch` judges the values of one group over time (stuck, implausible, spikes); the sampler adds what it learns on the bus.
+"""
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from daq.contract.channels import CHANNEL_BY_NAME, GROUPS
+from daq.contract.scan import RawValue, SensorState
+from daq.sensors.config import HealthConfig
+
+_TITLES = {g.name: g.title for g in GROUPS}
+
+
+@dataclass(frozen=True, slots=True)
+class GroupHealth:
+    """How one sensor group is.
+
+    detail: what is wrong, in words; empty when nothing is. since_ns: monotonic time of the last change of state.
+    scans: number of scans spent in each state so far. retries: transfers that had to be repeated. setups: how often
+    the chip was set up (1 after a clean start).
+    """
+
+    group: str
+    state: SensorState
+    detail: str = ""
+    since_ns: int = 0
+    scans: Mapping[SensorState, int] = field(default_factory=dict)
+    retries: int = 0
+    setups: int = 0
+    required: bool = True
+
+    @property
+    def words(self) -> str:
+        """One line for a person: what it is, how it is, and why."""
+        title = _TITLES.get(self.group, self.group)
+        return f"{title}: {self.state.words}" + (f" ({self.detail})" if self.detail else "")
+
+
+@dataclass(frozen=True, slots=True)
+class HealthSummary:
+    """All groups, in table order, at one moment."""
+
+    time_ns: int
+    groups: tuple[GroupHealth, ...]
+    bus_fault: str = ""
+
+    @property
+    def failing(self) -> tuple[GroupHealth, ...]:
+        """Fitted groups that are not usable now."""
+        return tuple(g for g in self.groups if g.state not in (SensorState.OK, SensorState.OFF))
+
+    @property
+    def ready(self) -> bool:
+        """Whether every required sensor is well."""
+        return not self.bus_fault and not any(g.required for g in self.failing)
+
+    def group(self, name: str) -> GroupHealth:
+        """The health of one group. Raises KeyError for an unknown one."""
+        for g in self.groups:
+            if g.group == name:
+                return g
+        raise KeyError(name)
+
+    @property
+    def words(self) -> str:
+        """One sentence: all well, or what is not."""
+        faults = [self.bus_fault] if self.bus_fault else []
+        faults += [g.words for g in self.failing]
+        return "; ".join(faults) if faults else "all fitted sensors are well"
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What `Watch` thinks of one sample."""
+
+    state: SensorState = SensorState.OK
+    detail: str = ""
+
+
+WELL = Verdict()
+
+
+class Watch:
+    """Judges the samples of one group: limits, spikes, values that never change."""
+
+    def __init__(self, channels: tuple[str, ...], config: HealthConfig) -> None:
+        self._limits = {
+            c: config.plausible.get(c, CHANNEL_BY_NAME[c].limits()) for c in channels if c in config.plausible
+        }
+        self._max_step = {c: config.max_step[c] for c in channels if c in config.max_step}
+        self._stuck_ns = {c: round(config.stuck_s[c] * 1e9) for c in channels if c in config.stuck_s}
+        self.forget()
+
+    def forget(self) -> None:
+        """Start afresh, after the sensor was away."""
+        self._same: dict[str, tuple[RawValue, int]] = {}
+        self._level: dict[str, RawValue] = {}
+        self._doubtful: dict[str, RawValue] = {}
+
+    def judge(self, values: Mapping[str, RawValue], time_ns: int) -> Verdict:
+        """The verdict on one sample taken at `time_ns`."""
+        return self._range(values) or self._spike(values) or self._stuck(values, time_ns) or WELL
+
+    def _range(self, values: Mapping[str, RawValue]) -> Verdict | None:
+        for name, (low, high) in self._limits.items():
+            value = values.get(name)
+            if value is not None and not low <= value <= high:
+                return Verdict(SensorState.OUT_OF_RANGE, f"{name} {value} outside {low:g} to {high:g}")
+        return None
+
+    def _spike(self, values: Mapping[str, RawValue]) -> Verdict | None:
+        verdict = None
+        for name, step in self._max_step.items():
+            value = values.get(name)
+            if value is None:
+                continue
+            level = self._level.get(name, value)
+            doubtful = self._doubtful.pop(name, None)
+            confirmed = doubtful is not None and abs(value - doubtful) <= step
+            if abs(value - level) <= step or confirmed:
+                self._level[name] = value
+            else:
+                self._doubtful[name] = value
+                verdict = Verdict(SensorState.OUT_OF_RANGE, f"{name} jumped from {level} to {value}")
+        return verdict
+
+    def _stuck(self, values: Mapping[str, RawValue], time_ns: int) -> Verdict | None:
+        verdict = None
+        for name, limit_ns in self._stuck_ns.items():
+            value = values.get(name)
+            if value is None:
+                continue
+            last, since = self._same.get(name, (None, time_ns))
+            if value != last:
+                self._same[name] = (value, time_ns)
+            elif time_ns - since > limit_ns:
+                verdict = Verdict(SensorState.STUCK, f"{name} at {value} for {(time_ns - since) * 1e-9:.1f} s")
+        return verdict
+
+
+class Record:
+    """The mutable side of a `GroupHealth`, kept by the sampler."""
+
+    def __init__(self, group: str, state: SensorState, time_ns: int, required: bool) -> None:
+        self.group = group
+        self.state = state
+        self.detail = "" if state is not SensorState.ABSENT else "not set up yet"
+        self.since_ns = time_ns
+        self.scans: Counter[SensorState] = Counter()
+        self.retries = 0
+        self.setups = 0
+        self.required = required
+
+    def turn(self, state: SensorState, time_ns: int, detail: str = "") -> None:
+        """Change to a state, outside of a scan."""
+        if state is not self.state:
+            self.state, self.since_ns = state, time_ns
+        self.detail = detail
+
+    def note(self, state: SensorState, detail: str, time_ns: int) -> None:
+        """One scan in a state."""
+        self.turn(state, time_ns, detail)
+        self.scans[state] += 1
+
+    def snapshot(self) -> GroupHealth:
+        """The record as data."""
+        return GroupHealth(
+            self.group,
+            self.state,
+            self.detail,
+            self.since_ns,
+            dict(self.scans),
+            self.retries,
+            self.setups,
+            self.required,
+        )

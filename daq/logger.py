@@ -1,0 +1,353 @@
+"""The logger: scans on absolute deadlines, handed to the recorder and the downlink.
+
+The loop owns no hardware. It is given a clock, a sampler, a recorder and perhaps a link, real or simulated, and cannot
+tell which. Its deadlines are multiples of the period from one start, so that lateness never adds up; a slot that has
+passed is skipped and its number never used, and the recorder counts it as missed.
+"""
+
+import logging
+import threading
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Protocol
+
+from daq.clock import NS, Clock
+from daq.contract.messages import Event, Health, HealthEntry, LogLevel, Statistics
+from daq.contract.scan import Scan, SensorState
+from daq.health import HealthSummary
+from daq.recorder import Recorder
+from daq.sampler import EventMark
+from daq.timing import LoopTiming
+
+_LOG = logging.getLogger("sideslip.logger")
+
+_HOUSEKEEPING_NS = NS
+_HEALTH_PAUSE_NS = NS // 5  # between two health reports of a flapping sensor
+
+
+class SensorSource(Protocol):
+    """What makes scans."""
+
+    on_event: Callable[[EventMark], None]
+
+    def start(self) -> HealthSummary:
+        """Set all sensors up."""
+        ...
+
+    def scan(self, number: int, deadline_ns: int) -> Scan:
+        """One scan, whatever state the sensors are in."""
+        ...
+
+    def health(self) -> HealthSummary:
+        """State of all sensors."""
+        ...
+
+    def metadata(self) -> dict[str, str]:
+        """What is needed to use the counts."""
+        ...
+
+
+class Downlink(Protocol):
+    """What sends to the ground. Nothing here waits."""
+
+    def offer(self, scan: Scan) -> None:
+        """A scan that may be sent."""
+        ...
+
+    def service(self, now_ns: int) -> None:
+        """Send what is due."""
+        ...
+
+    def event(self, event: Event) -> None:
+        """An event marker, to be sent soon."""
+        ...
+
+    def text(self, severity: int, words: str, /) -> None:
+        """A sentence for the people on the ground; severity as in syslog, 3 error, 4 warning, 6 information."""
+        ...
+
+
+class Control(Protocol):
+    """What a command from the ground may do to the logger."""
+
+    @property
+    def recording(self) -> bool:
+        """Whether a recording is under way."""
+        ...
+
+    def start_recording(self) -> bool:
+        """Begin a new recording; False when one is under way."""
+        ...
+
+    def stop_recording(self) -> bool:
+        """End the recording; False when none is under way."""
+        ...
+
+    def mark_event(self, text: str, origin: str) -> Event:
+        """Record an event marker."""
+        ...
+
+    def say(self, level: LogLevel, name: str, text: str) -> None:
+        """A line for the recording's log, the journal and the ground."""
+        ...
+
+
+class Uplink(Protocol):
+    """What hears from the ground."""
+
+    def service(self, now_ns: int, control: Control) -> None:
+        """Carry out what has arrived."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Opening:
+    """A line for the log at the start of a recording, such as an overridden preflight check."""
+
+    level: LogLevel
+    name: str
+    text: str
+
+
+def _nothing() -> None:
+    return
+
+
+class Logger:
+    """Runs the scan loop.
+
+    rate_hz: scans a second. recorder: takes the first recording; `new_recorder` makes the ones begun by command.
+    timing: the histograms that the recorder reports; give the recorder the same object.
+    housekeeping: called about once a second in the slack after a scan (watchdog, garbage collection).
+    """
+
+    def __init__(
+        self,
+        rate_hz: float,
+        clock: Clock,
+        sampler: SensorSource,
+        recorder: Recorder,
+        downlink: Downlink | None = None,
+        uplink: Uplink | None = None,
+        *,
+        timing: LoopTiming | None = None,
+        new_recorder: Callable[[], Recorder] | None = None,
+        housekeeping: Callable[[], None] = _nothing,
+        opening: Iterable[Opening] = (),
+    ) -> None:
+        self.timing = timing or LoopTiming()
+        self._period_ns = round(NS / rate_hz)
+        self._clock = clock
+        self._sampler = sampler
+        self._recorder: Recorder | None = recorder
+        self._new_recorder = new_recorder
+        self._downlink = downlink
+        self._uplink = uplink
+        self._housekeeping = housekeeping
+        self._opening = tuple(opening)
+        self._number = 0
+        self._states: dict[str, SensorState] = {}
+        self._health_due = True
+        self._words = ""
+        self._next_health_ns = 0
+        self._next_housekeeping_ns = 0
+        self._last_scan_ns: int | None = None
+        self._scan: Scan | None = None
+        self._link_fault = ""
+        self._closers: list[threading.Thread] = []
+        self._last_books: Statistics | None = None
+        sampler.on_event = self._switch
+
+    # ------------------------------------------------------------------------------------------ the loop
+
+    def run(self, stop: Callable[[], bool]) -> Statistics:
+        """Scan until `stop()` is true, then end the recording in order; returns its books.
+
+        The recording is also ended in order when anything raises.
+        """
+        try:
+            self._begin()
+            start = self._clock.monotonic_ns() + self._period_ns
+            first = self._number
+            while not stop():
+                deadline = start + (self._number - first) * self._period_ns
+                self._clock.sleep_until(deadline)
+                self._one_scan(deadline)
+                behind = self._clock.monotonic_ns() - (deadline + self._period_ns)
+                self._number += 1 + max(0, behind // self._period_ns)
+        finally:
+            books = self._end()
+        return books
+
+    def _begin(self) -> None:
+        summary = self._sampler.start()
+        if self._recorder is not None:
+            self._recorder.detail(self._sampler.metadata())
+            self._recorder.start()
+        for line in self._opening:
+            self.say(line.level, line.name, line.text)
+        self.say(LogLevel.INFO, "logger", f"recording begins: {summary.words}")
+
+    def _one_scan(self, deadline: int) -> None:
+        started = self._clock.monotonic_ns()
+        scan = self._sampler.scan(self._number, deadline)
+        ended = self._clock.monotonic_ns()
+        self._note_timing(deadline, started, ended)
+        self._scan = scan
+        if self._recorder is not None:
+            self._recorder.scan(scan)
+        self._watch_states(scan)
+        self._report(ended)
+        self._serve_link(scan)
+        if ended >= self._next_housekeeping_ns:
+            self._next_housekeeping_ns = ended + _HOUSEKEEPING_NS
+            self._housekeeping()
+
+    def _note_timing(self, deadline: int, started: int, ended: int) -> None:
+        timing = self.timing
+        timing.lateness.add((started - deadline) // 1000)
+        timing.scan_duration.add((ended - started) // 1000)
+        if started - deadline > self._period_ns // 10:
+            timing.late += 1
+        if self._last_scan_ns is not None:
+            timing.interval_error.add((started - self._last_scan_ns - self._period_ns) // 1000)
+        self._last_scan_ns = started
+
+    def _serve_link(self, scan: Scan) -> None:
+        """Let the radio have its turn. A port that fails must not stop the recording; it is said once."""
+        try:
+            if self._downlink is not None:
+                self._downlink.offer(scan)
+                self._downlink.service(self._clock.monotonic_ns())
+            if self._uplink is not None:
+                self._uplink.service(self._clock.monotonic_ns(), self)
+        except OSError as error:
+            fault = error.strerror or str(error)
+            if fault != self._link_fault:
+                self._link_fault = fault
+                self.say(LogLevel.ERROR, "link", f"radio port fails ({fault}); recording goes on")
+        else:
+            self._link_fault = ""
+
+    # ------------------------------------------------------------------------------------------ health and books
+
+    def _watch_states(self, scan: Scan) -> None:
+        for group, status in scan.groups.items():
+            if self._states.get(group) is not status.state:
+                self._states[group] = status.state
+                self._health_due = True
+
+    def _report(self, now: int) -> None:
+        """A health report at every change of a sensor's state, and a sentence with it."""
+        if not self._health_due or now < self._next_health_ns:
+            return
+        self._health_due = False
+        self._next_health_ns = now + _HEALTH_PAUSE_NS
+        summary = self._sampler.health()
+        if self._recorder is not None:
+            self._recorder.health(_as_message(summary, self._clock.utc_ns(), self._number))
+            self._recorder.detail(self._sampler.metadata())
+        if summary.words != self._words:
+            self._words = summary.words
+            self.say(LogLevel.INFO if summary.ready else LogLevel.WARNING, "sensors", summary.words)
+
+    # ------------------------------------------------------------------------------------------ control
+
+    @property
+    def recording(self) -> bool:
+        """Whether a recording is under way."""
+        return self._recorder is not None
+
+    def start_recording(self) -> bool:
+        """Begin a new recording session; False when one is under way or none can be made."""
+        if self._recorder is not None or self._new_recorder is None:
+            return False
+        self._recorder = self._new_recorder()
+        self._recorder.detail(self._sampler.metadata())
+        self._recorder.start()
+        self._health_due = True
+        self.say(LogLevel.INFO, "logger", "recording begins by command")
+        return True
+
+    def stop_recording(self) -> bool:
+        """End the recording session; scans go on being made and sent. False when none is under way."""
+        recorder = self._recorder
+        if recorder is None:
+            return False
+        self.say(LogLevel.INFO, "logger", "recording ends by command")
+        self._recorder = None
+        closer = threading.Thread(target=self._close, args=(recorder,), name="recorder-close", daemon=True)
+        closer.start()  # a bad card may take its time; the scan loop does not wait for it
+        self._closers.append(closer)
+        return True
+
+    def statistics(self) -> Statistics | None:
+        """The books of the recording under way, or of the last one; None before there was one."""
+        return self._recorder.statistics() if self._recorder is not None else self._last_books
+
+    def mark_event(self, text: str, origin: str) -> Event:
+        """Record an event marker now and tell the ground."""
+        return self._mark(self._clock.monotonic_ns(), self._number, text, origin)
+
+    def say(self, level: LogLevel, name: str, text: str) -> None:
+        """Put a line into the recording, the journal, and, from warnings up, on the downlink."""
+        _LOG.log(_PYTHON_LEVEL[level], "%s: %s", name, text)
+        if self._recorder is not None:
+            self._recorder.log(level, name, text)
+        if self._downlink is not None and level >= LogLevel.WARNING:
+            self._downlink.text(_SYSLOG[level], text)
+
+    def _switch(self, mark: EventMark) -> None:
+        self._mark(mark.time_monotonic_ns, mark.scan_number, "event switch", mark.source)
+
+    def _mark(self, time_ns: int, number: int, text: str, origin: str) -> Event:
+        utc = self._scan.time_utc_ns + time_ns - self._scan.time_monotonic_ns if self._knows_utc() and self._scan else 0
+        event = Event(time_ns, utc, number, origin, text)
+        if self._recorder is not None:
+            self._recorder.event(event)
+        if self._downlink is not None:
+            self._downlink.event(event)
+        return event
+
+    def _knows_utc(self) -> bool:
+        return self._scan is not None and self._scan.time_utc_ns > 0
+
+    # ------------------------------------------------------------------------------------------ the end
+
+    def _end(self) -> Statistics:
+        recorder, self._recorder = self._recorder, None
+        if recorder is not None:
+            recorder.log(LogLevel.INFO, "logger", "recording ends")
+            self._close(recorder)
+        for closer in self._closers:
+            while closer.is_alive():
+                closer.join(0.005)
+                self._clock.sleep_until(self._clock.monotonic_ns() + NS // 10)
+        if self._last_books is None:
+            raise RuntimeError("the logger had no recorder")
+        return self._last_books
+
+    def _close(self, recorder: Recorder) -> None:
+        books = recorder.close()
+        if books.lost or books.dropped:
+            _LOG.error("%d scans could not be written, %d were dropped", books.lost, books.dropped)
+        self._last_books = books
+
+
+_PYTHON_LEVEL: Mapping[LogLevel, int] = {
+    LogLevel.UNKNOWN: logging.INFO,
+    LogLevel.DEBUG: logging.DEBUG,
+    LogLevel.INFO: logging.INFO,
+    LogLevel.WARNING: logging.WARNING,
+    LogLevel.ERROR: logging.ERROR,
+    LogLevel.FATAL: logging.CRITICAL,
+}
+_SYSLOG: Mapping[LogLevel, int] = {LogLevel.WARNING: 4, LogLevel.ERROR: 3, LogLevel.FATAL: 2}
+
+
+def _as_message(summary: HealthSummary, utc_ns: int, number: int) -> Health:
+    entries = tuple(
+        HealthEntry(g.group, int(g.state), g.words, max(0, g.since_ns), max(0, g.setups - 1) + g.retries)
+        for g in summary.groups
+    )
+    return Health(summary.time_ns, max(0, utc_ns), number, entries)

@@ -1,0 +1,455 @@
+"""The recorder: takes scans without ever making the scan loop wait, and gets them onto the card.
+
+`Recorder` is what the scan loop sees: bounded memory, counters, no blocking. Behind it one thread writes segments and
+another waits for the card (fdatasync), so that a stalled card delays neither the scans nor the writing.
+Until the card has confirmed them, messages stay in memory; when a file fails they go into the next one, in the
+next directory if need be. What cannot be kept is counted, with its scan numbers, in the recording itself.
+"""
+
+import logging
+import math
+import threading
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import cast
+
+from daq.clock import NS, Clock
+from daq.contract.messages import Event, Health, LogLevel, LogLine, Message, Statistics
+from daq.contract.ranges import ranges
+from daq.contract.recording import Entry, RecordingInfo, message_entry, scan_entry
+from daq.contract.scan import SCAN_TOPIC, Scan
+from daq.recorder_config import RecorderConfig
+from daq.segment import Segment, Syncer
+from daq.storage import RealStorage, Storage, StorageFile
+from daq.timing import EDGES_US, Histogram, LoopTiming
+
+_LOG = logging.getLogger("sideslip.recorder")
+
+_MESSAGE_ROOM = 256  # places in memory for events and log lines beyond those for scans
+_IDLE_S = 0.2  # how long the writer waits for news before it looks whether a flush is due
+_LAST_WORDS_S = 2.0  # given to the writer to end after it has been told to give up
+
+
+@dataclass(slots=True)
+class _Counters:
+    """The books of a session; every scan slot is in exactly one of written, dropped, lost, missed and pending."""
+
+    first: int | None = None
+    next: int = 0
+    offered: int = 0
+    written: int = 0
+    dropped: int = 0
+    lost: int = 0
+    missed: int = 0
+    write_errors: int = 0
+    high_water: int = 0
+
+    @property
+    def pending(self) -> int:
+        return self.offered - self.written - self.dropped - self.lost
+
+
+class Recorder:
+    """Records a session. All public methods return at once and may be called from any thread.
+
+    info: identity of the session; its segment number is filled in. directories come from the configuration; `folder`
+    is appended to each (a directory for each session). timing: the scan loop's histograms, reported in the recording.
+    """
+
+    def __init__(
+        self,
+        config: RecorderConfig,
+        info: RecordingInfo,
+        clock: Clock,
+        *,
+        folder: str = "",
+        storage: Storage | None = None,
+        timing: LoopTiming | None = None,
+    ) -> None:
+        self.session = info.session
+        self._config = config
+        self._info = info
+        self._clock = clock
+        self._folder = folder
+        self._storage = storage or RealStorage()
+        self._timing = timing or LoopTiming()
+        self._capacity = math.ceil(config.queue_s * info.scan_rate_hz)
+        self._news = threading.Condition()
+        self._inbox: deque[Scan | Message] = deque()
+        self._books = _Counters()
+        self._absent: list[tuple[int, int]] = []
+        self._pending: deque[Entry] = deque()  # encoded, in order, not yet in a file
+        self._returned: deque[Entry] = deque()  # were in a file that failed after it was closed
+        self._details: dict[str, str] = {}
+        self._new_details: dict[str, str] = {}
+        self._abandoned: list[int] = []
+        self._segment: Segment | None = None
+        self._next_segment = 0
+        self._reported_ns: int | None = None
+        self._write_latency = Histogram()
+        self._complaints: deque[str] = deque(maxlen=8)  # the last ones, so as not to repeat them while retrying
+        self._closing = False
+        self._given_up = False
+        self._syncer = Syncer(self._sync_failed, clock, config.sync)
+        # A chunk spans this much message time from its first to its last scan.
+        self._chunk_ns = max(0, round((config.flush_s - 1 / info.scan_rate_hz) * NS))
+        self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
+
+    # ------------------------------------------------------------------------------------------ for the scan loop
+
+    def start(self) -> None:
+        """Begin to record."""
+        self._syncer.start()
+        self._thread.start()
+
+    def scan(self, scan: Scan) -> bool:
+        """Take a scan; False when the memory is full and the scan was dropped (and counted)."""
+        with self._news:
+            books = self._books
+            if books.first is None:
+                books.first = books.next = scan.number
+            if scan.number > books.next:
+                books.missed += scan.number - books.next
+                self._mark_absent(books.next, scan.number - 1)
+            books.next = scan.number + 1
+            books.offered += 1
+            held = books.pending
+            books.high_water = max(books.high_water, min(held, self._capacity))
+            if held > self._capacity or self._given_up:
+                books.dropped += 1
+                self._mark_absent(scan.number, scan.number)
+                return False
+            self._inbox.append(scan)
+            self._news.notify_all()
+        return True
+
+    def event(self, event: Event) -> None:
+        """Record an event marker."""
+        self._take_message(event)
+
+    def health(self, health: Health) -> None:
+        """Record a health report."""
+        self._take_message(health)
+
+    def log(self, level: LogLevel, name: str, text: str) -> None:
+        """Record a log line, stamped now."""
+        self._take_message(LogLine(self._clock.monotonic_ns(), max(0, self._clock.utc_ns()), level, name, text))
+
+    def detail(self, details: Mapping[str, str]) -> None:
+        """Add facts to the identity, in this segment and all later ones (a sensor's factory data)."""
+        with self._news:
+            self._new_details.update(details)
+            self._news.notify_all()
+
+    def busy(self) -> bool:
+        """Whether the writer is more than two flushes behind; a simulated clock waits on this (`follow`)."""
+        with self._news:
+            return len(self._inbox) > max(4, 2 * self._config.flush_s * self._info.scan_rate_hz)
+
+    def statistics(self, *, final: bool = False) -> Statistics:
+        """The books and the timing as they are now."""
+        with self._news:
+            books = replace(self._books)
+            absent = tuple(self._absent)
+        loop = self._timing
+        return Statistics(
+            time_monotonic_ns=self._clock.monotonic_ns(),
+            time_utc_ns=max(0, self._clock.utc_ns()),
+            session=self.session,
+            segment=max(0, self._next_segment - 1),
+            first_number=books.first or 0,
+            next_number=books.next,
+            written=books.written,
+            dropped=books.dropped,
+            lost=books.lost,
+            missed=books.missed,
+            pending=books.pending,
+            absent=absent,
+            write_errors=books.write_errors,
+            queue_high_water=books.high_water,
+            late_scans=loop.late,
+            edges_us=EDGES_US,
+            lateness=tuple(loop.lateness.counts),
+            interval_error=tuple(loop.interval_error.counts),
+            scan_duration=tuple(loop.scan_duration.counts),
+            write_latency=tuple(self._write_latency.counts),
+            sync_latency=tuple(self._syncer.latency.counts),
+            final=final,
+            extra={f"abandoned_{n}": 1 for n in self._abandoned},
+        )
+
+    @property
+    def path(self) -> Path | None:
+        """The file being written, if there is one."""
+        segment = self._segment
+        return segment.path if segment else None
+
+    def close(self, timeout_s: float = 60.0) -> Statistics:
+        """Write what is in memory, end the recording in order and return its books.
+
+        While the card fails this keeps trying for `timeout_s` of the clock; what is left then is counted as lost.
+        """
+        with self._news:
+            self._closing = True
+            self._news.notify_all()
+        deadline = self._clock.monotonic_ns() + round(timeout_s * NS)
+        while self._thread.is_alive():
+            self._thread.join(0.005)
+            now = self._clock.monotonic_ns()
+            if self._thread.is_alive() and now >= deadline:
+                self._given_up = True
+            if now >= deadline + round(_LAST_WORDS_S * NS):
+                break  # the card holds the writer inside a system call; the end of the process frees it
+            self._clock.sleep_until(now + (NS // 10 if self._thread.is_alive() else 0))
+        self._syncer.stop()
+        self._count_lost()
+        return self.statistics(final=True)
+
+    # ------------------------------------------------------------------------------------------ bookkeeping
+
+    def _take_message(self, message: Message) -> None:
+        with self._news:
+            if len(self._inbox) <= self._capacity + _MESSAGE_ROOM and not self._given_up:
+                self._inbox.append(message)
+                self._news.notify_all()
+
+    def _mark_absent(self, first: int, last: int) -> None:
+        if self._absent and self._absent[-1][1] == first - 1:
+            self._absent[-1] = (self._absent[-1][0], last)
+        else:
+            self._absent.append((first, last))
+
+    # ------------------------------------------------------------------------------------------ the writer's thread
+
+    def _run(self) -> None:
+        while not self._given_up:
+            items, closing = self._wait_for_news()
+            self._pending.extend(_entry(item) for item in items)
+            done = self._write_pending()
+            if closing and done and self._is_empty() and self._close_segment(final=True):
+                return
+            if not done:
+                self._clock.sleep_until(self._clock.monotonic_ns() + round(self._config.retry_s * NS))
+
+    def _wait_for_news(self) -> tuple[list[Scan | Message], bool]:
+        with self._news:
+            self._news.wait_for(
+                lambda: self._inbox or self._closing or self._returned or self._new_details or self._failed(), _IDLE_S
+            )
+            items = list(self._inbox)
+            self._inbox.clear()
+            return items, self._closing
+
+    def _is_empty(self) -> bool:
+        with self._news:
+            return not (self._inbox or self._returned or self._pending)
+
+    def _failed(self) -> bool:
+        return self._segment is not None and self._segment.failure is not None
+
+    def _write_pending(self) -> bool:
+        """Write everything pending; False when no file can be written at present."""
+        with self._news:
+            self._pending.extendleft(reversed(self._returned))
+            self._returned.clear()
+        while self._pending or self._segment is None or self._failed():
+            if self._segment is None and not self._open_segment():
+                return False
+            segment = cast(Segment, self._segment)
+            try:
+                self._fill(segment)
+            except OSError as error:
+                self._abandon(segment, error)
+                if not segment.flushes:
+                    return False
+        return self._flush_if_idle()
+
+    def _fill(self, segment: Segment) -> None:
+        """Put pending messages into the segment, flushing and rotating as they come due; OSError when it fails."""
+        if segment.failure is not None:
+            raise segment.failure
+        self._write_details(segment)
+        while self._pending:
+            entry = self._pending[0]
+            if segment.started_ns is not None and entry.log_time_ns - segment.started_ns >= self._config.segment_s * NS:
+                self._close_segment(final=False)
+                return
+            segment.add(entry)
+            self._pending.popleft()
+            if entry.topic == SCAN_TOPIC:
+                with self._news:
+                    self._books.written += 1
+            if entry.log_time_ns - (segment.chunk_started_ns or 0) >= self._chunk_ns:
+                self._flush(segment)
+
+    def _flush(self, segment: Segment) -> None:
+        now = self._clock.monotonic_ns()
+        if self._reported_ns is None or now - self._reported_ns >= self._config.statistics_s * NS:
+            self._reported_ns = now
+            segment.writer.write_message(self.statistics())
+        ended = (segment.chunk_started_ns or 0) + self._chunk_ns
+        segment.writer.flush()
+        segment.flushes += 1
+        segment.chunk_started_ns = None
+        self._write_latency.add((self._clock.monotonic_ns() - now) // 1000)
+        due = ended - segment.synced_ns >= self._config.sync_s * NS - self._chunk_ns // 2
+        if due and self._syncer.request(segment):
+            segment.synced_ns = ended
+
+    def _flush_if_idle(self) -> bool:
+        """Flush a chunk that has waited too long because nothing came after it; False when the file fails."""
+        segment = self._segment
+        if segment is None or segment.chunk_started_ns is None:
+            return True
+        waited = self._clock.monotonic_ns() - segment.chunk_started_ns
+        if waited >= (self._config.flush_s + _IDLE_S) * NS:
+            try:
+                self._flush(segment)
+            except OSError as error:
+                self._abandon(segment, error)
+                return False
+        return True
+
+    def _write_details(self, segment: Segment) -> None:
+        with self._news:
+            fresh = {k: v for k, v in self._new_details.items() if self._details.get(k) != v}
+            self._new_details = {}
+        if fresh:
+            self._details.update(fresh)  # first, so that the next segment has them even if this one fails now
+            segment.writer.add_detail(fresh)
+
+    # ------------------------------------------------------------------------------------------ segments
+
+    def _open_segment(self) -> bool:
+        """Open the next segment in the first directory that takes it."""
+        return any(self._open_in(root) for root in self._config.directories)
+
+    def _open_in(self, root: Path) -> bool:
+        self._make_room(root)
+        try:
+            path, file = self._create(root / self._folder)
+        except OSError as error:
+            self._complain(f"{root}: no new file can be opened ({error.strerror or error})")
+            return False
+        with self._news:
+            self._details.update(self._new_details)
+            self._new_details = {}
+        details = {**self._info.details, **self._details}
+        info = replace(self._info, segment=self._next_segment, details=details)
+        keep = self._capacity + _MESSAGE_ROOM
+        try:
+            segment = Segment(path, file, info, compress=self._config.compress, keep=keep)
+            segment.writer.flush()
+        except OSError as error:
+            self._complain(f"{root}: a new file cannot be written ({error.strerror or error})")
+            self._remove(path, file)
+            return False
+        self._segment = segment
+        self._next_segment += 1
+        return True
+
+    def _create(self, directory: Path) -> tuple[Path, StorageFile]:
+        while True:
+            path = directory / f"{self.session}_{self._next_segment:03d}.mcap"
+            try:
+                return path, self._storage.create(path)
+            except FileExistsError:
+                self._next_segment += 1
+
+    def _remove(self, path: Path, file: StorageFile) -> None:
+        """Remove a file that holds nothing of worth."""
+        self._syncer.close_later(file)
+        try:
+            self._storage.remove(path)
+        except OSError as error:
+            self._complain(f"{path} cannot be removed ({error.strerror or error})")
+            self._next_segment += 1
+
+    def _close_segment(self, *, final: bool) -> bool:
+        """End the segment in order; its messages stay in memory until the card has them. False when it failed."""
+        segment = self._segment
+        if segment is None:
+            return True
+        try:
+            segment.writer.write_message(self.statistics(final=final))
+            segment.writer.finish()
+        except OSError as error:
+            self._abandon(segment, error)
+            return False
+        self._segment = None
+        over = self._syncer.retire(segment)
+        while final and not over.is_set() and not self._given_up:
+            over.wait(_IDLE_S)
+        with self._news:
+            return not self._returned
+
+    def _abandon(self, segment: Segment, error: OSError) -> None:
+        """Give a file up after an error; what the card has not confirmed goes into the next one."""
+        self._segment = None
+        self._complain(f"{segment.path} given up ({error.strerror or error}); recording goes on in a new file")
+        entries = self._take_back(segment)
+        self._pending.extendleft(reversed(entries))
+        if segment.flushes:
+            self._syncer.close_later(segment.file)
+        else:
+            self._remove(segment.path, segment.file)
+
+    def _sync_failed(self, segment: Segment, error: OSError, finished: bool) -> None:
+        """In the sync thread: the card did not take a segment's content."""
+        if finished:
+            entries = self._take_back(segment)
+            text = f"{segment.path} did not reach the card ({error.strerror or error}); its last part is written again"
+            _LOG.error(text)
+        with self._news:
+            if finished:
+                self._returned.extend(entries)
+            else:
+                segment.failure = error
+            self._news.notify_all()
+
+    def _take_back(self, segment: Segment) -> list[Entry]:
+        entries = segment.take_back()
+        with self._news:
+            self._books.write_errors += 1
+            self._books.written -= sum(1 for e in entries if e.topic == SCAN_TOPIC)
+            self._abandoned.append(segment.number)
+        return entries
+
+    def _make_room(self, root: Path) -> None:
+        """Remove the oldest recordings, never those of this session, if that is allowed and space is short."""
+        if not self._config.remove_oldest:
+            return
+        wanted = self._config.keep_free_mb * 1e6
+        try:
+            for path in self._storage.recordings(root):
+                if self._storage.free_bytes(root) >= wanted:
+                    return
+                if not path.name.startswith(f"{self.session}_"):
+                    self._storage.remove(path)
+                    self._complain(f"{path} removed to make room", LogLevel.WARNING)
+        except OSError as error:
+            self._complain(f"{root}: no room could be made ({error.strerror or error})")
+
+    def _count_lost(self) -> None:
+        """At the very end: scans still in memory could not be written."""
+        with self._news:
+            numbers = [i.number for i in self._inbox if isinstance(i, Scan)]
+            numbers += [e.sequence for e in (*self._pending, *self._returned) if e.topic == SCAN_TOPIC]
+            self._books.lost += len(numbers)
+            self._absent = list(ranges([*numbers, *(n for a, b in self._absent for n in range(a, b + 1))]))
+            self._inbox.clear()
+
+    def _complain(self, text: str, level: LogLevel = LogLevel.ERROR) -> None:
+        """Say something in the journal and in the next file; while the same thing keeps failing, only once."""
+        if text in self._complaints:
+            return
+        self._complaints.append(text)
+        _LOG.log(logging.WARNING if level is LogLevel.WARNING else logging.ERROR, text)
+        line = LogLine(self._clock.monotonic_ns(), max(0, self._clock.utc_ns()), level, "recorder", text)
+        self._pending.append(message_entry(line))
+
+
+def _entry(item: Scan | Message) -> Entry:
+    return scan_entry(item) if isinstance(item, Scan) else message_entry(item)

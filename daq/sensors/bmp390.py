@@ -1,0 +1,86 @@
+"""BMP390 (and BMP388): static pressure and temperature, recorded uncompensated.
+
+Bosch datasheet BST-BMP390-DS002 revision 1.7 (BMP388: BST-BMP388-DS001). The counts mean nothing without the 21 trimming bytes of
+the individual chip; they are read at set-up, recorded as `nvm`, and the compensation of section 8.4 to 8.6 is done on
+the ground, so it can be repeated bit for bit. The chip runs in normal mode with its own filter off.
+
+Self-test: identity; trimming bytes not all equal; no error flag. Plausibility: 0x800000 is "not measured" (stale), as is a
+missing data-ready flag; 0 and 0xFFFFFF are out of range. A chip back in sleep mode has been reset.
+"""
+
+from collections.abc import Generator
+
+from daq.bus import I2cBus
+from daq.contract.scan import SensorState
+from daq.sensors.base import MS, SECOND, Driver, Reading, SelfTestError, Wait, WrongChipError
+from daq.sensors.config import StaticConfig
+
+CHIP_ID, ERR, STATUS, DATA, PWR_CTRL, OSR, ODR, FILTER, NVM, CMD = (
+    0x00, 0x02, 0x03, 0x04, 0x1B, 0x1C, 0x1D, 0x1F, 0x31, 0x7E,
+)  # fmt: skip
+NVM_LENGTH = 21
+SOFT_RESET, NORMAL_BOTH, READY_BOTH = 0xB6, 0x33, 0x60
+SKIPPED = 0x800000
+IDENTITY = {"bmp390": 0x60, "bmp388": 0x50}
+ODR_SELECT = {200: 0, 100: 1, 50: 2, 25: 3}
+
+
+class Bmp390(Driver):
+    """Uncompensated pressure and temperature [24-bit counts]."""
+
+    group = "static"
+
+    def __init__(self, config: StaticConfig, bus: I2cBus) -> None:
+        self._config = config
+        self._bus = bus
+        self._address = config.address
+        self._osr = (
+            config.pressure_oversampling.bit_length() - 1 | (config.temperature_oversampling.bit_length() - 1) << 3
+        )
+        self._nvm = b""
+        self.max_rate_hz = config.rate_hz / 1.1
+
+    def initialise(self) -> Generator[Wait, None, None]:
+        bus, address = self._bus, self._address
+        found = bus.read_byte_data(address, CHIP_ID)
+        if found != IDENTITY[self._config.chip]:
+            raise WrongChipError(self._config.chip.upper(), address, IDENTITY[self._config.chip], found)
+        bus.write_byte_data(address, CMD, SOFT_RESET)
+        yield 5 * MS
+        nvm = bytes(bus.read_i2c_block_data(address, NVM, NVM_LENGTH))
+        if len(set(nvm)) == 1:
+            raise SelfTestError(f"BMP390 trimming bytes are all 0x{nvm[0]:02x}; the chip is damaged")
+        self._nvm = nvm
+        bus.write_byte_data(address, OSR, self._osr)
+        bus.write_byte_data(address, ODR, ODR_SELECT[self._config.rate_hz])
+        bus.write_byte_data(address, FILTER, 0)
+        bus.write_byte_data(address, PWR_CTRL, NORMAL_BOTH)
+        yield SECOND // self._config.rate_hz + 20 * MS
+        error = bus.read_byte_data(address, ERR)
+        if error:
+            raise SelfTestError(f"BMP390 reports error flags 0x{error:02x}; lower oversampling or rate_hz")
+
+    def read(self) -> Reading:
+        status, *data = self._bus.read_i2c_block_data(self._address, STATUS, 7)
+        if status & READY_BOTH != READY_BOTH:
+            return Reading(state=SensorState.STALE, detail="static pressure sensor has no new sample")
+        pressure = int.from_bytes(data[0:3], "little")
+        temperature = int.from_bytes(data[3:6], "little")
+        if SKIPPED in (pressure, temperature):
+            return Reading(state=SensorState.STALE, detail="static pressure sensor skipped a measurement")
+        values = {"static_pressure": pressure, "static_temperature": temperature}
+        if pressure in (0, 0xFFFFFF) or temperature in (0, 0xFFFFFF):
+            return Reading(values, SensorState.OUT_OF_RANGE, "static pressure at the end of the sensor's range")
+        return Reading(values)
+
+    def intact(self) -> bool:
+        return self._bus.read_byte_data(self._address, PWR_CTRL) == NORMAL_BOTH
+
+    def metadata(self) -> dict[str, str]:
+        conversion_us = 234 + 392 + 2020 * self._config.pressure_oversampling
+        age_us = 500_000 / self._config.rate_hz  # a sample is between 0 and one interval old when read
+        return {
+            "chip": self._config.chip.upper(),
+            "nvm": self._nvm.hex(),
+            "filter_delay_s": repr(round((conversion_us / 2 + age_us) * 1e-6, 6)),
+        }

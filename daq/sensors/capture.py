@@ -1,0 +1,123 @@
+"""Capture co-processor: six servo pulse widths and five digital inputs, over I2C.
+
+The register map, version 1, is specified in docs/sensors.md. Widths are 0.1 us counts of the last complete pulse.
+Self-test: identity and map version; snapshot with a good checksum. Plausibility: a wrong checksum is a failed
+transfer; a sequence that stands still is stale; a wired PWM input without valid pulses is out of range.
+A channel without a valid pulse is left unset; a digital bit is 1 if the input was high at any time since the last scan.
+"""
+
+import errno
+from collections.abc import Callable, Generator
+from struct import Struct
+
+from daq.bus import I2cBus
+from daq.contract.scan import RawValue, SensorState
+from daq.sensors.base import MS, Driver, Reading, SelfTestError, Wait, WrongChipError
+from daq.sensors.config import CaptureConfig
+
+ID, MAP_VERSION, FIRMWARE, CONTROL, TIMEOUT, SNAPSHOT = 0x00, 0x01, 0x02, 0x04, 0x05, 0x10
+IDENTITY, VERSION, ACKNOWLEDGE = 0x5C, 1, 0x01
+SNAPSHOT_LENGTH = 28
+STATUS_RESET, STATUS_OVERRUN = 0x01, 0x02
+NO_EDGE = 0xFFFF
+
+_SNAPSHOT = Struct("<H6HB6s3BHBB")
+_SLICE = 4 * MS  # the loop counts milliseconds; standing still for longer is a dead loop
+
+
+def _crc_table() -> tuple[int, ...]:
+    table = []
+    for value in range(256):
+        for _ in range(8):
+            value = (value << 1 ^ (0x07 if value & 0x80 else 0)) & 0xFF
+        table.append(value)
+    return tuple(table)
+
+
+_CRC = _crc_table()
+
+
+def crc8(data: bytes) -> int:
+    """CRC-8/SMBUS: polynomial 0x07, start 0."""
+    crc = 0
+    for byte in data:
+        crc = _CRC[crc ^ byte]
+    return crc
+
+
+class ChecksumError(OSError):
+    """A snapshot whose checksum is wrong: the transfer was disturbed."""
+
+    def __init__(self) -> None:
+        super().__init__(errno.EBADMSG, "capture co-processor: checksum of the snapshot is wrong")
+
+
+class Capture(Driver):
+    """Pulse widths [0.1 us] and digital bits; reports edges of the event switch."""
+
+    group = "capture"
+
+    def __init__(self, config: CaptureConfig, bus: I2cBus, now_ns: Callable[[], int]) -> None:
+        self._config = config
+        self._bus = bus
+        self._now = now_ns
+        self._address = config.address
+        self._sequence: int | None = None
+        self._sequence_ns = 0
+        self._edges: int | None = None
+        self._firmware = ""
+
+    def initialise(self) -> Generator[Wait, None, None]:
+        bus, address = self._bus, self._address
+        identity, version, minor, major = bus.read_i2c_block_data(address, ID, 4)
+        if identity != IDENTITY:
+            raise WrongChipError("capture co-processor", address, IDENTITY, identity)
+        if version != VERSION:
+            raise SelfTestError(
+                f"capture co-processor speaks register map {version}, this driver {VERSION}; update its firmware"
+            )
+        self._firmware = f"{major}.{minor}"
+        bus.write_i2c_block_data(address, TIMEOUT, [self._config.timeout_ms, self._config.debounce_ms])
+        bus.write_byte_data(address, CONTROL, ACKNOWLEDGE)
+        self._sequence = self._edges = None
+        yield 25 * MS  # one servo frame, so that widths are there
+        self._snapshot()
+
+    def _snapshot(self) -> tuple[int, ...]:
+        data = bytes(self._bus.read_i2c_block_data(self._address, SNAPSHOT, SNAPSHOT_LENGTH))
+        if crc8(data[:-1]) != data[-1]:
+            raise ChecksumError
+        fields: tuple[int, ...] = _SNAPSHOT.unpack(data)
+        return fields
+
+    def read(self) -> Reading:
+        sequence, *rest = self._snapshot()
+        widths, valid = rest[0:6], rest[6]
+        _level, latched, edges, edge_age, status, _crc = rest[8:14]
+        now = self._now()
+        if status & STATUS_RESET:
+            return Reading(state=SensorState.FAULT, detail="capture co-processor was restarted")
+        if sequence != self._sequence:
+            self._sequence, self._sequence_ns = sequence, now
+        elif now - self._sequence_ns > _SLICE:
+            return Reading(state=SensorState.STALE, detail="capture co-processor's loop stands still")
+        values: dict[str, RawValue] = {f"pwm_{i + 1}": w for i, w in enumerate(widths) if valid >> i & 1}
+        values.update({f"digital_{i + 1}": latched >> i & 1 for i in range(5)})
+        events = self._new_edges(edges, edge_age, now)
+        silent = [f"pwm_{i + 1}" for i in range(self._config.pwm_inputs) if not valid >> i & 1]
+        if silent:
+            return Reading(values, SensorState.OUT_OF_RANGE, f"no valid pulses on {', '.join(silent)}", now, events)
+        if status & STATUS_OVERRUN:
+            return Reading(values, SensorState.OUT_OF_RANGE, "capture co-processor lost edges", now, events)
+        return Reading(values, time_ns=now, events=events)
+
+    def _new_edges(self, edges: int, age_ms: int, now: int) -> tuple[int, ...]:
+        """Times of switch edges since the last reading; only the newest one's is known, earlier ones share it."""
+        last, self._edges = self._edges, edges
+        if last is None or edges == last:
+            return ()
+        time_ns = now if age_ms == NO_EDGE else now - age_ms * MS
+        return (time_ns,) * ((edges - last) & 0xFF)
+
+    def metadata(self) -> dict[str, str]:
+        return {"chip": "capture co-processor", "firmware": self._firmware, "scale_s": "1e-07"}

@@ -1,0 +1,133 @@
+"""ICM-20948: three-axis accelerometer and gyro of the nine-axis IMU.
+
+Datasheet TDK InvenSense DS-000189 revision 1.3 (June 2017). Transfer functions (table 1 and 2, section 3):
+accelerometer 16384/8192/4096/2048 counts per g at +-2/4/8/16 g; gyro 131/65.5/32.8/16.4 counts per deg/s at
++-250/500/1000/2000 deg/s; die temperature 333.87 counts per kelvin, 0 at 21 degC. Output rate 1125/(1 + divider) Hz.
+Low-pass filters (tables 16 and 18) behave as first order, so they delay slow signals by 1/(2 pi bandwidth).
+
+Self-test: identity, settings read back, and data that are not all zero (a sleeping chip's are). Plausibility: a count
+at the end of the range is out of range; a data-ready bit that stays clear is stale; all zeros send the driver to look
+whether the chip has been reset.
+"""
+
+import math
+from collections.abc import Generator
+from struct import Struct
+
+from daq.bus import I2cBus
+from daq.contract.scan import SensorState
+from daq.sensors.base import MS, Driver, Reading, SelfTestError, Wait, WrongChipError
+from daq.sensors.config import ImuConfig
+from daq.sensors.mounting import Rotation, rotation
+
+# bank 0
+WHO_AM_I, USER_CTRL, PWR_MGMT_1, PWR_MGMT_2, INT_PIN_CFG, INT_STATUS_1 = 0x00, 0x03, 0x06, 0x07, 0x0F, 0x1A
+ACCEL_XOUT_H, REG_BANK_SEL = 0x2D, 0x7F
+# bank 2
+GYRO_SMPLRT_DIV, GYRO_CONFIG_1 = 0x00, 0x01
+ACCEL_SMPLRT_DIV_1, ACCEL_CONFIG = 0x10, 0x14
+
+IDENTITY = 0xEA
+RESET, AUTO_CLOCK, SLEEP, BYPASS = 0x80, 0x01, 0x40, 0x02
+
+GYRO_LOWPASS_HZ = (196.6, 151.8, 119.5, 51.2, 23.9, 11.6, 5.7, 361.4)  # by DLPF setting, table 16
+ACCEL_LOWPASS_HZ = (246.0, 246.0, 111.4, 50.4, 23.9, 11.5, 5.7, 473.0)  # table 18
+COUNTS_PER_DPS = {250: 131.0, 500: 65.5, 1000: 32.8, 2000: 16.4}
+COUNTS_PER_G = {2: 16384.0, 4: 8192.0, 8: 4096.0, 16: 2048.0}
+
+_BURST = Struct(">7h")
+_CLIPPED = (-32768, 32767)
+_NAMES = ("accel_x", "accel_y", "accel_z", "gyro_x", "gyro_y", "gyro_z", "imu_temperature")
+
+
+def setting(lowpass_index: int, range_index: int) -> int:
+    """GYRO_CONFIG_1 or ACCEL_CONFIG: filter setting, full scale, filter on."""
+    return lowpass_index << 3 | range_index << 1 | 1
+
+
+class Icm20948(Driver):
+    """Accelerometer and gyro in body axes [counts]; also opens the bypass to the magnetometer."""
+
+    group = "imu"
+    max_rate_hz = 1125.0
+
+    def __init__(self, config: ImuConfig, bus: I2cBus) -> None:
+        self._config = config
+        self._bus = bus
+        self._address = config.address
+        self._turn: Rotation = rotation(config.mounting)
+        self._gyro_setting = setting(
+            GYRO_LOWPASS_HZ.index(config.gyro_lowpass_hz), tuple(COUNTS_PER_DPS).index(config.gyro_range_dps)
+        )
+        self._accel_setting = setting(
+            ACCEL_LOWPASS_HZ.index(config.accel_lowpass_hz), tuple(COUNTS_PER_G).index(config.accel_range_g)
+        )
+
+    def initialise(self) -> Generator[Wait, None, None]:
+        bus, address = self._bus, self._address
+        bus.write_byte_data(address, REG_BANK_SEL, 0)
+        found = bus.read_byte_data(address, WHO_AM_I)
+        if found != IDENTITY:
+            raise WrongChipError("ICM-20948", address, IDENTITY, found)
+        bus.write_byte_data(address, PWR_MGMT_1, RESET)
+        yield 100 * MS  # start-up time for register access, table 3: 100 ms worst case
+        bus.write_byte_data(address, PWR_MGMT_1, AUTO_CLOCK)
+        yield 40 * MS  # gyro start-up from sleep, table 1: 35 ms
+        bus.write_byte_data(address, PWR_MGMT_2, 0)
+        bus.write_byte_data(address, USER_CTRL, 0)  # auxiliary master off: the magnetometer is read directly
+        bus.write_byte_data(address, INT_PIN_CFG, BYPASS)
+        yield from self._configure()
+        yield 20 * MS
+        if not any(bus.read_i2c_block_data(address, ACCEL_XOUT_H, 12)):
+            raise SelfTestError("ICM-20948 delivers only zeros after start-up; power-cycle it or replace it")
+
+    def _configure(self) -> Generator[Wait, None, None]:
+        bus, address = self._bus, self._address
+        bus.write_byte_data(address, REG_BANK_SEL, 2 << 4)
+        bus.write_byte_data(address, GYRO_SMPLRT_DIV, 0)
+        bus.write_byte_data(address, GYRO_CONFIG_1, self._gyro_setting)
+        bus.write_i2c_block_data(address, ACCEL_SMPLRT_DIV_1, [0, 0])
+        bus.write_byte_data(address, ACCEL_CONFIG, self._accel_setting)
+        yield 0
+        gyro = bus.read_byte_data(address, GYRO_CONFIG_1)
+        accel = bus.read_byte_data(address, ACCEL_CONFIG)
+        bus.write_byte_data(address, REG_BANK_SEL, 0)
+        if (gyro, accel) != (self._gyro_setting, self._accel_setting):
+            raise SelfTestError(
+                f"ICM-20948 holds ranges 0x{gyro:02x} 0x{accel:02x} instead of 0x{self._gyro_setting:02x} "
+                f"0x{self._accel_setting:02x}; check supply and wiring"
+            )
+
+    def read(self) -> Reading:
+        bus = self._bus
+        fresh = bus.read_byte_data(self._address, INT_STATUS_1) & 1
+        raw = _BURST.unpack(bytes(bus.read_i2c_block_data(self._address, ACCEL_XOUT_H, 14)))
+        if not any(raw[:6]):
+            return self._explain_zeros()
+        if not fresh:
+            return Reading(state=SensorState.STALE, detail="IMU has no new sample")
+        values = dict(zip(_NAMES, (*self._turn(*raw[0:3]), *self._turn(*raw[3:6]), raw[6]), strict=True))
+        clipped = [name for name, count in zip(_NAMES[:6], raw[:6], strict=True) if count in _CLIPPED]
+        if clipped:
+            return Reading(values, SensorState.OUT_OF_RANGE, f"IMU beyond its range ({clipped[0][:-2]})")
+        return Reading(values)
+
+    def _explain_zeros(self) -> Reading:
+        asleep = self._bus.read_byte_data(self._address, PWR_MGMT_1) & SLEEP
+        return Reading(state=SensorState.FAULT, detail="IMU was reset" if asleep else "IMU delivers only zeros")
+
+    def intact(self) -> bool:
+        return self._bus.read_byte_data(self._address, PWR_MGMT_1) == AUTO_CLOCK
+
+    def metadata(self) -> dict[str, str]:
+        config = self._config
+        delay = {"gyro": config.gyro_lowpass_hz, "accel": config.accel_lowpass_hz}
+        return {
+            "chip": "ICM-20948",
+            "mounting": " ".join(config.mounting),
+            "accel_scale_m_s2": repr(9.80665 / COUNTS_PER_G[config.accel_range_g]),
+            "gyro_scale_rad_s": repr(math.radians(1 / COUNTS_PER_DPS[config.gyro_range_dps])),
+            **{f"{k}_lowpass_hz": repr(v) for k, v in delay.items()},
+            **{f"{k}_delay_s": repr(round(1 / (2 * math.pi * v), 6)) for k, v in delay.items()},
+            "filter_delay_s": repr(round(1 / (2 * math.pi * min(delay.values())), 6)),
+        }

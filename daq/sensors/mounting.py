@@ -1,0 +1,22 @@
+"""Turning counts from chip axes to body axes by a signed permutation, exact in integers."""
+
+from collections.abc import Callable
+
+from daq.sensors.config import Mounting
+
+Rotation = Callable[[int, int, int], tuple[int, int, int]]
+"""Chip x, y, z counts to body x, y, z counts."""
+
+
+def rotation(mounting: Mounting) -> Rotation:
+    """The turn of a mounting: entry i names the chip axis along body axis i.
+
+    A reversed axis maps -32768 to 32767, so that the result always fits 16 bits; that count is out of range anyway.
+    """
+    (i, si), (j, sj), (k, sk) = (("xyz".index(axis[1]), -1 if axis[0] == "-" else 1) for axis in mounting)
+
+    def turn(x: int, y: int, z: int) -> tuple[int, int, int]:
+        counts = (x, y, z)
+        return min(si * counts[i], 32767), min(sj * counts[j], 32767), min(sk * counts[k], 32767)
+
+    return turn

@@ -1,0 +1,79 @@
+"""MS4525DO: differential pressure of the pitot tube.
+
+TE Connectivity datasheet MS4525DO (June 2013) and interface note "Interfacing to MEAS digital pressure modules". There
+are no registers: a plain read of four bytes returns two status bits, 14 bits of pressure and 11 of temperature.
+Transfer functions: type A spans 10 to 90 % of 16383 counts, p = (count - 0.1*16383) * (p_max - p_min) / (0.8*16383) +
+p_min; type B 5 to 95 %; T = count*200/2047 - 50 degC. At +-1 psi type A: 1.052 Pa per count. The zero shifts by about
+65 Pa per volt of supply, so the supply is recorded.
+
+Self-test: two reads that agree; the part has no identity. Plausibility: status 3 is a fault of the bridge, 1 is reserved,
+2 means the sample was fetched before; counts at the ends, and two reads further apart than 255 counts, are out of range.
+"""
+
+from collections.abc import Generator
+
+from daq.bus import I2cBus, read_raw
+from daq.contract.scan import SensorState
+from daq.sensors.base import MS, Driver, Reading, SelfTestError, Wait
+from daq.sensors.config import PitotConfig
+
+NORMAL, RESERVED, FETCHED, FAULT = range(4)
+FULL = 0x3FFF
+LARGEST_JUMP = 0xFF
+SPAN = {"A": (0.1, 0.8), "B": (0.05, 0.9)}
+
+
+def split(data: bytes) -> tuple[int, int, int]:
+    """Status, pressure count and temperature count of the four bytes."""
+    return data[0] >> 6, (data[0] & 0x3F) << 8 | data[1], data[2] << 3 | data[3] >> 5
+
+
+class Ms4525do(Driver):
+    """Differential pressure and die temperature [counts]."""
+
+    group = "pitot"
+
+    def __init__(self, config: PitotConfig, bus: I2cBus) -> None:
+        self._config = config
+        self._bus = bus
+
+    def initialise(self) -> Generator[Wait, None, None]:
+        read_raw(self._bus, self._config.address, 4)
+        yield 10 * MS  # power-up to first data: 8.4 ms
+        status, first, _ = split(read_raw(self._bus, self._config.address, 4))
+        yield 2 * MS
+        _, second, temperature = split(read_raw(self._bus, self._config.address, 4))
+        if status in (RESERVED, FAULT):
+            raise SelfTestError(f"MS4525DO reports status {status} (bridge fault); replace it")
+        if abs(second - first) > LARGEST_JUMP or temperature in (0, 0x7FF):
+            raise SelfTestError(
+                f"MS4525DO pressure jumps from {first} to {second} counts between two reads, temperature {temperature};"
+                " check hoses, supply and wiring"
+            )
+
+    def read(self) -> Reading:
+        status, pressure, temperature = split(read_raw(self._bus, self._config.address, 4))
+        if status in (RESERVED, FAULT):
+            return Reading(state=SensorState.FAULT, detail=f"pitot sensor reports status {status}")
+        if status == FETCHED:
+            return Reading(state=SensorState.STALE, detail="pitot sensor has no new sample")
+        again, repeated, _ = split(read_raw(self._bus, self._config.address, 4))
+        values = {"pitot_pressure": pressure, "pitot_temperature": temperature}
+        if pressure in (0, FULL) or temperature in (0, 0x7FF):
+            return Reading(values, SensorState.OUT_OF_RANGE, "pitot pressure at the end of the sensor's range")
+        if again in (NORMAL, FETCHED) and abs(repeated - pressure) > LARGEST_JUMP:
+            return Reading(
+                values, SensorState.OUT_OF_RANGE, f"pitot pressure jumps from {pressure} to {repeated} counts"
+            )
+        return Reading(values)
+
+    def metadata(self) -> dict[str, str]:
+        low, high = self._config.range_pa
+        start, span = SPAN[self._config.output]
+        scale = (high - low) / (span * FULL)
+        return {
+            "chip": "MS4525DO",
+            "scale_pa": repr(scale),
+            "offset_pa": repr(low - start * FULL * scale),
+            "filter_delay_s": "0.0005",
+        }

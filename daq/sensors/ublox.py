@@ -1,0 +1,114 @@
+"""u-blox GPS receiver on a serial port: one NAV-PVT for each fix.
+
+Interface descriptions as in `daq.sensors.ubx`. Units are the receiver's (1e-7 deg, mm, mm/s). Each fix is reported in
+exactly one scan; scans between fixes carry no GPS values and are not faults.
+
+Self-test: a NAV-PVT arrives within two seconds of set-up. Plausibility: no fix for three intervals is stale, no byte for two
+seconds absent; a fix the receiver itself does not vouch for (gnssFixOK clear, or not 3-D) is recorded as recovering.
+"""
+
+from collections import deque
+from collections.abc import Callable, Generator
+
+from daq.bus import SerialPort
+from daq.contract.scan import RawValue, SensorState
+from daq.sensors.base import MS, SECOND, Driver, Reading, SelfTestError, Wait
+from daq.sensors.config import GnssConfig
+from daq.sensors.ubx import NAV_PVT, NavPvt, UbxParser, parse_nav_pvt, setup_m8, setup_m9
+from daq.timebase import TimeBase
+
+_SETUP = {"m9": setup_m9, "m8": setup_m8}
+_BACKLOG = 32
+_READ_LIMIT = 4096
+_SILENT = 2 * SECOND
+_FIX_3D = (3, 4)
+
+
+class Ublox(Driver):
+    """GPS position, velocity and time [receiver units]; feeds the relation of the two clocks."""
+
+    group = "gnss"
+    uses_i2c = False
+
+    def __init__(self, config: GnssConfig, port: SerialPort, now_ns: Callable[[], int], timebase: TimeBase) -> None:
+        self._config = config
+        self._port = port
+        self._now = now_ns
+        self._timebase = timebase
+        self._parser = UbxParser()
+        self._backlog: deque[tuple[NavPvt, int]] = deque(maxlen=_BACKLOG)
+        self._last_byte_ns = self._last_fix_ns = now_ns()
+        self._stale_after = round(3 * SECOND / config.rate_hz)
+
+    def initialise(self) -> Generator[Wait, None, None]:
+        setup = _SETUP.get(self._config.generation)
+        for message in setup(self._config.rate_hz) if setup else ():
+            self._port.write(message)
+            yield 5 * MS
+        self._last_byte_ns = self._now()
+        for _ in range(40):
+            self._receive()
+            if self._backlog:
+                return
+            yield 50 * MS
+        silent = self._last_byte_ns + _SILENT <= self._now()
+        raise SelfTestError(
+            f"no {'byte' if silent else 'NAV-PVT'} from the GPS receiver on {self._config.device} in 2 s;"
+            " check wiring, baud rate and generation"
+        )
+
+    def _receive(self) -> None:
+        waiting = min(self._port.in_waiting, _READ_LIMIT)
+        if not waiting:
+            return
+        now = self._now()
+        self._last_byte_ns = now
+        for message, payload in self._parser.feed(self._port.read(waiting)):
+            if message == NAV_PVT and len(payload) == 92:
+                fix = parse_nav_pvt(payload)
+                self._last_fix_ns = now
+                self._backlog.append((fix, now))
+                if fix.utc_ns:
+                    self._timebase.observe_fix(now, fix.utc_ns, fix.time_accuracy_ns)
+
+    def read(self) -> Reading:
+        self._receive()
+        if self._backlog:
+            return self._report(*self._backlog.popleft())
+        now = self._now()
+        if now - self._last_byte_ns > _SILENT:
+            return Reading(state=SensorState.ABSENT, detail="GPS receiver is silent")
+        if now - self._last_fix_ns > self._stale_after:
+            return Reading(state=SensorState.STALE, detail="GPS receiver sends no fix")
+        return Reading()
+
+    def _report(self, fix: NavPvt, received_ns: int) -> Reading:
+        values: dict[str, RawValue] = {
+            "gnss_itow": fix.itow_ms,
+            "gnss_utc_ns": fix.utc_ns,
+            "gnss_fix": fix.fix,
+            "gnss_satellites": fix.satellites,
+            "latitude_e7": fix.latitude_e7,
+            "longitude_e7": fix.longitude_e7,
+            "height_msl_mm": fix.height_msl_mm,
+            "velocity_north_mm": fix.velocity_north_mm,
+            "velocity_east_mm": fix.velocity_east_mm,
+            "velocity_down_mm": fix.velocity_down_mm,
+            "time_accuracy_ns": fix.time_accuracy_ns,
+            "horizontal_accuracy_mm": fix.horizontal_accuracy_mm,
+            "vertical_accuracy_mm": fix.vertical_accuracy_mm,
+            "speed_accuracy_mm": fix.speed_accuracy_mm,
+        }
+        time_ns = (self._timebase.monotonic_ns(fix.utc_ns) if fix.utc_ns else None) or (
+            received_ns - round(self._config.latency_s * SECOND)
+        )
+        if fix.fix not in _FIX_3D or not fix.fix_ok:
+            return Reading(values, SensorState.RECOVERING, "GPS receiver has no 3-D fix", time_ns)
+        return Reading(values, time_ns=time_ns)
+
+    def intact(self) -> bool:
+        """Whether fixes still come; a receiver that lost its settings sends something else, or nothing."""
+        return self._now() - self._last_fix_ns <= _SILENT
+
+    def metadata(self) -> dict[str, str]:
+        return {"chip": "u-blox", "rate_hz": repr(self._config.rate_hz), "latency_s": repr(self._config.latency_s)}

@@ -1,0 +1,113 @@
+"""The file operations the recorder needs, behind one small interface.
+
+A real card and a failing one differ only here: a test or the simulator hands the recorder a storage whose writes are
+slow, whose space ends, or whose mount is gone.
+"""
+
+import contextlib
+import os
+from pathlib import Path
+from typing import Protocol
+
+
+class StorageFile(Protocol):
+    """One file being written. Errors are OSError, as from the operating system."""
+
+    def write(self, data: bytes) -> int:
+        """Write all of `data`."""
+        ...
+
+    def tell(self) -> int:
+        """Bytes written so far."""
+        ...
+
+    def flush(self) -> None:
+        """Nothing is held back in the process: everything written has gone to the operating system."""
+        ...
+
+    def sync(self) -> None:
+        """Return once everything written is on the medium."""
+        ...
+
+    def close(self) -> None:
+        """Release the file."""
+        ...
+
+
+class Storage(Protocol):
+    """Where recordings are kept."""
+
+    def create(self, path: Path) -> StorageFile:
+        """Open a new file for writing, its directory made if need be; FileExistsError when there is one."""
+        ...
+
+    def free_bytes(self, directory: Path) -> int:
+        """Space left for an ordinary user in the file system of `directory`."""
+        ...
+
+    def recordings(self, directory: Path) -> list[Path]:
+        """All .mcap files under `directory`, the oldest first."""
+        ...
+
+    def remove(self, path: Path) -> None:
+        """Remove a file."""
+        ...
+
+
+class RealFile:
+    """A file of the operating system, unbuffered: what is written survives the end of the process."""
+
+    def __init__(self, path: Path) -> None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
+        self._at = 0
+        self._directory: Path | None = path.parent  # to be synced once, so that the name survives a power cut too
+
+    def write(self, data: bytes) -> int:
+        view = memoryview(data)
+        while view:
+            done = os.write(self._descriptor, view)
+            self._at += done
+            view = view[done:]
+        return len(data)
+
+    def tell(self) -> int:
+        return self._at
+
+    def flush(self) -> None:
+        pass
+
+    def sync(self) -> None:
+        os.fdatasync(self._descriptor)
+        if self._directory is not None:
+            directory = os.open(self._directory, os.O_RDONLY | os.O_DIRECTORY)
+            try:
+                os.fsync(directory)
+            finally:
+                os.close(directory)
+            self._directory = None
+
+    def close(self) -> None:
+        os.close(self._descriptor)
+
+
+class RealStorage:
+    """The file system of the machine."""
+
+    def create(self, path: Path) -> StorageFile:
+        return RealFile(path)
+
+    def free_bytes(self, directory: Path) -> int:
+        existing = next(p for p in (directory, *directory.parents) if p.exists())
+        state = os.statvfs(existing)
+        return state.f_bavail * state.f_frsize
+
+    def recordings(self, directory: Path) -> list[Path]:
+        found: list[tuple[float, Path]] = []
+        for path in directory.rglob("*.mcap"):
+            with contextlib.suppress(FileNotFoundError):  # removed by somebody else meanwhile
+                found.append((path.stat().st_mtime, path))
+        return [path for _, path in sorted(found)]
+
+    def remove(self, path: Path) -> None:
+        path.unlink()

@@ -1,0 +1,231 @@
+"""One sensor under supervision: reads it, judges it, loses it, finds it again, and never lets it stop the scan.
+
+A sensor that fails is read again once in the same scan; failing twice in a row it is given up and tried again at growing
+intervals, at most one short set-up step in a scan. After its return a number of good samples are marked recovering
+before they count. Every exception of a driver that means trouble with hardware ends here as a state.
+"""
+
+from collections.abc import Generator, Mapping
+from dataclasses import dataclass, field
+
+from daq.bus import TIMEOUT_ERRNOS
+from daq.contract.channels import channels_of
+from daq.contract.scan import GroupStatus, RawValue, SensorState
+from daq.health import Record, Watch
+from daq.sensors.base import SECOND, Driver, Reading, SensorError, Wait
+from daq.sensors.config import HealthConfig, SensorSection
+
+GIVE_UP_AFTER = 2
+"""Failed scans in a row after which a sensor is no longer read but tried anew."""
+
+# A value of these states is what the chip said and is recorded; of the others there is none, or only an old one.
+VALUES_RECORDED = frozenset({SensorState.OK, SensorState.OUT_OF_RANGE, SensorState.STUCK, SensorState.RECOVERING})
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What a group contributes to a scan. Times are monotonic [ns]."""
+
+    state: SensorState
+    detail: str = ""
+    time_ns: int = 0
+    values: Mapping[str, RawValue] = field(default_factory=dict)
+    events: tuple[int, ...] = ()
+
+    def status(self, scan_ns: int) -> GroupStatus:
+        """State and offset from the scan's time."""
+        return GroupStatus(self.state, (self.time_ns - scan_ns) // 1000)
+
+
+class Supervisor:
+    """A driver with its health. All calls carry the time; none waits and none raises for a hardware fault."""
+
+    def __init__(self, driver: Driver, section: SensorSection, config: HealthConfig, every: int, now_ns: int) -> None:
+        self.driver = driver
+        self.group = driver.group
+        self.every = every
+        self.record = Record(self.group, SensorState.ABSENT, now_ns, section.required)
+        self.timed_out = False  # the last transfer ended in a time-out: the bus itself may be held
+        self._config = config
+        self._watch = Watch(tuple(c.name for c in channels_of(self.group)), config)
+        self._up = False
+        self._setup: Generator[Wait, None, None] | None = None
+        self._sample: Generator[Wait, None, Reading] | None = None
+        self._sample_ns = 0
+        self._ready_ns = 0
+        self._retried = False
+        self._failures = 0
+        self._next_try_ns = now_ns
+        self._pause_ns = round(config.retry_s * SECOND)
+        self._untrusted = 0
+        self._stale_since_ns: int | None = None
+        self._lost_state = SensorState.ABSENT
+        self._lost_detail = "not set up yet"
+
+    # -- set-up -----------------------------------------------------------------------------------------------
+
+    @property
+    def up(self) -> bool:
+        """Set up and being read."""
+        return self._up
+
+    @property
+    def setting_up(self) -> bool:
+        """In the middle of a set-up."""
+        return self._setup is not None
+
+    @property
+    def next_try_ns(self) -> int:
+        """When a sensor that is down wants its next set-up step [ns]."""
+        return self._next_try_ns
+
+    def setup_step(self, now_ns: int, trusted: bool = False) -> None:
+        """One step of setting the chip up; `trusted` skips the recovering samples (first start)."""
+        if self._setup is None:
+            self._setup = self.driver.initialise()
+        try:
+            self._next_try_ns = now_ns + next(self._setup)
+        except StopIteration:
+            self._setup = None
+            self._come_up(trusted, now_ns)
+        except SensorError as error:
+            self._setup_failed(SensorState.FAULT, str(error), now_ns)
+        except OSError as error:
+            self.timed_out = error.errno in TIMEOUT_ERRNOS
+            self._setup_failed(SensorState.ABSENT, f"does not answer: {error.strerror or error}", now_ns)
+
+    def _come_up(self, trusted: bool, now_ns: int) -> None:
+        self._up = True
+        self._failures = 0
+        self._pause_ns = round(self._config.retry_s * SECOND)
+        self._untrusted = 0 if trusted else self._config.trust_after
+        self._stale_since_ns = None
+        self._watch.forget()
+        self.record.setups += 1
+        self.record.turn(SensorState.OK if trusted else SensorState.RECOVERING, now_ns)
+
+    def _setup_failed(self, state: SensorState, detail: str, now_ns: int) -> None:
+        self._setup = None
+        self._lost_state, self._lost_detail = state, detail
+        self.record.turn(state, now_ns, detail)
+        self._next_try_ns = now_ns + self._pause_ns
+        self._pause_ns = min(2 * self._pause_ns, round(self._config.retry_limit_s * SECOND))
+
+    def _go_down(self, state: SensorState, detail: str, now_ns: int) -> None:
+        self._up = False
+        self._setup = None
+        self._lost_state, self._lost_detail = state, detail
+        self._next_try_ns = now_ns
+
+    # -- reading ----------------------------------------------------------------------------------------------
+
+    @property
+    def sampling(self) -> bool:
+        """A sample has been begun and not yet finished."""
+        return self._sample is not None
+
+    @property
+    def ready_ns(self) -> int:
+        """When the sample under way can be continued [ns]."""
+        return self._ready_ns
+
+    def begin(self, now_ns: int) -> None:
+        """Begin a sample; `advance` does the work."""
+        self._sample = self.driver.stages()
+        self._ready_ns = now_ns
+        self._retried = False
+
+    def advance(self, now_ns: int, may_retry: bool) -> Outcome | None:
+        """Take the sample one stage further; the outcome when it is finished, else None."""
+        assert self._sample is not None
+        self.timed_out = False
+        self._sample_ns = now_ns
+        try:
+            self._ready_ns = now_ns + next(self._sample)
+            return None
+        except StopIteration as finished:
+            self._sample = None
+            return self._finished(finished.value, now_ns)
+        except SensorError as error:
+            self._sample = None
+            self._go_down(SensorState.FAULT, str(error), now_ns)
+            return self._outcome(SensorState.FAULT, str(error), now_ns)
+        except OSError as error:
+            return self._failed(error, now_ns, may_retry)
+
+    def _failed(self, error: OSError, now_ns: int, may_retry: bool) -> Outcome | None:
+        self._sample = None
+        self.timed_out = error.errno in TIMEOUT_ERRNOS
+        if may_retry and not self._retried and not self.timed_out:
+            self.begin(now_ns)
+            self._retried = True
+            self.record.retries += 1
+            return None
+        detail = f"does not answer: {error.strerror or error}"
+        self._failures += 1
+        if self._failures >= GIVE_UP_AFTER:
+            self._go_down(SensorState.ABSENT, detail, now_ns)
+        return self._outcome(SensorState.ABSENT, detail, now_ns)
+
+    def _finished(self, reading: Reading, started_ns: int) -> Outcome:
+        self._failures = 0
+        time_ns = started_ns if reading.time_ns is None else reading.time_ns
+        if reading.state is SensorState.FAULT:
+            self._go_down(SensorState.FAULT, reading.detail, started_ns)
+        elif reading.state in (SensorState.STALE, SensorState.ABSENT):
+            self._check_staleness(started_ns)
+        else:
+            self._stale_since_ns = None
+        state, detail = self._judge(reading, time_ns)
+        return self._outcome(state, detail, time_ns, reading)
+
+    def _judge(self, reading: Reading, time_ns: int) -> tuple[SensorState, str]:
+        """The chip's own verdict first, then that of the watch, then whether the sensor is trusted again."""
+        if reading.state is not SensorState.OK:
+            return reading.state, reading.detail
+        verdict = self._watch.judge(reading.values, time_ns)
+        if verdict.state is not SensorState.OK:
+            return verdict.state, verdict.detail
+        if self._untrusted > 0:
+            self._untrusted -= 1
+            return SensorState.RECOVERING, "answers again"
+        return SensorState.OK, ""
+
+    def _check_staleness(self, now_ns: int) -> None:
+        """A chip that answers without new samples for long has lost its settings, or hangs: set it up anew."""
+        if self._stale_since_ns is None:
+            self._stale_since_ns = now_ns
+        waited = now_ns - self._stale_since_ns
+        if waited >= 4 * self._config.stale_s * SECOND or (
+            waited >= self._config.stale_s * SECOND and not self._intact()
+        ):
+            self._stale_since_ns = None
+            self._go_down(SensorState.FAULT, "no new samples; being set up again", now_ns)
+
+    def _intact(self) -> bool:
+        try:
+            return self.driver.intact()
+        except OSError:
+            return False
+
+    def audit(self, now_ns: int) -> None:
+        """Look whether the chip still has its settings; a brown-out can reset one without silencing it."""
+        if self._up and not self.sampling and not self._intact():
+            self._go_down(SensorState.FAULT, "lost its settings (supply dip); being set up again", now_ns)
+
+    def passed_over(self, reason: str, state: SensorState, now_ns: int) -> Outcome:
+        """The outcome of a scan in which the sensor could not be read at all, through no fault of its own."""
+        if self._sample is not None:
+            self._sample.close()
+            self._sample = None
+        return self._outcome(state, reason, now_ns)
+
+    def lost(self, now_ns: int) -> Outcome:
+        """The outcome of a scan while the sensor is down."""
+        return self._outcome(self._lost_state, self._lost_detail, now_ns)
+
+    def _outcome(self, state: SensorState, detail: str, time_ns: int, reading: Reading | None = None) -> Outcome:
+        self.record.note(state, detail, time_ns)
+        if reading is None or state not in VALUES_RECORDED:
+            return Outcome(state, detail, time_ns, events=reading.events if reading else ())
+        return Outcome(state, detail, time_ns, reading.values, reading.events)

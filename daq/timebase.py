@@ -1,0 +1,172 @@
+"""The relation between the aircraft's monotonic clock and UTC, estimated from GPS alone.
+
+The operating system's UTC may be unset, or step when somebody corrects it; the monotonic clock never steps. So scans
+are timed on the monotonic clock, and UTC is a line through what the GPS receiver said: offset and drift, with an
+accuracy. Two kinds of observation: the arrival of a fix over the serial line, late by the receiver's latency and by the
+waiting for the next poll (accurate to some 15 ms), and the edge of a pulse-per-second line (accurate to microseconds). Once
+edges come, arrivals only say which second an edge belongs to.
+"""
+
+import math
+from collections import deque
+from dataclasses import dataclass
+
+from daq.clock import NS
+
+MS = 1_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Relation:
+    """UTC = monotonic + offset + drift * (monotonic - reference).
+
+    reference_ns: monotonic time of the relation's middle [ns]. drift: seconds of UTC gained per monotonic second.
+    accuracy_ns: one sigma at the reference [ns]. source: `fix` or `pps`.
+    """
+
+    reference_ns: int
+    offset_ns: int
+    drift: float
+    accuracy_ns: int
+    source: str
+
+    def utc_ns(self, monotonic_ns: int) -> int:
+        """UTC at a monotonic time [ns]."""
+        return monotonic_ns + self.offset_ns + round(self.drift * (monotonic_ns - self.reference_ns))
+
+
+class _Line:
+    """Offset observations in bins of one second, the smallest delay of each, and the line through them.
+
+    An observation that contradicts the line by more than `jump_ns` is set aside; when `_AGREED` in a row contradict
+    it in the same way, time itself has jumped (a leap second, a receiver that was wrong before) and the line restarts.
+    """
+
+    _BINS = 128
+    _AGREED = 5
+
+    def __init__(self, jump_ns: int, drift_after_s: float) -> None:
+        self._jump_ns = jump_ns
+        self._drift_after_ns = round(drift_after_s * NS)
+        self._bins: deque[tuple[int, int]] = deque(maxlen=self._BINS)  # monotonic, offset = utc - monotonic
+        self._contradictions: list[tuple[int, int]] = []
+        self._line = (0, 0, 0.0)  # reference, offset, drift
+
+    def __len__(self) -> int:
+        return len(self._bins)
+
+    def add(self, monotonic_ns: int, offset_ns: int) -> None:
+        if self._bins and abs(offset_ns - self.offset_at(monotonic_ns)) > self._jump_ns:
+            self._contradict(monotonic_ns, offset_ns)
+            return
+        self._contradictions.clear()
+        bins = self._bins
+        if bins and monotonic_ns // NS == bins[-1][0] // NS:
+            if offset_ns <= bins[-1][1]:
+                return
+            bins.pop()  # a larger offset came with a smaller delay: the better one of its second
+        bins.append((monotonic_ns, offset_ns))
+        self._fit()
+
+    def _contradict(self, monotonic_ns: int, offset_ns: int) -> None:
+        others = self._contradictions
+        if others and abs(others[-1][1] - offset_ns) > self._jump_ns:
+            others.clear()
+        others.append((monotonic_ns, offset_ns))
+        if len(others) >= self._AGREED:
+            self._bins.clear()
+            self._bins.extend(others[-1:])
+            others.clear()
+            self._fit()
+
+    def _fit(self) -> None:
+        bins = self._bins
+        t0, o0 = bins[0]
+        n = len(bins)
+        mean_t = sum(t - t0 for t, _ in bins) / n
+        mean_o = sum(o - o0 for _, o in bins) / n
+        drift = 0.0
+        if bins[-1][0] - t0 >= self._drift_after_ns:
+            spread = sum((t - t0 - mean_t) ** 2 for t, _ in bins)
+            drift = sum((t - t0 - mean_t) * (o - o0 - mean_o) for t, o in bins) / spread
+        self._line = (t0 + round(mean_t), o0 + round(mean_o), drift)
+
+    @property
+    def line(self) -> tuple[int, int, float]:
+        """Reference [ns], offset there [ns], drift."""
+        return self._line
+
+    def offset_at(self, monotonic_ns: int) -> int:
+        reference, offset, drift = self._line
+        return offset + round(drift * (monotonic_ns - reference))
+
+    @property
+    def scatter_ns(self) -> float:
+        """Root mean square distance of the observations from the line [ns]."""
+        if len(self._bins) < 3:
+            return 0.0
+        return math.sqrt(sum((o - self.offset_at(t)) ** 2 for t, o in self._bins) / len(self._bins))
+
+
+class TimeBase:
+    """Collects observations and answers what UTC was at a monotonic instant.
+
+    latency_ns: shortest time from the instant of a fix to its arrival. poll_ns: interval at which the serial port is
+    looked at; arrivals are on average half of it late.
+    """
+
+    PPS_LOST_NS = 10 * NS
+    LATENCY_SIGMA_NS = 10 * MS
+    PPS_SIGMA_NS = 5_000  # interrupt latency of the kernel's stamp
+
+    def __init__(self, latency_ns: int, poll_ns: int) -> None:
+        self._delay_ns = latency_ns + poll_ns // 2
+        self._poll_sigma_ns = poll_ns / math.sqrt(12)
+        self._fixes = _Line(jump_ns=300 * MS, drift_after_s=60.0)
+        self._pulses = _Line(jump_ns=200_000, drift_after_s=10.0)
+        self._time_accuracy_ns = 0
+        self._last_pulse_ns: int | None = None
+        self._last_edge_ns: int | None = None
+
+    def observe_fix(self, monotonic_ns: int, utc_ns: int, accuracy_ns: int) -> None:
+        """A fix valid at `utc_ns` (one sigma `accuracy_ns`) was received at `monotonic_ns`."""
+        self._fixes.add(monotonic_ns, utc_ns - (monotonic_ns - self._delay_ns))
+        self._time_accuracy_ns = accuracy_ns
+
+    def observe_pulse(self, monotonic_ns: int) -> None:
+        """The rising edge of the pulse-per-second line was stamped at `monotonic_ns`; edges mark whole UTC seconds."""
+        if not len(self._fixes) or monotonic_ns == self._last_edge_ns:
+            return
+        self._last_edge_ns = monotonic_ns
+        about = monotonic_ns + self._fixes.offset_at(monotonic_ns)
+        second = (about + NS // 2) // NS * NS
+        if abs(about - second) > 300 * MS:
+            return  # cannot be told apart from its neighbour: no edge of this receiver
+        self._pulses.add(monotonic_ns, second - monotonic_ns)
+        self._last_pulse_ns = monotonic_ns
+
+    def relation(self, now_ns: int) -> Relation | None:
+        """The relation as known now; None before the first resolved fix."""
+        if not len(self._fixes):
+            return None
+        pulsing = self._last_pulse_ns is not None and now_ns - self._last_pulse_ns < self.PPS_LOST_NS
+        if pulsing and len(self._pulses):
+            sigma = math.hypot(self.PPS_SIGMA_NS, self._time_accuracy_ns, self._pulses.scatter_ns)
+            return Relation(*self._pulses.line, accuracy_ns=round(sigma), source="pps")
+        sigma = math.hypot(self._time_accuracy_ns, self._poll_sigma_ns, self.LATENCY_SIGMA_NS, self._fixes.scatter_ns)
+        return Relation(*self._fixes.line, accuracy_ns=round(sigma), source="fix")
+
+    def utc(self, monotonic_ns: int) -> tuple[int, int]:
+        """UTC and its one-sigma accuracy at a monotonic time [ns]; (0, 0) while unknown."""
+        relation = self.relation(monotonic_ns)
+        if relation is None:
+            return 0, 0
+        return relation.utc_ns(monotonic_ns), min(relation.accuracy_ns, 2**32 - 1)
+
+    def monotonic_ns(self, utc_ns: int) -> int | None:
+        """Monotonic time of a UTC instant [ns]; None while unknown."""
+        line = self._pulses if len(self._pulses) else self._fixes
+        if not len(line):
+            return None
+        _, offset, _ = line.line
+        return utc_ns - line.offset_at(utc_ns - offset)

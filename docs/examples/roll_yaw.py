@@ -1,0 +1,31 @@
+"""Linear roll and yaw, 22 parameters: measured sideslip as an input, accelerations among the outputs.
+
+Run: sideslip estimate FLIGHT.csv --model docs.examples.roll_yaw:RollYaw
+"""
+
+from typing import Any
+
+ROLL = ("L_0", "L_beta", "L_p", "L_r", "L_da", "L_dr")
+YAW = ("N_0", "N_beta", "N_p", "N_r", "N_da", "N_dr")
+SIDE = ("Y_0", "Y_beta", "Y_p", "Y_r", "Y_da", "Y_dr")
+BIASES = ("bias_p_dot", "bias_r_dot", "bias_p", "bias_r")
+
+
+class RollYaw:
+    """Two states, five outputs, linear in everything."""
+
+    states = {"p": "rad/s", "r": "rad/s"}
+    inputs = {"beta": "rad", "delta_a": "rad", "delta_r": "rad"}
+    measured = {"p_dot": "rad/s2", "r_dot": "rad/s2", "ay": "m/s2", "p": "rad/s", "r": "rad/s"}
+    parameters = {name: ("SI", -1.0 if name in ("L_p", "N_r") else 0.0) for name in (*ROLL, *YAW, *SIDE, *BIASES)}
+
+    def derivatives(self, x: Any, u: Any, p: Any) -> list[Any]:
+        return [self.linear(p, names, x, u) for names in (ROLL, YAW)]
+
+    def outputs(self, x: Any, u: Any, p: Any, xdot: Any) -> list[Any]:
+        ay = self.linear(p, SIDE, x, u)
+        return [xdot.p + p.bias_p_dot, xdot.r + p.bias_r_dot, ay, x.p + p.bias_p, x.r + p.bias_r]
+
+    def linear(self, p: Any, names: tuple[str, ...], x: Any, u: Any) -> Any:
+        zero, *slopes = (p[name] for name in names)
+        return zero + sum(a * b for a, b in zip(slopes, (u.beta, x.p, x.r, u.delta_a, u.delta_r), strict=True))

@@ -1,0 +1,47 @@
+"""`sideslip match`: proof of match, a model's prediction of flights it was not estimated from."""
+
+from pathlib import Path
+
+import click
+
+EXAMPLE = "Example: sideslip match ld4.toml ld2.mcap --json match.json"
+
+
+@click.command(epilog=EXAMPLE)
+@click.argument("model", type=click.Path(path_type=Path), metavar="MODEL.toml")
+@click.argument("flights", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="FLIGHT...")
+@click.option("--free", default="", help="Comma-separated parameters refitted on each flight (biases); all others are frozen.")
+@click.option("--limit", type=float, default=0.3, show_default=True,
+              help="Theil's coefficient above which a channel does not match (exit status 1).")  # fmt: skip
+@click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write the fit as JSON.")
+@click.option("--figure", "figure_path", type=click.Path(path_type=Path), help="Write a figure of measured and predicted histories.")
+def match(
+    model: Path, flights: tuple[Path, ...], free: str, limit: float, json_path: Path | None, figure_path: Path | None
+) -> int:
+    """Predict each FLIGHT with MODEL.toml, parameters frozen and only initial states refitted, and judge the match."""
+    from estimation.commands.estimate import write_json
+    from estimation.models import load_model
+    from estimation.proof import predict
+    from groundstation.flight import read_flight
+
+    chosen = load_model(model)
+    wanted = tuple(n.strip() for n in free.split(",") if n.strip())
+    proofs = [predict(chosen, read_flight(path), free=wanted) for path in flights]
+    good = True
+    for proof in proofs:
+        click.echo(f"{proof.name}: {proof.text}")
+        click.echo(f"  {'channel':<10}{'r2':>8}{'Theil':>8}{'bias':>7}{'var':>7}{'cov':>7}{'rms':>11}{'white':>7}")
+        for name, f in proof.fit.items():
+            click.echo(
+                f"  {name:<10}{f.r2:8.3f}{f.theil:8.3f}{f.theil_bias:7.2f}{f.theil_variance:7.2f}"
+                f"{f.theil_covariance:7.2f}{f.rms:11.4g}{f.whiteness:7.2f}"
+            )
+            good = good and f.theil <= limit
+        good = good and proof.converged
+    if json_path is not None:
+        write_json({"model": str(chosen.name), "flights": [p.to_json() for p in proofs]}, json_path)
+    if figure_path is not None:
+        from estimation.histories import write_proof
+
+        write_proof(proofs, figure_path)
+    return 0 if good else 1

@@ -1,0 +1,178 @@
+"""The compiled back end: equations traced by CasADi to C, own integration loop, gcc, called through ctypes.
+
+Libraries are kept in the user's cache folder under a digest of equations, loop, compiler flags and processor, so the
+second process needs neither gcc nor CasADi. Without gcc everything still works, on the virtual machine.
+"""
+
+import ctypes
+import hashlib
+import os
+import platform
+import shutil
+import subprocess
+import tempfile
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from estimation.engine.kernel import Array, Columns, Drive, Motion
+from estimation.engine.trace import Traced, constant_names, trace
+from estimation.models.base import Model
+
+FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-fPIC", "-shared")
+LOOP = Path(__file__).with_name("loop.c")
+
+
+class CompiledKernel:
+    """See `estimation.engine.kernel`; one shared library."""
+
+    label = "compiled"
+
+    def __init__(self, library: ctypes.CDLL, sizes: tuple[int, int, int, int]) -> None:
+        self._library = library
+        self.sizes = sizes
+
+    def run(
+        self,
+        drive: Drive,
+        p: Array,
+        x0: Array,
+        substeps: int,
+        columns: Columns | None = None,
+        gain: Array | None = None,
+    ) -> Motion:
+        nx, _, _, ny = self.sizes
+        count = drive.dt.size
+        x, y = np.empty((count, nx)), np.empty((count, ny))
+        n = columns.count if columns is not None else 0
+        dy = np.empty((count, ny, n)) if columns is not None else None
+        nt = drive.du.shape[2] if columns is not None else 0
+        empty: Array = np.zeros(0)
+        reached = self._library.integrate(
+            count, substeps, n, nt,
+            _pointer(drive.dt), _pointer(drive.u), _pointer(drive.u_begin), _pointer(drive.u_end),
+            _pointer(drive.du), _pointer(drive.du_begin), _pointer(drive.du_end),
+            _pointer(p), _pointer(x0),
+            *((_pointer(columns.parameter), _pointer(columns.state), _pointer(columns.transform), _pointer(columns.gain))
+              if columns is not None else (None,) * 4),
+            _pointer(gain) if gain is not None else None, _pointer(drive.z),
+            _pointer(x), _pointer(y), _pointer(dy) if dy is not None else _pointer(empty),
+        )  # fmt: skip
+        return Motion(x, y, dy, int(reached))
+
+    def evaluate(self, x: Array, u: Array, p: Array) -> tuple[Array, Array, Array, Array]:
+        nx, _, np_, ny = self.sizes
+        count = x.shape[0]
+        f, fp = np.empty((count, nx)), np.empty((count, nx, np_))
+        y, yp = np.empty((count, ny)), np.empty((count, ny, np_))
+        x, u = np.ascontiguousarray(x), np.ascontiguousarray(u)
+        self._library.pointwise(count, *(_pointer(a) for a in (x, u, p, f, fp, y, yp)))
+        return f, fp, y, yp
+
+
+def _pointer(array: np.ndarray) -> ctypes.c_void_p:  # type: ignore[type-arg]
+    return ctypes.c_void_p(array.ctypes.data)
+
+
+def compiler() -> str | None:
+    """Path of gcc, or None; SIDESLIP_COMPILER names another one, or `none`."""
+    wanted = os.environ.get("SIDESLIP_COMPILER", "gcc")
+    return None if wanted == "none" else shutil.which(wanted)
+
+
+def cached_kernel(model: Model) -> CompiledKernel | None:
+    """The compiled back end if its library is in the cache already."""
+    path = _library_path(model)
+    return _open(path, _sizes(model)) if path.is_file() else None
+
+
+def compile_kernel(model: Model) -> CompiledKernel | None:
+    """The compiled back end, compiling now if needed; None where there is no working compiler."""
+    path = _library_path(model)
+    if not path.is_file() and not _build(trace(model), path):
+        return None
+    return _open(path, _sizes(model))
+
+
+def cache_folder() -> Path:
+    """Where compiled libraries are kept."""
+    base = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
+    return Path(base) / "sideslip" / "compiled"
+
+
+def _sizes(model: Model) -> tuple[int, int, int, int]:
+    parameters = len(model.parameters) + len(constant_names(model))
+    return len(model.states), len(model.inputs), parameters, len(model.outputs)
+
+
+def _library_path(model: Model) -> Path:
+    seed = "\n".join((model.structure, _loop_digest(), *FLAGS, _processor()))
+    return cache_folder() / f"{hashlib.sha256(seed.encode()).hexdigest()[:32]}.so"
+
+
+@lru_cache(maxsize=1)
+def _loop_digest() -> str:
+    return hashlib.sha256(LOOP.read_bytes()).hexdigest()
+
+
+@lru_cache(maxsize=1)
+def _processor() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:
+        return platform.machine() + platform.processor()
+    return platform.machine() + "".join(line for line in lines if line.startswith(("model name", "flags", "Features")))
+
+
+@lru_cache(maxsize=128)
+def _open(path: Path, sizes: tuple[int, int, int, int]) -> CompiledKernel:
+    library = ctypes.CDLL(str(path))
+    pointer = ctypes.c_void_p
+    library.integrate.argtypes = [ctypes.c_int] * 4 + [pointer] * 18
+    library.integrate.restype = ctypes.c_int
+    library.pointwise.argtypes = [ctypes.c_int] + [pointer] * 7
+    library.pointwise.restype = None
+    return CompiledKernel(library, sizes)
+
+
+def _build(traced: Traced, path: Path) -> bool:
+    gcc = compiler()
+    if gcc is None:
+        return False
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=path.parent) as folder:
+            source = Path(folder) / "model.c"
+            source.write_text(_source(traced, Path(folder)), encoding="utf-8")
+            made = Path(folder) / "model.so"
+            done = subprocess.run([gcc, *FLAGS, str(source), "-o", str(made), "-lm"], capture_output=True, check=False)
+            if done.returncode != 0:
+                return False
+            os.replace(made, path)
+    except OSError:  # no room, no right to write, no processes: the virtual machine does the work
+        return False
+    return True
+
+
+def _source(traced: Traced, folder: Path) -> str:
+    import casadi as ca
+
+    generator = ca.CodeGenerator("generated.c", {"with_export": False, "casadi_int": "int"})
+    for function in (traced.rates, traced.rates_jacobian, traced.outputs, traced.outputs_jacobian):
+        generator.add(function)
+    generator.generate(str(folder) + os.sep)
+    nx, nu, np_, ny = traced.sizes
+    parts = [(folder / "generated.c").read_text(encoding="utf-8")]
+    parts.append(f"enum {{ NX = {nx}, NU = {nu}, NP = {np_}, NY = {ny} }};")
+    for key, (rows, columns) in traced.patterns.items():
+        parts.append(f"enum {{ NZ_{key} = {len(rows)} }};")
+        for name, values in (("row", rows), ("col", columns)):
+            parts.append(f"static const int {name}_{key}[] = {{ {', '.join(map(str, values)) or '0'} }};")
+    work = max(
+        sum(max(getattr(f, size)(), 1) for size in ("sz_arg", "sz_res", "sz_iw", "sz_w"))
+        for f in (traced.rates, traced.rates_jacobian, traced.outputs, traced.outputs_jacobian)
+    )
+    parts.append(f"enum {{ WORK = {work + 16} }};")
+    parts.append(LOOP.read_text(encoding="utf-8"))
+    return "\n".join(parts)

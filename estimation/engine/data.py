@@ -1,0 +1,275 @@
+"""A flight as the engine needs it: inputs without noise, measured outputs, initial states, cut at every gap.
+
+Integration never crosses a gap in time, a segment border or a stretch in which a needed input was not measured. NaN in
+a measured output is simply not counted.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from estimation.engine.kernel import Array
+from estimation.errors import DataError
+from estimation.models.base import Model, Signal
+from estimation.preprocess import denoise, denoise_many
+from groundstation.flight import Flight
+
+SHORTEST_SEGMENT = 8  # samples
+LONGEST_BRIDGE = 3  # missing input samples that a straight line may bridge
+FLAT = 1e-12
+
+
+@dataclass(frozen=True)
+class Segment:
+    """A stretch of samples that one integration covers.
+
+    first: index of its first sample in the flight. time: (N,) s. u: (N, nu) inputs. z: (N, ny) outputs, NaN where not
+    measured. x0: (nx,) guess of the initial state.
+    """
+
+    first: int
+    time: Array
+    u: Array
+    z: Array
+    x0: Array
+
+    def __len__(self) -> int:
+        return int(self.time.size)
+
+    def part(self, start: int, stop: int, x0: Array) -> "Segment":
+        """Samples start..stop-1 as a segment of their own."""
+        s = slice(start, stop)
+        return Segment(self.first + start, self.time[s], self.u[s], self.z[s], x0)
+
+
+@dataclass(frozen=True)
+class FlightData:
+    """A flight prepared for one model. samples: of the flight; states: (samples, nx) smoothed measured states, NaN columns
+    where a state is not measured; noise: column -> (estimated noise, rms removed) of the de-noised inputs."""
+
+    name: str
+    samples: int
+    segments: tuple[Segment, ...]
+    states: Array
+    noise: Mapping[str, tuple[float, float]]
+    notes: tuple[str, ...]
+    absent_outputs: tuple[str, ...]
+
+    @property
+    def used(self) -> int:
+        """Samples that lie in a segment."""
+        return sum(len(s) for s in self.segments)
+
+
+@dataclass(frozen=True, slots=True)
+class Preparation:
+    """How measured signals are prepared. denoise: take noise off the measured inputs (edge-preserving)."""
+
+    denoise: bool = True
+
+
+def prepare(model: Model, flight: Flight, preparation: Preparation = Preparation()) -> FlightData:
+    """Columns of `flight` as inputs, outputs and starting states of `model`.
+
+    Raises MissingColumnError naming the columns that the model needs and the flight lacks, DataError when no stretch
+    long enough is left.
+    """
+    notes = list(flight.notes)
+    required = [s.source for s in (*model.inputs, *model.outputs) if not s.optional and s.source not in DERIVED]
+    flight.require(dict.fromkeys(required), f"model {model.name}")
+    pieces = _pieces(flight, [s for s in model.inputs if not _missing_optional(flight, s)], notes)
+    noise: dict[str, tuple[float, float]] = {}
+    u = _inputs(model, flight, pieces, preparation, noise, notes)
+    z, absent = _outputs(model, flight, pieces, notes)
+    states = _states(model, flight, pieces)
+    segments = tuple(
+        Segment(a, flight.time[a:b], np.ascontiguousarray(u[a:b]), np.ascontiguousarray(z[a:b]), x0)
+        for a, b in pieces
+        for x0 in (_initial(model, flight, states, a),)
+    )
+    if not segments:
+        raise DataError(
+            f"{flight.name}: no stretch of {SHORTEST_SEGMENT} samples in a row with every input of model {model.name} measured"
+        )
+    return FlightData(flight.name, len(flight), segments, states, noise, tuple(notes), absent)
+
+
+def _missing_optional(flight: Flight, signal: Signal) -> bool:
+    return signal.optional and not flight.measured(signal.source)
+
+
+def _pieces(flight: Flight, inputs: Sequence[Signal], notes: list[str]) -> list[tuple[int, int]]:
+    """Index ranges without a gap, a segment border or a long hole in an input."""
+    usable = np.ones(len(flight), bool)
+    for signal in inputs:
+        sources = [signal.source] if signal.source in flight.columns else list(DERIVED.get(signal.source, ([], None))[0])
+        for source in sources:
+            if source not in flight.columns:
+                continue
+            holes = _long_holes(~np.isfinite(flight[source]), flight.segment)
+            if holes.any():
+                notes.append(f"{source} not measured at {int(holes.sum())} samples: those left out")
+            usable &= ~holes
+    ranges = []
+    for part in flight.segments:
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], usable[part], [False]]).astype(int)))
+        ranges += [(part.start + int(a), part.start + int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    short = [(a, b) for a, b in ranges if b - a < SHORTEST_SEGMENT]
+    if short:
+        lost = sum(b - a for a, b in short)
+        notes.append(f"{len(short)} stretches shorter than {SHORTEST_SEGMENT} samples left out ({lost} samples)")
+    return [r for r in ranges if r not in short]
+
+
+def _long_holes(missing: np.ndarray, segment: np.ndarray) -> np.ndarray:  # type: ignore[type-arg]
+    """Missing samples that may not be bridged: runs longer than LONGEST_BRIDGE, or at the end of a segment."""
+    if not missing.any():
+        return missing
+    result = np.zeros_like(missing)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], missing, [False]]).astype(int)))
+    for a, b in zip(edges[::2], edges[1::2], strict=True):
+        at_border = a == 0 or b == missing.size or segment[a - 1] != segment[b]
+        if b - a > LONGEST_BRIDGE or at_border:
+            result[a:b] = True
+    return result
+
+
+def _inputs(
+    model: Model,
+    flight: Flight,
+    pieces: list[tuple[int, int]],
+    preparation: Preparation,
+    noise: dict[str, tuple[float, float]],
+    notes: list[str],
+) -> Array:
+    """(samples, nu) inputs, de-noised piece by piece; NaN outside the pieces."""
+    u = np.full((len(flight), len(model.inputs)), np.nan)
+    for i, signal in enumerate(model.inputs):
+        if _missing_optional(flight, signal):
+            notes.append(f"{signal.source} not measured: taken as zero")
+            u[:, i] = 0.0
+        elif flight.measured(signal.source):
+            for a, b in pieces:
+                u[a:b, i] = _bridged(flight[signal.source][a:b])
+        else:
+            u[:, i] = _derived(flight, signal.source, pieces, notes)
+    if preparation.denoise:
+        for order in (1, 2):
+            columns = [
+                i for i, s in enumerate(model.inputs) if s.control == (order == 1) and flight.measured(s.source)
+            ]
+            _denoise_columns(u, columns, pieces, order, [s.name for s in model.inputs], noise)
+    return u
+
+
+def _denoise_columns(
+    u: Array,
+    columns: list[int],
+    pieces: list[tuple[int, int]],
+    order: int,
+    names: list[str],
+    noise: dict[str, tuple[float, float]],
+) -> None:
+    heard: dict[int, list[tuple[float, float]]] = {i: [] for i in columns}
+    for a, b in pieces:
+        for i, done in zip(columns, denoise_many([u[a:b, i] for i in columns], order=order), strict=True):
+            u[a:b, i] = done.values
+            heard[i].append((done.noise, done.removed))
+    for i in columns:
+        if heard[i]:
+            noise[names[i]] = (float(np.median([n for n, _ in heard[i]])), float(np.median([r for _, r in heard[i]])))
+
+
+def _bridged(values: Array) -> Array:
+    missing = ~np.isfinite(values)
+    if missing.any():
+        index = np.arange(values.size)
+        values = values.copy()
+        values[missing] = np.interp(index[missing], index[~missing], values[~missing])
+    return values
+
+
+def _outputs(
+    model: Model, flight: Flight, pieces: list[tuple[int, int]], notes: list[str]
+) -> tuple[Array, tuple[str, ...]]:
+    z = np.full((len(flight), len(model.outputs)), np.nan)
+    absent = []
+    for i, signal in enumerate(model.outputs):
+        if flight.measured(signal.source):
+            z[:, i] = flight[signal.source]
+        elif signal.source in DERIVED and not _missing_optional(flight, signal):
+            z[:, i] = _derived(flight, signal.source, pieces, notes)
+        else:
+            notes.append(f"{signal.source} not measured: not compared")
+            absent.append(signal.name)
+            continue
+        finite = z[np.isfinite(z[:, i]), i]
+        if finite.size > SHORTEST_SEGMENT and np.ptp(finite) <= FLAT:
+            notes.append(f"{signal.source} stands still at {finite[0]:g}: a dead channel, not compared")
+            absent.append(signal.name)
+            z[:, i] = np.nan
+    if len(absent) == len(model.outputs):
+        raise DataError(f"{flight.name}: none of the outputs of model {model.name} moves; nothing can be estimated from it")
+    return z, tuple(absent)
+
+
+def _states(model: Model, flight: Flight, pieces: list[tuple[int, int]]) -> Array:
+    """(samples, nx) measured states without their noise, NaN where a state is not measured."""
+    states = np.full((len(flight), len(model.states)), np.nan)
+    sources = [s.source if flight.measured(s.source) else s.start for s in model.states]
+    for a, b in pieces:
+        known = [
+            i
+            for i, source in enumerate(sources)
+            if isinstance(source, str)
+            and flight.measured(source)
+            and np.isfinite(flight[source][a:b]).sum() >= SHORTEST_SEGMENT // 2
+        ]
+        parts = [_bridged(flight[str(sources[i])][a:b]) for i in known]
+        for i, done in zip(known, denoise_many(parts, order=2), strict=True):
+            states[a:b, i] = done.values
+    return states
+
+
+def _initial(model: Model, flight: Flight, states: Array, at: int) -> Array:
+    x0 = np.zeros(len(model.states))
+    for i, signal in enumerate(model.states):
+        if np.isfinite(states[at, i]):
+            x0[i] = states[at, i]
+        elif isinstance(signal.start, int | float):
+            x0[i] = float(signal.start)
+    return x0
+
+
+# ------------------------------------------------------------------------------------------------- derived columns
+
+
+def slope(time: Array, values: Array) -> Array:
+    """Derivative of a signal from its de-noised curve, by central differences. time, values: (N,)."""
+    return np.gradient(denoise(_bridged(values), order=2).values, time)
+
+
+def _derived(flight: Flight, name: str, pieces: list[tuple[int, int]], notes: list[str]) -> Array:
+    needs, build = DERIVED[name]
+    source = next((n for n in needs if flight.measured(n)), None)
+    if source is None:
+        flight.require([name], f"this model (or {' or '.join(needs)} to derive it from)")
+        raise DataError(f"{flight.name}: {name} is not measured")
+    result = np.full(len(flight), np.nan)
+    for a, b in pieces:
+        result[a:b] = build(flight.time[a:b], flight[source][a:b])
+    notes.append(f"{name} derived from {source}")
+    return result
+
+
+def _standard_density(time: Array, altitude: Array) -> Array:
+    """Density [kg/m3] of the standard atmosphere's troposphere at altitude [m] (ICAO Doc 7488)."""
+    return 1.225 * (1.0 - 2.25577e-5 * _bridged(altitude)) ** 4.25588
+
+
+DERIVED: Mapping[str, tuple[tuple[str, ...], Callable[[Array, Array], Array]]] = {
+    **{f"{name}_dot": ((name,), slope) for name in ("V", "alpha", "beta", "p", "q", "r", "phi", "theta", "psi")},
+    "rho": (("altitude",), _standard_density),
+}
+"""Columns that are made from another one where the flight lacks them: name -> (sources, function of time and source)."""

@@ -1,0 +1,89 @@
+"""What an integration back end takes and gives; the two back ends agree to 1e-9 relative.
+
+One call integrates one segment: from x[0] through samples 0..N-1, classical fourth-order Runge-Kutta with `substeps`
+equal steps per sample interval, inputs going straight from `u_begin[k]` to `u_end[k]` within interval k (equal where an
+input is held). Sensitivities come from the variational equations S_dot = f_x S + f_p + f_u du/dpsi, integrated with the
+same stages (exact derivatives of the discrete solution).
+
+With a gain, every sample corrects the state by x += K (z - y), NaN samples of z left out (innovations form).
+"""
+
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int32]
+
+
+@dataclass(frozen=True)
+class Drive:
+    """One segment as the integrator sees it.
+
+    dt: (N,) s, time to the next sample (last entry unused). u: (N, nu) inputs at the samples, u_begin, u_end: (N, nu)
+    inputs at both ends of the interval after each sample. z: (N, ny) measured outputs (only used with a gain).
+    du, du_begin, du_end: (N, nu, nt) derivatives of the inputs with respect to the parameters of input transforms.
+    """
+
+    dt: Array
+    u: Array
+    u_begin: Array
+    u_end: Array
+    z: Array
+    du: Array = field(default_factory=lambda: np.zeros((0, 0, 0)))
+    du_begin: Array = field(default_factory=lambda: np.zeros((0, 0, 0)))
+    du_end: Array = field(default_factory=lambda: np.zeros((0, 0, 0)))
+
+
+@dataclass(frozen=True)
+class Columns:
+    """What the sensitivity columns belong to.
+
+    count: number n of columns. parameter: (np,) column of each entry of p, -1 where it is held. state: (nx,) column of
+    each initial state, -1 where held. transform: (nt,) column of each transform parameter. gain: (nx, ny) column of
+    each entry of the gain, -1 where held.
+    """
+
+    count: int
+    parameter: Integers
+    state: Integers
+    transform: Integers
+    gain: Integers
+
+
+@dataclass(frozen=True)
+class Motion:
+    """x: (N, nx), y: (N, ny), dy: (N, ny, n) or None. `reached` < N where the motion left the finite numbers."""
+
+    x: Array
+    y: Array
+    dy: Array | None
+    reached: int
+
+    @property
+    def finite(self) -> bool:
+        return self.reached == self.y.shape[0]
+
+
+class Kernel(Protocol):
+    """An integration back end for one model structure."""
+
+    label: str
+
+    def run(
+        self,
+        drive: Drive,
+        p: Array,
+        x0: Array,
+        substeps: int,
+        columns: Columns | None = None,
+        gain: Array | None = None,
+    ) -> Motion:
+        """Integrate one segment; sensitivities where `columns` is given."""
+        ...
+
+    def evaluate(self, x: Array, u: Array, p: Array) -> tuple[Array, Array, Array, Array]:
+        """(f (N, nx), df/dp (N, nx, np), y (N, ny), dy/dp (N, ny, np)) at given states and inputs, sample by sample."""
+        ...

@@ -1,0 +1,236 @@
+"""Simulate a model over a prepared segment, with exact sensitivities; chooses the back end.
+
+The only place that knows of both back ends, input transforms and output delays.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Literal
+
+import numpy as np
+
+from estimation.engine.compiled import cached_kernel, compile_kernel
+from estimation.engine.data import FlightData, Preparation, Segment, prepare
+from estimation.engine.kernel import Array, Columns, Drive, Kernel, Motion
+from estimation.engine.transforms import apply_transforms, transform_derivatives
+from estimation.models.base import Model
+from groundstation.flight import Flight
+
+Compile = Literal["auto", "always", "never"]
+Hold = Literal["linear", "hold"]
+
+WORTH_COMPILING = 200_000.0
+"""Samples x evaluations x columns / 20 from which gcc (about 0.4 s) repays itself."""
+
+
+@lru_cache(maxsize=128)
+def _kernel(structure: str, compile_: Compile, worth: bool, model_box: "_Box") -> Kernel:
+    model = model_box.model
+    if compile_ != "never":
+        found = compile_kernel(model) if (worth or compile_ == "always") else cached_kernel(model)
+        if found is not None:
+            return found
+    from estimation.engine.virtual import VirtualKernel
+
+    return VirtualKernel(model)
+
+
+class _Box:
+    """Carries a model past the cache key: models of equal structure share a kernel."""
+
+    def __init__(self, model: Model) -> None:
+        self.model = model
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Box)
+
+    def __hash__(self) -> int:
+        return 0
+
+
+def kernel_for(model: Model, work: float = 0.0, compile_: Compile = "auto") -> Kernel:
+    """The back end for a model. work: samples x evaluations x columns / 20 that it is wanted for."""
+    return _kernel(model.structure, compile_, work > WORTH_COMPILING, _Box(model))
+
+
+@dataclass(frozen=True)
+class Simulator:
+    """A model bound to a back end. free: names of the parameters that get a sensitivity column, in that order."""
+
+    model: Model
+    free: tuple[str, ...]
+    kernel: Kernel
+    substeps: int = 2
+    hold: Hold = "linear"
+
+    @classmethod
+    def build(
+        cls,
+        model: Model,
+        free: tuple[str, ...] | None = None,
+        *,
+        work: float = 0.0,
+        compile_: Compile = "auto",
+        substeps: int = 2,
+        hold: Hold = "linear",
+    ) -> "Simulator":
+        return cls(model, model.free_names if free is None else free, kernel_for(model, work, compile_), substeps, hold)
+
+    def vector(self, values: Mapping[str, float]) -> Array:
+        """Parameters and constants in the order of the traced functions."""
+        from_constants = sorted(set(self.model.constants) - set(self.model.parameter_names))
+        return np.array(
+            [values[n] for n in self.model.parameter_names] + [self.model.constants[n] for n in from_constants], float
+        )
+
+    def columns(self, gain_free: Array | None = None) -> Columns:
+        """Sensitivity columns: free parameters, then the initial states, then free entries of the gain."""
+        nx, ny = len(self.model.states), len(self.model.outputs)
+        names = (*self.model.parameter_names, *sorted(set(self.model.constants) - set(self.model.parameter_names)))
+        at = {name: i for i, name in enumerate(self.free)}
+        parameter = np.array([at.get(n, -1) for n in names], np.int32)
+        count = len(self.free) + nx
+        state = np.arange(len(self.free), count, dtype=np.int32)
+        transform = np.array([at[n] for n in self._transform_names()], np.int32)
+        gain = np.full((nx, ny), -1, np.int32)
+        if gain_free is not None:
+            where = np.argwhere(gain_free)
+            gain[where[:, 0], where[:, 1]] = np.arange(count, count + len(where))
+            count += len(where)
+        return Columns(count, parameter, state, transform, gain)
+
+    def _transform_names(self) -> tuple[str, ...]:
+        return tuple(
+            dict.fromkeys(n for t in self.model.transforms for n in t.parameters if n in self.free)
+        )
+
+    def drive(self, segment: Segment, values: Mapping[str, float], sensitivities: bool) -> Drive:
+        """Inputs of one segment as the integrator sees them, transforms applied."""
+        model, u = self.model, segment.u
+        names = self._transform_names() if sensitivities else ()
+        du = np.zeros((*u.shape, 0))
+        if model.transforms:
+            if names:
+                du = transform_derivatives(model.transforms, model.input_names, segment.time, u, values, names)
+            u = apply_transforms(model.transforms, model.input_names, segment.time, u, values)
+        dt = np.append(np.diff(segment.time), 0.0)
+        return Drive(dt, u, u, self._ends(u), segment.z, du, du, self._ends(du))
+
+    def _ends(self, values: Array) -> Array:
+        return values if self.hold == "hold" else np.ascontiguousarray(np.concatenate([values[1:], values[-1:]]))
+
+    def run(
+        self,
+        segment: Segment,
+        values: Mapping[str, float],
+        x0: Array,
+        *,
+        sensitivities: bool = False,
+        gain: Array | None = None,
+        gain_free: Array | None = None,
+    ) -> Motion:
+        """Motion of one segment from x0 (nx,); dy columns as `columns()` says where sensitivities are asked for."""
+        drive = self.drive(segment, values, sensitivities)
+        columns = self.columns(gain_free) if sensitivities else None
+        x0 = np.ascontiguousarray(x0, float)
+        motion = self.kernel.run(drive, self.vector(values), x0, self.substeps, columns, gain)
+        if self.model.output_delays and motion.finite:
+            motion = self._delayed(motion, segment.time, values)
+        return motion
+
+    def _delayed(self, motion: Motion, time: Array, values: Mapping[str, float]) -> Motion:
+        """Outputs shown later than they happen: cubic interpolation between samples, values before the record held."""
+        y = motion.y.copy()
+        dy = None if motion.dy is None else motion.dy.copy()
+        for output, name in self.model.output_delays.items():
+            c = self.model.output_names.index(output)
+            weights, at, slope = _cubic(time, time - values[name])
+            y[:, c] = np.einsum("ij,ij->i", weights, motion.y[at, c])
+            if dy is not None and motion.dy is not None:
+                dy[:, c] = np.einsum("ij,ijn->in", weights, motion.dy[at, c])
+                if name in self.free:
+                    dy[:, c, self.free.index(name)] -= np.einsum("ij,ij->i", slope, motion.y[at, c])
+        return Motion(motion.x, y, dy, motion.reached)
+
+
+def _cubic(time: Array, wanted: Array) -> tuple[Array, np.ndarray, Array]:  # type: ignore[type-arg]
+    """Lagrange weights (N, 4), sample indices (N, 4) and weights of the derivative for values at `wanted` times."""
+    wanted = np.clip(wanted, time[0], time[-1])
+    left = np.clip(np.searchsorted(time, wanted, side="right") - 2, 0, time.size - 4)
+    at = left[:, None] + np.arange(4)
+    knots = time[at]
+    weights, slope = np.ones(at.shape), np.zeros(at.shape)
+    for j in range(4):
+        others = [m for m in range(4) if m != j]
+        gaps = [knots[:, j] - knots[:, m] for m in others]
+        terms = [(wanted - knots[:, m]) / gap for m, gap in zip(others, gaps, strict=True)]
+        weights[:, j] = terms[0] * terms[1] * terms[2]
+        slope[:, j] = (
+            terms[1] * terms[2] / gaps[0] + terms[0] * terms[2] / gaps[1] + terms[0] * terms[1] / gaps[2]
+        )
+    return weights, at, slope
+
+
+# ----------------------------------------------------------------------------------------------- plain functions
+
+
+def simulate(
+    model: Model,
+    flight: Flight | FlightData,
+    values: Mapping[str, float] | None = None,
+    x0: Array | None = None,
+    *,
+    compile_: Compile = "auto",
+    substeps: int = 2,
+    preparation: Preparation = Preparation(),
+) -> Array:
+    """Outputs (samples, ny) of a model over a flight with its measured inputs; NaN outside the segments.
+
+    values: parameters (default: the model's start values); x0: initial state of every segment (default: as measured).
+    """
+    data = flight if isinstance(flight, FlightData) else prepare(model, flight, preparation)
+    simulator = Simulator.build(model, (), compile_=compile_, substeps=substeps)
+    y = np.full((data.samples, len(model.outputs)), np.nan)
+    for segment in data.segments:
+        motion = simulator.run(segment, {**model.starts(), **(values or {})}, segment.x0 if x0 is None else x0)
+        y[segment.first : segment.first + motion.reached] = motion.y[: motion.reached]
+    return y
+
+
+def simulate_with_sensitivities(
+    model: Model,
+    flight: Flight | FlightData,
+    values: Mapping[str, float] | None = None,
+    x0: Array | None = None,
+    *,
+    free: tuple[str, ...] | None = None,
+    compile_: Compile = "auto",
+    substeps: int = 2,
+    preparation: Preparation = Preparation(),
+) -> tuple[Array, Array, Array]:
+    """(y (samples, ny), dy/dparameters (samples, ny, n), dy/dx0 of each sample's segment (samples, ny, nx)).
+
+    free: the parameters of the columns, in that order (default: those the model estimates).
+    """
+    data = flight if isinstance(flight, FlightData) else prepare(model, flight, preparation)
+    simulator = Simulator.build(model, free, compile_=compile_, substeps=substeps)
+    n, nx = len(simulator.free), len(model.states)
+    y = np.full((data.samples, len(model.outputs)), np.nan)
+    dy = np.full((data.samples, len(model.outputs), n + nx), np.nan)
+    for segment in data.segments:
+        values_now = {**model.starts(), **(values or {})}
+        motion = simulator.run(segment, values_now, segment.x0 if x0 is None else x0, sensitivities=True)
+        s = slice(segment.first, segment.first + motion.reached)
+        y[s] = motion.y[: motion.reached]
+        assert motion.dy is not None
+        dy[s] = motion.dy[: motion.reached]
+    return y, dy[:, :, :n], dy[:, :, n:]
+
+
+def with_outputs(data: FlightData, outputs: Array) -> FlightData:
+    """The same flight with other measured outputs (samples, ny): how a simulated realisation is fitted again."""
+    segments = tuple(
+        replace(s, z=np.ascontiguousarray(outputs[s.first : s.first + len(s)])) for s in data.segments
+    )
+    return replace(data, segments=segments)

@@ -1,0 +1,103 @@
+"""Model text -> CasADi functions of (x, u, p): rates and outputs with their exact Jacobians.
+
+p holds the model's parameters followed by its constants (in the order of `constant_names`), so that a changed mass or a
+fixed parameter needs no new tracing. Jacobians are sparse; their patterns travel with the functions.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import casadi as ca
+
+from estimation.models.base import Model
+from estimation.models.expressions import evaluate, names_in
+
+Pattern = tuple[tuple[int, ...], tuple[int, ...]]  # rows, columns of the non-zeros
+
+CASADI_FUNCTIONS: Mapping[str, Callable[..., Any]] = {
+    "sin": ca.sin, "cos": ca.cos, "tan": ca.tan, "asin": ca.asin, "acos": ca.acos, "atan": ca.atan,
+    "atan2": ca.atan2, "sinh": ca.sinh, "cosh": ca.cosh, "tanh": ca.tanh, "sqrt": ca.sqrt, "exp": ca.exp,
+    "log": ca.log, "abs": ca.fabs, "sign": ca.sign, "min": ca.fmin, "max": ca.fmax, "where": ca.if_else,
+}  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Traced:
+    """Functions of one model structure; see the module head for (x, u, p).
+
+    rates: -> f. rates_jacobian: -> f, non-zeros of df/dx, df/du, df/dp. outputs and outputs_jacobian alike for y.
+    patterns: the six sparsity patterns, keyed "f_x" "f_u" "f_p" "y_x" "y_u" "y_p".
+    """
+
+    rates: ca.Function
+    rates_jacobian: ca.Function
+    outputs: ca.Function
+    outputs_jacobian: ca.Function
+    patterns: Mapping[str, Pattern]
+    sizes: tuple[int, int, int, int]  # states, inputs, parameters with constants, outputs
+
+
+def constant_names(model: Model) -> tuple[str, ...]:
+    """Constants in the order in which they follow the parameters; one that a parameter has replaced is left out."""
+    return tuple(sorted(set(model.constants) - set(model.parameter_names)))
+
+
+def trace(model: Model) -> Traced:
+    """CasADi functions of a model; the same object for every model of equal structure."""
+    return _trace(
+        model.state_names,
+        model.input_names,
+        (*model.parameter_names, *constant_names(model)),
+        model.output_names,
+        tuple(model.definitions.items()),
+    )
+
+
+@lru_cache(maxsize=256)
+def _trace(
+    states: tuple[str, ...],
+    inputs: tuple[str, ...],
+    parameters: tuple[str, ...],
+    outputs: tuple[str, ...],
+    lines: tuple[tuple[str, str], ...],
+) -> Traced:
+    x, u, p = (ca.SX.sym(k, len(v)) for k, v in (("x", states), ("u", inputs), ("p", parameters)))
+    symbols: dict[str, Any] = {}
+    for vector, names in ((x, states), (u, inputs), (p, parameters)):
+        symbols |= {name: vector[i] for i, name in enumerate(names)}
+    definitions = dict(lines)
+
+    def resolve(name: str) -> Any:
+        if name not in symbols:
+            for needed in names_in(definitions[name]):
+                resolve(needed)
+            symbols[name] = evaluate(definitions[name], symbols, CASADI_FUNCTIONS)
+        return symbols[name]
+
+    f = ca.vertcat(*(resolve(f"{s}_dot") for s in states))
+    shown = (f"{o}_measured" if f"{o}_measured" in definitions else o for o in outputs)
+    y = ca.vertcat(*(resolve(name) for name in shown))
+    patterns: dict[str, Pattern] = {}
+    jacobians: dict[str, list[Any]] = {"f": [], "y": []}
+    for key, value in (("f", f), ("y", y)):
+        for letter, vector in (("x", x), ("u", u), ("p", p)):
+            matrix = ca.jacobian(value, vector)
+            rows, columns = matrix.sparsity().get_triplet()
+            patterns[f"{key}_{letter}"] = (tuple(rows), tuple(columns))
+            jacobians[key].append(_nonzeros(matrix))
+    arguments = [x, u, p]
+    return Traced(
+        rates=ca.Function("rates", arguments, [f]),
+        rates_jacobian=ca.Function("rates_jacobian", arguments, ca.cse([f, *jacobians["f"]])),
+        outputs=ca.Function("outputs", arguments, [y]),
+        outputs_jacobian=ca.Function("outputs_jacobian", arguments, ca.cse([y, *jacobians["y"]])),
+        patterns=patterns,
+        sizes=(len(states), len(inputs), len(parameters), len(outputs)),
+    )
+
+
+def _nonzeros(matrix: ca.SX) -> ca.SX:
+    nonzeros = matrix.nonzeros()
+    return ca.vertcat(*nonzeros) if nonzeros else ca.SX(0, 1)

@@ -1,0 +1,101 @@
+"""Input transforms: what happens to a measured control between the sensor and the aerodynamics, by name.
+
+Each takes time (N,) s, the input (N,) and its parameter, and gives the input that the equations see, taken as straight
+between samples. Derivatives with respect to the parameters are central differences of the same numbers.
+"""
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from estimation.engine.kernel import Array
+from estimation.models.base import InputTransform
+
+
+def _delay(time: Array, value: Array, seconds: float) -> Array:
+    """u(t - T): transport delay [s], straight between samples, the first value before the record."""
+    return np.interp(time - seconds, time, value)
+
+
+def _lag(time: Array, value: Array, seconds: float) -> Array:
+    """T du'/dt + u' = u: first-order lag [s], exact for an input straight between samples, in equilibrium at first."""
+    if seconds <= 1e-6:
+        return value.copy()
+    h = np.diff(time)
+    a = np.exp(-h / seconds)
+    slope = np.diff(value) / h
+    # exact response to a ramp: e' = -e/T with e = u' - (u - T slope)
+    result = np.empty_like(value)
+    now = float(value[0])
+    result[0] = now
+    for k, (ak, sk, uk, un) in enumerate(
+        zip(a.tolist(), slope.tolist(), value[:-1].tolist(), value[1:].tolist(), strict=True)
+    ):
+        now = un - seconds * sk + ak * (now - uk + seconds * sk)
+        result[k + 1] = now
+    return result
+
+
+def _deadzone(time: Array, value: Array, half_width: float) -> Array:
+    """Nothing within +-half_width, shifted towards zero outside."""
+    return np.sign(value) * np.maximum(np.abs(value) - abs(half_width), 0.0)
+
+
+def _backlash(time: Array, value: Array, width: float) -> Array:
+    """Play operator: the surface follows only when the play of total `width` is taken up; starts centred."""
+    half = 0.5 * abs(width)
+    result = np.empty_like(value)
+    now = float(value[0])
+    for k, u in enumerate(value.tolist()):
+        now = min(max(now, u - half), u + half)
+        result[k] = now
+    return result
+
+
+def _scale(time: Array, value: Array, factor: float) -> Array:
+    return factor * value
+
+
+def _bias(time: Array, value: Array, offset: float) -> Array:
+    return value + offset
+
+
+FUNCTIONS: Mapping[str, tuple[Callable[[Array, Array, float], Array], float]] = {
+    "delay": (_delay, 1e-4),
+    "lag": (_lag, 1e-4),
+    "deadzone": (_deadzone, 1e-5),
+    "backlash": (_backlash, 1e-5),
+    "scale": (_scale, 1e-4),
+    "bias": (_bias, 1e-5),
+}
+"""Kind -> (function, step of the central difference)."""
+
+
+def apply_transforms(
+    transforms: tuple[InputTransform, ...], input_names: tuple[str, ...], time: Array, u: Array, values: Mapping[str, float]
+) -> Array:
+    """Inputs (N, nu) as the equations see them."""
+    u = u.copy()
+    for t in transforms:
+        column = input_names.index(t.input)
+        u[:, column] = FUNCTIONS[t.kind][0](time, u[:, column], values[t.parameters[0]])
+    return u
+
+
+def transform_derivatives(
+    transforms: tuple[InputTransform, ...],
+    input_names: tuple[str, ...],
+    time: Array,
+    u: Array,
+    values: Mapping[str, float],
+    names: tuple[str, ...],
+) -> Array:
+    """(N, nu, len(names)) derivatives of the transformed inputs with respect to the named parameters."""
+    steps = {t.parameters[0]: FUNCTIONS[t.kind][1] for t in transforms}
+    result = np.zeros((*u.shape, len(names)))
+    for j, name in enumerate(names):
+        h = steps[name]
+        up = apply_transforms(transforms, input_names, time, u, {**values, name: values[name] + h})
+        down = apply_transforms(transforms, input_names, time, u, {**values, name: values[name] - h})
+        result[:, :, j] = (up - down) / (2 * h)
+    return result

@@ -1,0 +1,19 @@
+"""Errors of the estimation laboratory: each message says what is wrong, where, and what to do."""
+
+from daq.contract.errors import UserError
+
+
+class EstimationError(UserError):
+    """Something a person can put right: a model file, an aircraft file, a flight or an option."""
+
+
+class AircraftError(EstimationError):
+    """An aircraft file that cannot be used."""
+
+
+class ModelError(EstimationError):
+    """A postulated model that cannot be used."""
+
+
+class DataError(EstimationError):
+    """A flight that cannot feed the chosen model."""

@@ -1,0 +1,1 @@
+"""Estimators: equation error, output error, filter error, and the results they share."""

@@ -1,0 +1,92 @@
+"""Normal equations of many flights: shared parameters, parameters local to a flight, initial states of a segment.
+
+The information matrix has an arrow shape; it is eliminated from the leaves (Schur complements), so cost and memory are
+linear in flights and segments and no dense Jacobian of all flights ever exists.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+SINGULAR = 1e-11
+"""Eigenvalues of the scaled information matrix below this fraction of the largest are directions the data does not see."""
+
+
+@dataclass
+class SegmentBlocks:
+    """Information of one segment about parameters t (n) and its initial states x (free ones): blocks and gradients."""
+
+    tt: Array
+    tx: Array
+    xx: Array
+    gt: Array
+    gx: Array
+    xx_inverse: Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.xx_inverse = pseudo_inverse(self.xx)[0] if self.xx.size else self.xx
+
+    def reduced(self) -> tuple[Array, Array]:
+        """Information and gradient about the parameters with the initial states eliminated."""
+        if not self.xx.size:
+            return self.tt, self.gt
+        lever = self.tx @ self.xx_inverse
+        return self.tt - lever @ self.tx.T, self.gt - lever @ self.gx
+
+    def states(self, change: Array) -> Array:
+        """Change of the initial states that goes with a change of the parameters."""
+        return self.xx_inverse @ (self.gx - self.tx.T @ change)
+
+
+@dataclass
+class FlightBlocks:
+    """Information of one flight about the parameters, initial states eliminated, split into shared s and local l."""
+
+    ss: Array
+    sl: Array
+    ll: Array
+    gs: Array
+    gl: Array
+    ll_inverse: Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.ll_inverse = pseudo_inverse(self.ll)[0] if self.ll.size else self.ll
+
+    @classmethod
+    def split(cls, information: Array, gradient: Array, shared: Array, local: Array) -> "FlightBlocks":
+        pick = np.ix_
+        return cls(
+            information[pick(shared, shared)],
+            information[pick(shared, local)],
+            information[pick(local, local)],
+            gradient[shared],
+            gradient[local],
+        )
+
+    def reduced(self) -> tuple[Array, Array]:
+        if not self.ll.size:
+            return self.ss, self.gs
+        lever = self.sl @ self.ll_inverse
+        return self.ss - lever @ self.sl.T, self.gs - lever @ self.gl
+
+    def local(self, change: Array) -> Array:
+        return self.ll_inverse @ (self.gl - self.sl.T @ change)
+
+
+def pseudo_inverse(matrix: Array) -> tuple[Array, Array]:
+    """(inverse on the determined directions, undetermined directions (n, k) in scaled coordinates) of an information
+    matrix. Scaled to unit diagonal first, so units do not decide."""
+    diagonal = np.diag(matrix).copy()
+    alive = diagonal > 0.0
+    scale = np.where(alive, 1.0 / np.sqrt(np.where(alive, diagonal, 1.0)), 0.0)
+    scaled = matrix * scale[:, None] * scale[None, :]
+    scaled = 0.5 * (scaled + scaled.T)
+    values, vectors = np.linalg.eigh(scaled)
+    seen = values > SINGULAR * max(float(values[-1]), 0.0)
+    if not seen.any():
+        return np.zeros_like(matrix), np.eye(matrix.shape[0])
+    inverse = (vectors[:, seen] / values[seen]) @ vectors[:, seen].T
+    return inverse * scale[:, None] * scale[None, :], vectors[:, ~seen]

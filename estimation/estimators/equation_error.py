@@ -1,0 +1,242 @@
+"""Equation error: parameters by least squares at the measured states, no simulation (`ls`).
+
+At each sample the model's rates and outputs at the measured (smoothed) states are compared with the smoothed
+derivatives of those states and with the measured outputs; where parameters enter linearly this is one least-squares
+solution. Any model whose states are all measured can be treated so, from its text alone. `stepwise` chooses among
+the parameters by partial F ratios (V. Klein and E. A. Morelli, Aircraft System Identification, 2nd ed., section 5.4).
+
+Known error: at 20 Hz a roll mode of 20 rad/s lies near the sampling rate, and derivatives of measured rates are
+flattened by smoothing; the roll derivatives come out some 10 % off. It is a start value and a second opinion.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from estimation.engine.data import FlightData
+from estimation.engine.kernel import Array
+from estimation.engine.simulate import Simulator, simulate
+from estimation.errors import DataError
+from estimation.estimators.arrow import pseudo_inverse
+from estimation.estimators.gauss_newton import Status
+from estimation.estimators.result import FlightFit, Result
+from estimation.estimators.uncertainty import double_sum, estimates, residual_autocorrelation
+from estimation.models.base import Model
+from estimation.validation import fits
+from groundstation.flight import Flight
+
+ROUNDS = 2  # of relinearisation (for parameters that enter nonlinearly) and reweighting
+F_IN = 10.0  # partial F ratio above which a term enters (20 Hz residuals are coloured: the nominal 4 is too low)
+F_OUT = 8.0
+
+
+@dataclass
+class Regression:
+    """Regressors of one segment: e (N, m) misfit of the m equations, A (N, m, n) derivatives by free parameter."""
+
+    e: Array
+    A: Array
+
+
+@dataclass(frozen=True)
+class EquationError:
+    """Solution of a regression over flights: values by name, covariances in the order of `names`."""
+
+    names: tuple[str, ...]
+    values: dict[str, float]
+    covariance: Array
+    coloured: Array
+    undetermined: Array
+    weights: Array = field(default_factory=lambda: np.zeros(0))
+
+
+def states_measured(flights: Sequence[FlightData]) -> bool:
+    """Whether every state is measured throughout the segments."""
+    return all(np.isfinite(f.states[s.first : s.first + len(s)]).all() for f in flights for s in f.segments)
+
+
+def start_values(simulator: Simulator, flights: Sequence[FlightData]) -> dict[str, float] | None:
+    """Parameter values by equation error over all flights, or None where a state is not measured."""
+    if not simulator.free or not states_measured(flights):
+        return None
+    values = simulator.model.starts()
+    for _ in range(ROUNDS):
+        regressions = _regressions(simulator, flights, values)
+        change, _ = _solve(regressions, np.arange(len(simulator.free)))
+        if not np.all(np.isfinite(change)):
+            return None
+        _apply(simulator, values, change)
+    return values
+
+
+def equation_error(
+    model: Model | str,
+    flights: Flight | FlightData | Sequence[Flight | FlightData],
+    *,
+    stepwise: bool = False,
+) -> Result:
+    """Estimates by equation error with bounds, over one flight or several together.
+
+    stepwise: choose the parameters by partial F; the rest stay at zero and say so. Raises DataError where a state of
+    the model is not measured.
+    """
+    from estimation.estimators.output_error import compared, prepared
+    from estimation.models import load_model
+
+    chosen = load_model(model)
+    chosen, data = compared(chosen, prepared(chosen, flights))
+    if not states_measured(data):
+        raise DataError(f"model {chosen.name}: equation error needs every state measured; use method ml")
+    simulator = Simulator.build(chosen)
+    solution = solve(simulator, data, stepwise=stepwise)
+    return _describe(simulator, data, solution, stepwise)
+
+
+def solve(simulator: Simulator, flights: Sequence[FlightData], *, stepwise: bool = False) -> EquationError:
+    """Weighted least squares with Cramer-Rao and coloured covariances."""
+    values = simulator.model.starts()
+    chosen = np.arange(len(simulator.free))
+    if stepwise:
+        values |= {n: 0.0 for n in simulator.free}
+        chosen = stepwise_choice(_regressions(simulator, flights, values))
+    for _ in range(ROUNDS):
+        regressions = _regressions(simulator, flights, values)
+        change, weights = _solve(regressions, chosen)
+        _apply(simulator, values, change)
+    regressions = _regressions(simulator, flights, values)
+    n = len(simulator.free)
+    information, middle = np.zeros((n, n)), np.zeros((n, n))
+    index = 0
+    for flight in flights:
+        parts = regressions[index : index + len(flight.segments)]
+        index += len(flight.segments)
+        gamma = residual_autocorrelation([r.e for r in parts], flight)
+        for r in parts:
+            known = np.isfinite(r.e)
+            A = np.where(known[:, :, None], r.A, 0.0)
+            scaled = (A * weights[None, :, None]).reshape(-1, n)
+            information += scaled.T @ scaled
+            middle += double_sum(A * weights[None, :, None] ** 2, gamma)
+    covariance, coloured = np.zeros((n, n)), np.zeros((n, n))
+    pick = np.ix_(chosen, chosen)
+    inverse, blind = pseudo_inverse(information[pick])
+    covariance[pick] = inverse
+    coloured[pick] = inverse @ middle[pick] @ inverse
+    undetermined = np.zeros(n, bool)
+    if blind.size:
+        undetermined[chosen] = np.any(np.abs(blind) > 0.05, axis=1)
+    return EquationError(simulator.free, values, covariance, coloured, undetermined, weights)
+
+
+def stepwise_choice(regressions: list[Regression]) -> Array:
+    """Indices of the parameters that a forward-backward selection by partial F keeps."""
+    A, e = _stacked(regressions)
+    scale = 1.0 / np.maximum(np.sqrt(np.mean(e**2, axis=0)), 1e-12)
+    flat, z = (A * scale[None, :, None]).reshape(-1, A.shape[2]), (e * scale).ravel()
+    gram, moment, energy = flat.T @ flat, flat.T @ z, float(z @ z)
+    chosen: list[int] = []
+    for _ in range(4 * gram.shape[0]):
+        base = _rest(gram, moment, energy, chosen)
+        gains = {
+            j: _partial_f(base, _rest(gram, moment, energy, [*chosen, j]), z.size - len(chosen) - 1)
+            for j in range(gram.shape[0])
+            if j not in chosen and gram[j, j] > 0
+        }
+        best = max(gains, key=lambda j: gains[j], default=None)
+        if best is None or gains[best] < F_IN:
+            break
+        chosen.append(best)
+        for j in [j for j in chosen[:-1]]:
+            without = [i for i in chosen if i != j]
+            full = _rest(gram, moment, energy, chosen)
+            if _partial_f(_rest(gram, moment, energy, without), full, z.size - len(chosen)) < F_OUT:
+                chosen.remove(j)
+    return np.array(sorted(chosen), int)
+
+
+def _rest(gram: Array, moment: Array, energy: float, chosen: Sequence[int]) -> float:
+    if not len(chosen):
+        return energy
+    pick = np.array(chosen, int)
+    return max(energy - float(moment[pick] @ pseudo_inverse(gram[np.ix_(pick, pick)])[0] @ moment[pick]), 1e-300)
+
+
+def _partial_f(without: float, with_: float, freedom: int) -> float:
+    return (without - with_) / (with_ / max(freedom, 1))
+
+
+def _regressions(simulator: Simulator, flights: Sequence[FlightData], values: Mapping[str, float]) -> list[Regression]:
+    names = simulator.model.parameter_names
+    free = [names.index(n) for n in simulator.free]
+    result = []
+    for flight in flights:
+        for segment in flight.segments:
+            x = flight.states[segment.first : segment.first + len(segment)]
+            u = simulator.drive(segment, values, False).u
+            f, fp, y, yp = simulator.kernel.evaluate(x, u, simulator.vector(values))
+            rates = np.gradient(x, segment.time, axis=0)
+            A = np.concatenate([fp[:, :, free], yp[:, :, free]], axis=1)
+            e = np.concatenate([rates - f, segment.z - y], axis=1)
+            result.append(Regression(np.where(np.all(np.isfinite(A), axis=2), e, np.nan), np.nan_to_num(A)))
+    return result
+
+
+def _stacked(regressions: list[Regression]) -> tuple[Array, Array]:
+    e = np.concatenate([r.e for r in regressions])
+    A = np.concatenate([r.A for r in regressions])
+    known = np.isfinite(e)
+    return np.where(known[:, :, None], A, 0.0), np.where(known, e, 0.0)
+
+
+def _solve(regressions: list[Regression], chosen: Array) -> tuple[Array, Array]:
+    """(change of every free parameter, weights of the equations): each equation weighted by its own misfit."""
+    A, e = _stacked(regressions)
+    weight = np.ones(e.shape[1])
+    change = np.zeros(A.shape[2])
+    for _ in range(3):
+        flat = (A[:, :, chosen] * weight[None, :, None]).reshape(-1, len(chosen))
+        change[chosen] = pseudo_inverse(flat.T @ flat)[0] @ (flat.T @ (e * weight).ravel())
+        misfit = e - A @ change
+        size = np.sqrt(np.mean(misfit**2, axis=0))
+        weight = 1.0 / np.maximum(size, 1e-9 * max(float(size.max()), 1e-300))
+    return change, weight
+
+
+def _apply(simulator: Simulator, values: dict[str, float], change: Array) -> None:
+    for name, step in zip(simulator.free, change.tolist(), strict=True):
+        p = simulator.model.parameter(name)
+        values[name] = float(np.clip(values[name] + step, p.lower, p.upper))
+
+
+def _describe(simulator: Simulator, data: list[FlightData], solution: EquationError, stepwise: bool) -> Result:
+    model = simulator.model
+    vector = np.array([solution.values[n] for n in solution.names])
+    found, pairs = estimates(
+        model, solution.names, vector, solution.covariance, solution.coloured, solution.undetermined, data
+    )
+    flights, residuals = [], []
+    for flight in data:
+        predicted = simulate(model, flight, solution.values)
+        time = np.full(flight.samples, np.nan)
+        measured = np.full_like(predicted, np.nan)
+        for s in flight.segments:
+            time[s.first : s.first + len(s)], measured[s.first : s.first + len(s)] = s.time, s.z
+        fit = fits(model.output_names, measured, predicted)
+        x0 = tuple(s.x0 for s in flight.segments)
+        residuals.append(measured - predicted)
+        flights.append(
+            FlightFit(flight.name, flight.samples, time, measured, predicted, measured - predicted, x0, {}, fit, flight.notes)
+        )
+    stacked = np.concatenate(residuals)
+    known = np.isfinite(stacked)
+    variance = np.where(known, stacked, 0.0) ** 2
+    R = np.diag(variance.sum(axis=0) / np.maximum(known.sum(axis=0), 1))
+    text = "solved" + (" with terms chosen by partial F" if stepwise else "")
+    blind = [n for n, e in found.items() if not e.identifiable]
+    status = Status.NOT_IDENTIFIABLE if blind else Status.CONVERGED
+    text += f"; cannot be told from this data: {', '.join(blind)}" if blind else ""
+    return Result(
+        model, "ls", status, text, ROUNDS, ROUNDS, float("nan"), R, solution.names, found, solution.covariance,
+        solution.coloured, pairs, tuple(flights), simulator.kernel.label,
+    )  # fmt: skip

@@ -1,0 +1,133 @@
+"""The one optimisation loop: Gauss-Newton with step halving, Levenberg-Marquardt where that stalls.
+
+A problem evaluates its cost (a negative log likelihood) and proposes steps; limits, acceptance, damping and the
+non-finite checks live here. The outcome is a named state with a sentence, never an exception.
+"""
+
+import math
+from dataclasses import dataclass
+from enum import Enum
+from typing import Protocol, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+class Status(Enum):
+    """How an estimation ended; the value is the sentence for a person."""
+
+    CONVERGED = "converged"
+    STALLED = "stopped early: the fit cannot be improved along any direction the derivatives offer; do not trust it"
+    LIMIT = "stopped at the limit of iterations before the estimates settled; do not trust it"
+    DIVERGED = "no usable simulation was found from any starting point: check signs, units and the chosen model"
+    NOT_IDENTIFIABLE = "converged, but some parameters cannot be told from this data"
+    CUT = "converged on short pieces: the motion is unstable, so the flight was cut and each piece has its own initial state"
+
+    @property
+    def usable(self) -> bool:
+        return self in (Status.CONVERGED, Status.NOT_IDENTIFIABLE, Status.CUT)
+
+
+class Point(Protocol):
+    """A place at which a problem has been evaluated; `cost` is inf where the simulation left the finite numbers."""
+
+    @property
+    def cost(self) -> float: ...
+
+
+P = TypeVar("P", bound=Point)
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """A proposed change of the unknowns; decrement: the cost reduction it predicts, in log-likelihood units."""
+
+    direction: Array
+    decrement: float
+
+
+class Problem(Protocol[P]):
+    """What the loop needs of a problem."""
+
+    def evaluate(self, unknowns: Array, derivatives: bool) -> P:
+        """Cost, and derivatives if asked for."""
+        ...
+
+    def step(self, unknowns: Array, point: P, damping: float) -> Step:
+        """Gauss-Newton step from a point evaluated with derivatives; damping as in Marquardt's scaled diagonal."""
+        ...
+
+    def clip(self, unknowns: Array) -> Array:
+        """The nearest unknowns within their limits."""
+        ...
+
+
+@dataclass(frozen=True)
+class LoopOptions:
+    """tolerance: predicted reduction [log likelihood] below which the estimates have settled (1e-7: steps below
+    5e-4 of a bound)."""
+
+    iterations: int = 60
+    tolerance: float = 1e-7
+    halvings: int = 8
+    first_damping: float = 1e-3
+    most_damping: float = 1e8
+
+
+@dataclass(frozen=True)
+class Outcome:
+    status: Status
+    unknowns: Array
+    point: object
+    iterations: int
+    evaluations: int
+    history: tuple[float, ...]
+
+
+def minimise(problem: Problem[P], start: Array, options: LoopOptions = LoopOptions()) -> Outcome:
+    """Lower the cost from `start` until the predicted reduction is negligible."""
+    unknowns = problem.clip(start)
+    point = problem.evaluate(unknowns, True)
+    count = 1
+    history = [point.cost]
+    if not math.isfinite(point.cost):
+        return Outcome(Status.DIVERGED, unknowns, point, 0, count, tuple(history))
+    damping = 0.0
+    for iteration in range(1, options.iterations + 1):
+        step = problem.step(unknowns, point, damping)
+        if step.decrement < options.tolerance:
+            return Outcome(Status.CONVERGED, unknowns, point, iteration - 1, count, tuple(history))
+        moved, moved_point, used = _search(problem, unknowns, point, step, options)
+        count += used
+        if moved is None or moved_point is None:
+            if step.decrement < 1e3 * options.tolerance:  # the cost is flat to rounding here
+                return Outcome(Status.CONVERGED, unknowns, point, iteration - 1, count, tuple(history))
+            damping = max(10.0 * damping, options.first_damping)
+            if damping > options.most_damping:
+                return Outcome(Status.STALLED, unknowns, point, iteration, count, tuple(history))
+            continue
+        damping = damping / 10.0 if damping > options.first_damping else 0.0
+        unknowns, point = moved, moved_point
+        history.append(point.cost)
+    return Outcome(Status.LIMIT, unknowns, point, options.iterations, count, tuple(history))
+
+
+def _search(
+    problem: Problem[P], unknowns: Array, point: P, step: Step, options: LoopOptions
+) -> tuple[Array | None, P | None, int]:
+    """First of the halved steps that lowers the cost, evaluated with derivatives."""
+    count = 0
+    for halving in range(options.halvings):
+        fraction = 0.5**halving
+        trial = problem.clip(unknowns + fraction * step.direction)
+        whole = halving == 0
+        candidate = problem.evaluate(trial, whole)
+        count += 1
+        if math.isfinite(candidate.cost) and candidate.cost < point.cost:
+            if not whole:
+                candidate = problem.evaluate(trial, True)
+                count += 1
+            return trial, candidate, count
+    return None, None, count

@@ -1,0 +1,300 @@
+"""The output-error likelihood of any number of flights, as a problem for the optimisation loop.
+
+J = sum over outputs of n/2 log R + priors, with R the residual variance (relaxation: the noise level that fits best at
+every point, so its gradient is that of 1/2 sum r' R^-1 r with R from the residuals; REFERENCE, maximum likelihood).
+Unknowns: shared parameters, local ones flight by flight, then the initial states segment by segment.
+"""
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from estimation.engine.data import FlightData, Segment
+from estimation.engine.kernel import Array, Motion
+from estimation.engine.simulate import Simulator
+from estimation.estimators.arrow import FlightBlocks, SegmentBlocks, pseudo_inverse
+from estimation.estimators.gauss_newton import Step
+from estimation.models.base import Model
+
+Noise = Literal["diagonal", "full"]
+DEFINITELY_ZERO = 1e-9  # of the range of an output: smaller residuals are exact fits, and R must not vanish
+
+
+@dataclass
+class LikelihoodPoint:
+    """residuals and motions per flight and segment; R: (ny, ny) noise covariance; blocks appear on demand."""
+
+    cost: float
+    residuals: list[list[Array]]
+    motions: list[list[Motion]]
+    R: Array
+    blocks: list[list[SegmentBlocks]] = field(default_factory=list)
+
+
+class OutputErrorProblem:
+    """See the module head. free_states: (nx,) which initial states are estimated; sigma: (ny,) given noise, or None."""
+
+    def __init__(
+        self,
+        model: Model,
+        flights: list[FlightData],
+        simulator: Simulator,
+        *,
+        noise: Noise = "diagonal",
+        sigma: Array | None = None,
+        free_states: Array | None = None,
+    ) -> None:
+        self.model, self.flights, self.simulator = model, flights, simulator
+        self.noise, self.sigma = noise, sigma
+        self.nx, self.ny = len(model.states), len(model.outputs)
+        self.free = simulator.free
+        parameters = [model.parameter(n) for n in self.free]
+        local = np.array([p.local and len(flights) > 1 for p in parameters], bool)
+        self.shared, self.local = np.flatnonzero(~local), np.flatnonzero(local)
+        self.free_states = np.flatnonzero(np.ones(self.nx, bool) if free_states is None else free_states)
+        self.lower = np.array([p.lower for p in parameters])
+        self.upper = np.array([p.upper for p in parameters])
+        self.prior_mean = np.array([np.nan if p.prior_mean is None else p.prior_mean for p in parameters])
+        self.prior_weight = np.array([0.0 if p.prior_std is None else p.prior_std**-2 for p in parameters])
+        self._fixed_values = {p.name: p.start for p in model.parameters if p.name not in self.free}
+        self._floor = self._noise_floor()
+        counts = [len(f.segments) for f in flights]
+        self._state_offset = len(self.shared) + len(self.local) * len(flights)
+        self.size = self._state_offset + len(self.free_states) * sum(counts)
+        self._first_segment = np.concatenate([[0], np.cumsum(counts)]).astype(int)
+
+    # -------------------------------------------------------------------------------------------- unknowns
+    def pack(self, values: dict[str, float], x0: list[list[Array]] | None = None) -> Array:
+        """Unknowns from parameter values and initial states (default: as measured)."""
+        u = np.zeros(self.size)
+        start = np.array([values[n] for n in self.free])
+        u[: len(self.shared)] = start[self.shared]
+        for i, flight in enumerate(self.flights):
+            u[self._local_slice(i)] = start[self.local]
+            for j, segment in enumerate(flight.segments):
+                x = segment.x0 if x0 is None else x0[i][j]
+                u[self._state_slice(i, j)] = x[self.free_states]
+        return u
+
+    def parameters(self, unknowns: Array, flight: int) -> Array:
+        """Values of the free parameters (in the order of `free`) in one flight."""
+        t = np.empty(len(self.free))
+        t[self.shared] = unknowns[: len(self.shared)]
+        t[self.local] = unknowns[self._local_slice(flight)]
+        return t
+
+    def values(self, unknowns: Array, flight: int) -> dict[str, float]:
+        """All parameters by name in one flight."""
+        return {**self._fixed_values, **dict(zip(self.free, self.parameters(unknowns, flight).tolist(), strict=True))}
+
+    def initial_state(self, unknowns: Array, flight: int, segment: int) -> Array:
+        x0 = self.flights[flight].segments[segment].x0.copy()
+        x0[self.free_states] = unknowns[self._state_slice(flight, segment)]
+        return x0
+
+    def _local_slice(self, flight: int) -> slice:
+        first = len(self.shared) + flight * len(self.local)
+        return slice(first, first + len(self.local))
+
+    def _state_slice(self, flight: int, segment: int) -> slice:
+        first = self._state_offset + (self._first_segment[flight] + segment) * len(self.free_states)
+        return slice(first, first + len(self.free_states))
+
+    def clip(self, unknowns: Array) -> Array:
+        u = unknowns.copy()
+        ns = len(self.shared)
+        u[:ns] = np.clip(u[:ns], self.lower[self.shared], self.upper[self.shared])
+        for i in range(len(self.flights)):
+            s = self._local_slice(i)
+            u[s] = np.clip(u[s], self.lower[self.local], self.upper[self.local])
+        return u
+
+    # -------------------------------------------------------------------------------------------- cost
+    def motion(self, unknowns: Array, flight: int, segment: int, derivatives: bool) -> Motion:
+        return self.simulator.run(
+            self.flights[flight].segments[segment],
+            self.values(unknowns, flight),
+            self.initial_state(unknowns, flight, segment),
+            sensitivities=derivatives,
+        )
+
+    def evaluate(self, unknowns: Array, derivatives: bool) -> LikelihoodPoint:
+        residuals: list[list[Array]] = []
+        motions: list[list[Motion]] = []
+        for i, flight in enumerate(self.flights):
+            residuals.append([])
+            motions.append([])
+            for j, segment in enumerate(flight.segments):
+                motion = self.motion(unknowns, i, j, derivatives)
+                if not motion.finite or not np.all(np.isfinite(motion.y)):
+                    return LikelihoodPoint(np.inf, [], [], np.eye(self.ny))
+                residuals[-1].append(segment.z - motion.y)
+                motions[-1].append(motion)
+        R = self._covariance(residuals)
+        cost = self._cost(residuals, R) + self._prior_cost(unknowns)
+        return LikelihoodPoint(cost, residuals, motions, R)
+
+    def _noise_floor(self) -> Array:
+        span = np.full(self.ny, 1.0)
+        for c in range(self.ny):
+            columns = [s.z[:, c] for f in self.flights for s in f.segments]
+            z = np.concatenate(columns)
+            z = z[np.isfinite(z)]
+            span[c] = max(float(np.ptp(z)), 1e-6) if z.size else 1.0
+        return (DEFINITELY_ZERO * span) ** 2
+
+    def _covariance(self, residuals: list[list[Array]]) -> Array:
+        if self.sigma is not None:
+            return np.diag(self.sigma**2)
+        stacked = np.concatenate([r for flight in residuals for r in flight])
+        known = np.isfinite(stacked)
+        counts = np.maximum(known.sum(axis=0), 1)
+        filled = np.where(known, stacked, 0.0)
+        variance = np.maximum((filled**2).sum(axis=0) / counts, self._floor)
+        if self.noise == "diagonal":
+            return np.diag(variance)
+        whole = known.all(axis=1)
+        if whole.sum() < 5 * self.ny:
+            return np.diag(variance)
+        R = filled[whole].T @ filled[whole] / whole.sum()
+        return R + np.diag(self._floor)
+
+    def _cost(self, residuals: list[list[Array]], R: Array) -> float:
+        if self.sigma is not None or self.noise == "full":
+            total = 0.0
+            for flight in residuals:
+                for r in flight:
+                    w, logdet = whiten(r, R)
+                    total += 0.5 * float(np.sum(w**2)) + 0.5 * logdet
+            return total
+        counts = sum(np.isfinite(r).sum(axis=0) for flight in residuals for r in flight)
+        return 0.5 * float(np.sum(counts * np.log(np.diag(R))))
+
+    def _prior_cost(self, unknowns: Array) -> float:
+        """Priors on shared parameters count once, on local ones once per flight."""
+        total = 0.0
+        for i in range(len(self.flights)):
+            index = self.local if i else np.arange(len(self.free))
+            off = self.parameters(unknowns, i)[index] - self.prior_mean[index]
+            held = self.prior_weight[index] > 0
+            total += 0.5 * float(np.sum(self.prior_weight[index][held] * off[held] ** 2))
+        return total
+
+    # -------------------------------------------------------------------------------------------- steps
+    def segment_blocks(self, point: LikelihoodPoint) -> list[list[SegmentBlocks]]:
+        """Normal equations of every segment at a point evaluated with derivatives (made once, kept)."""
+        if not point.blocks:
+            n = len(self.free)
+            keep = np.concatenate([np.arange(n), n + self.free_states])
+            for residuals, motions in zip(point.residuals, point.motions, strict=True):
+                point.blocks.append([])
+                for r, motion in zip(residuals, motions, strict=True):
+                    assert motion.dy is not None
+                    J, w = whiten_all(motion.dy[:, :, keep], r, point.R)
+                    M, g = J.T @ J, J.T @ w
+                    point.blocks[-1].append(SegmentBlocks(M[:n, :n], M[:n, n:], M[n:, n:], g[:n], g[n:]))
+        return point.blocks
+
+    def flight_blocks(self, unknowns: Array, point: LikelihoodPoint, flight: int, damping: float = 0.0) -> FlightBlocks:
+        """Information of one flight with its initial states eliminated, priors of its local parameters included."""
+        n = len(self.free)
+        information, gradient = np.zeros((n, n)), np.zeros(n)
+        for block in self.segment_blocks(point)[flight]:
+            tt, gt = block.reduced()
+            information += tt
+            gradient += gt
+        blocks = FlightBlocks.split(information, gradient, self.shared, self.local)
+        if len(self.local):
+            off = self.prior_mean[self.local] - self.parameters(unknowns, flight)[self.local]
+            weight = self.prior_weight[self.local]
+            ll = blocks.ll + np.diag(weight + damping * np.diag(blocks.ll))
+            gl = blocks.gl + np.where(weight > 0, weight * np.where(weight > 0, off, 0.0), 0.0)
+            blocks = FlightBlocks(blocks.ss, blocks.sl, ll, blocks.gs, gl)
+        return blocks
+
+    def shared_information(self, unknowns: Array, blocks: list[FlightBlocks]) -> tuple[Array, Array]:
+        """Information and gradient about the shared parameters with all else eliminated, priors included."""
+        information = np.diag(self.prior_weight[self.shared])
+        off = self.prior_mean[self.shared] - self.parameters(unknowns, 0)[self.shared]
+        gradient = np.where(self.prior_weight[self.shared] > 0, self.prior_weight[self.shared] * off, 0.0)
+        for block in blocks:
+            ss, gs = block.reduced()
+            information = information + ss
+            gradient = gradient + gs
+        return information, gradient
+
+    def step(self, unknowns: Array, point: LikelihoodPoint, damping: float) -> Step:
+        blocks = [self.flight_blocks(unknowns, point, i, damping) for i in range(len(self.flights))]
+        information, gradient = self.shared_information(unknowns, blocks)
+        information = information + damping * np.diag(np.diag(information))
+        now = unknowns[: len(self.shared)]
+        change = self._bounded_solution(information, gradient, now)
+        direction = np.zeros(self.size)
+        direction[: len(self.shared)] = change
+        full = np.zeros(len(self.free))
+        decrement = 0.5 * float(gradient @ change)
+        for i, flight in enumerate(self.flights):
+            full[self.shared] = change
+            if len(self.local):
+                full[self.local] = blocks[i].local(change)
+                direction[self._local_slice(i)] = full[self.local]
+                decrement += 0.5 * float(blocks[i].gl @ blocks[i].ll_inverse @ blocks[i].gl)
+            for j in range(len(flight.segments)):
+                block = point.blocks[i][j]
+                direction[self._state_slice(i, j)] = block.states(full)
+                decrement += 0.5 * float(block.gx @ block.xx_inverse @ block.gx)
+        return Step(direction, decrement)
+
+    def _bounded_solution(self, information: Array, gradient: Array, now: Array) -> Array:
+        """Solution of the reduced normal equations with parameters that press against a limit held there."""
+        lower, upper = self.lower[self.shared], self.upper[self.shared]
+        moving = ~(((now <= lower) & (gradient < 0)) | ((now >= upper) & (gradient > 0)))
+        change = np.zeros(now.size)
+        if moving.any():
+            index = np.flatnonzero(moving)
+            change[index] = pseudo_inverse(information[np.ix_(index, index)])[0] @ gradient[index]
+        return change
+
+
+def whiten(residual: Array, R: Array) -> tuple[Array, float]:
+    """(residuals (N, ny) in units of their noise with unknown samples zero, sum of log det R over the samples)."""
+    known = np.isfinite(residual)
+    if np.count_nonzero(R - np.diag(np.diag(R))) == 0:
+        sigma = np.sqrt(np.diag(R))
+        return np.where(known, residual, 0.0) / sigma, float(np.sum(known * 2.0 * np.log(sigma)))
+    result = np.zeros_like(residual)
+    logdet = 0.0
+    for pattern in np.unique(known, axis=0):
+        rows = np.all(known == pattern, axis=1)
+        index = np.flatnonzero(pattern)
+        if not index.size:
+            continue
+        L = np.linalg.cholesky(R[np.ix_(index, index)])
+        result[np.ix_(rows, index)] = np.linalg.solve(L, residual[np.ix_(rows, index)].T).T
+        logdet += 2.0 * float(np.sum(np.log(np.diag(L)))) * int(rows.sum())
+    return result, logdet
+
+
+def whiten_all(dy: Array, residual: Array, R: Array) -> tuple[Array, Array]:
+    """Jacobian (N ny, n) and residual (N ny,) in units of the noise, rows of unknown samples zero."""
+    count, ny, n = dy.shape
+    known = np.isfinite(residual)
+    w, _ = whiten(residual, R)
+    if np.count_nonzero(R - np.diag(np.diag(R))) == 0:
+        weight = known / np.sqrt(np.diag(R))
+        return (dy * weight[:, :, None]).reshape(count * ny, n), w.ravel()
+    J = np.zeros_like(dy)
+    for pattern in np.unique(known, axis=0):
+        rows = np.flatnonzero(np.all(known == pattern, axis=1))
+        index = np.flatnonzero(pattern)
+        if not index.size:
+            continue
+        L = np.linalg.cholesky(R[np.ix_(index, index)])
+        J[np.ix_(rows, index)] = np.linalg.solve(L, dy[np.ix_(rows, index)])
+    return J.reshape(count * ny, n), w.ravel()
+
+
+def segment_of(flight: FlightData, index: int) -> Segment:
+    """The segment number `index` of a flight."""
+    return flight.segments[index]

@@ -1,0 +1,161 @@
+"""Which coefficients an axis has: how they follow from measured motion, and from parameters.
+
+Lateral: side force, rolling and yawing moment (REFERENCE, Neural Gauss-Newton). Longitudinal: lift, drag, pitching
+moment. SI, radians, body axes x forward, y right, z down; rates non-dimensional as p b/2V, q c/2V, r b/2V.
+All arrays are over samples; `loads` are forces and moments divided by reference area (and length): what a coefficient
+is once divided by dynamic pressure.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimation.aircraft import Aircraft
+
+Array = NDArray[np.float64]
+Signals = Mapping[str, Array]
+
+
+class Axis(Protocol):
+    """An axis of motion as Neural Gauss-Newton sees it."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def motion(self) -> tuple[str, ...]:
+        """Motion variables that the network predicts."""
+
+    @property
+    def optional(self) -> tuple[str, ...]:
+        """Motion variables that may be missing."""
+
+    @property
+    def accelerations(self) -> tuple[str, ...]:
+        """Specific forces that the network predicts beside the motion."""
+
+    @property
+    def angular_rates(self) -> tuple[str, ...]:
+        """Rates whose increments carry the moments."""
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """All flight columns that are needed."""
+
+    @property
+    def controls(self) -> tuple[str, ...]:
+        """Columns that may step."""
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Names of the unknown parameters."""
+
+    @property
+    def coefficients(self) -> tuple[str, ...]:
+        """Names of the three coefficients."""
+
+    def inertial(self, s: Signals, rate_derivatives: Signals) -> Array:
+        """(N, 3) coefficients times dynamic pressure, from accelerations, rates and their derivatives."""
+
+    def aerodynamic(self, s: Signals, theta: Array) -> tuple[Array, Array]:
+        """(N, 3) coefficients of the aerodynamic model, and their derivative (N, 3, n) by the parameters."""
+
+
+def dynamic_pressure(s: Signals) -> Array:
+    """rho V^2 / 2 [Pa]."""
+    return 0.5 * s["rho"] * s["V"] ** 2
+
+
+@dataclass(frozen=True)
+class LateralAxis:
+    """C_Y, C_l, C_n with the sixteen derivatives of the paper."""
+
+    aircraft: Aircraft
+    name: str = "lateral"
+    motion: tuple[str, ...] = ("beta", "phi", "psi", "p", "r")
+    optional: tuple[str, ...] = ("psi",)
+    accelerations: tuple[str, ...] = ("ay",)
+    angular_rates: tuple[str, ...] = ("p", "r")
+    columns: tuple[str, ...] = ("beta", "phi", "psi", "p", "q", "r", "ay", "V", "rho", "delta_a", "delta_r")
+    controls: tuple[str, ...] = ("delta_a", "delta_r")
+    coefficients: tuple[str, ...] = ("CY", "Cl", "Cn")
+    parameters: tuple[str, ...] = (
+        "CY_0", "CY_beta", "CY_p", "CY_r", "CY_dr",
+        "Cl_0", "Cl_beta", "Cl_p", "Cl_r", "Cl_da", "Cl_dr",
+        "Cn_0", "Cn_beta", "Cn_p", "Cn_r", "Cn_dr",
+    )  # fmt: skip
+
+    def inertial(self, s: Signals, rate_derivatives: Signals) -> Array:
+        """Eq. 4 for C_Y; C_l and C_n from the moment equations of a body with Ixz (REFERENCE)."""
+        a = self.aircraft
+        p, q, r = s["p"], s["q"], s["r"]
+        p_dot, r_dot = rate_derivatives["p"], rate_derivatives["r"]
+        side = a.mass * s["ay"] / a.area
+        roll = (a.Ixx * p_dot - a.Ixz * (r_dot + p * q) - (a.Iyy - a.Izz) * q * r) / (a.area * a.span)
+        yaw = (a.Izz * r_dot - a.Ixz * (p_dot - q * r) + (a.Iyy - a.Ixx) * q * p) / (a.area * a.span)
+        return np.column_stack([side, roll, yaw])
+
+    def aerodynamic(self, s: Signals, theta: Array) -> tuple[Array, Array]:
+        """Linear in all parameters."""
+        p_hat = s["p"] * self.aircraft.span / (2 * s["V"])
+        r_hat = s["r"] * self.aircraft.span / (2 * s["V"])
+        one = np.ones_like(p_hat)
+        regressors = np.zeros((p_hat.size, 3, len(self.parameters)))
+        regressors[:, 0, 0:5] = np.column_stack([one, s["beta"], p_hat, r_hat, s["delta_r"]])
+        regressors[:, 1, 5:11] = np.column_stack([one, s["beta"], p_hat, r_hat, s["delta_a"], s["delta_r"]])
+        regressors[:, 2, 11:16] = np.column_stack([one, s["beta"], p_hat, r_hat, s["delta_r"]])
+        return regressors @ theta, regressors
+
+
+@dataclass(frozen=True)
+class LongitudinalAxis:
+    """C_L, C_D, C_m; drag polar C_D = CD_0 + CD_k C_L^2."""
+
+    aircraft: Aircraft
+    name: str = "longitudinal"
+    motion: tuple[str, ...] = ("alpha", "theta", "q", "V")
+    optional: tuple[str, ...] = ()
+    accelerations: tuple[str, ...] = ("ax", "az")
+    angular_rates: tuple[str, ...] = ("q",)
+    columns: tuple[str, ...] = ("alpha", "theta", "q", "V", "p", "r", "ax", "az", "thrust", "rho", "delta_e")
+    controls: tuple[str, ...] = ("delta_e", "thrust")
+    coefficients: tuple[str, ...] = ("CL", "CD", "Cm")
+    parameters: tuple[str, ...] = (
+        "CL_0", "CL_alpha", "CL_q", "CL_de", "CD_0", "CD_k", "Cm_0", "Cm_alpha", "Cm_q", "Cm_de",
+    )  # fmt: skip
+
+    def inertial(self, s: Signals, rate_derivatives: Signals) -> Array:
+        """Lift and drag from specific force less thrust, turned to wind axes; C_m from the pitching equation."""
+        a = self.aircraft
+        force_x = (a.mass * s["ax"] - s["thrust"]) / a.area
+        force_z = a.mass * s["az"] / a.area
+        sin, cos = np.sin(s["alpha"]), np.cos(s["alpha"])
+        p, r = s["p"], s["r"]
+        moment = a.Iyy * rate_derivatives["q"] + (a.Ixx - a.Izz) * p * r + a.Ixz * (p**2 - r**2)
+        lift, drag = force_x * sin - force_z * cos, -force_x * cos - force_z * sin
+        return np.column_stack([lift, drag, moment / (a.area * a.chord)])
+
+    def aerodynamic(self, s: Signals, theta: Array) -> tuple[Array, Array]:
+        """Linear but for the polar, whose derivative by the lift parameters is 2 k C_L times theirs."""
+        q_hat = s["q"] * self.aircraft.chord / (2 * s["V"])
+        columns = np.column_stack([np.ones_like(q_hat), s["alpha"], q_hat, s["delta_e"]])
+        lift = columns @ theta[0:4]
+        slopes = np.zeros((q_hat.size, 3, len(self.parameters)))
+        slopes[:, 0, 0:4] = columns
+        slopes[:, 1, 4] = 1.0
+        slopes[:, 1, 5] = lift**2
+        slopes[:, 1, 0:4] = 2 * theta[5] * lift[:, None] * columns
+        slopes[:, 2, 6:10] = columns
+        drag = theta[4] + theta[5] * lift**2
+        return np.column_stack([lift, drag, columns @ theta[6:10]]), slopes
+
+
+def axis_for(name: str, aircraft: Aircraft) -> LateralAxis | LongitudinalAxis | None:
+    """The axis a model name stands for; None where Neural Gauss-Newton has no formulation."""
+    if name in ("lateral", "lateral-simple"):
+        return LateralAxis(aircraft)
+    if name == "longitudinal":
+        return LongitudinalAxis(aircraft)
+    return None

@@ -1,0 +1,137 @@
+"""Training and estimation samples from a flight: the published one-step form, and the interval form.
+
+Published form (`point`): inputs motion(k) and coefficients at k, outputs motion(k+1) and acceleration(k+1). The
+coefficients need p_dot and r_dot at k, from a Savitzky-Golay derivative of the 20 Hz rates. With a roll mode faster than
+a sample that derivative is too small and too early, and the moment derivatives come out 10-15 % low.
+
+Interval form: the coefficient that carries the motion from k to k+n is its mean over the interval, and the mean of a
+moment is exactly the increment of angular momentum, so no derivative is taken: C_l = [Ixx dp - Ixz dr - ...] / (n dt
+mean(q) S b). The model's coefficients are averaged in the same way, and signals that enter both are de-noised without
+smearing edges first, because noise in a regressor makes its parameter too small.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import savgol_filter
+
+from estimation.errors import DataError
+from estimation.estimators.neural_gauss_newton.axes import Axis, dynamic_pressure
+from estimation.preprocess import denoise
+from groundstation.flight import Flight
+
+Array = NDArray[np.float64]
+Form = Literal["point", "interval"]
+
+SMOOTHING_WINDOW, SMOOTHING_ORDER = 7, 3
+INTERVAL_S = 0.2
+SHORTEST = 20  # samples in a stretch that is worth using
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """Samples of one gap-free stretch.
+
+    u: (M, n_motion + 3) measured inputs; z: (M, n_outputs) outputs; first: index in the flight of each row. signals,
+    pressure, window: what the model's coefficients are computed from.
+    """
+
+    u: Array
+    z: Array
+    first: NDArray[np.int64]
+    signals: dict[str, Array]
+    window: int
+
+    def model_coefficients(self, axis: Axis, theta: Array) -> tuple[Array, Array]:
+        """(M, 3) coefficients with parameters theta and their derivative (M, 3, n), averaged like the measured ones."""
+        value, slope = axis.aerodynamic(self.signals, theta)
+        if self.window == 0:
+            return value[:-1], slope[:-1]
+        pressure = dynamic_pressure(self.signals)
+        mean = window_mean(pressure, self.window)
+        averaged = window_mean(pressure[:, None] * value, self.window) / mean[:, None]
+        return averaged, window_mean(pressure[:, None, None] * slope, self.window) / mean[:, None, None]
+
+
+def window_mean(values: Array, steps: int) -> Array:
+    """Trapezoidal mean of samples k .. k+steps, (M, ...) from (M + steps, ...)."""
+    middle = 0.5 * (values[1:] + values[:-1])
+    total = np.concatenate([np.zeros_like(values[:1]), np.cumsum(middle, axis=0)])
+    return (total[steps:] - total[:-steps]) / steps
+
+
+def usable_columns(axis: Axis, flight: Flight) -> tuple[str, ...]:
+    """Columns of the axis that this flight has; MissingColumnError naming what it must have and has not."""
+    needed = [c for c in axis.columns if c not in axis.optional]
+    flight.require(needed, f"Neural Gauss-Newton, {axis.name} axis")
+    return tuple(c for c in axis.columns if flight.measured(c))
+
+
+def stretches(axis: Axis, flight: Flight, form: Form, motion: tuple[str, ...]) -> list[Stretch]:
+    """All usable stretches: cut at gaps in time and wherever a needed column has no value.
+
+    Raises DataError when nothing long enough is left.
+    """
+    columns = [c for c in axis.columns if c not in axis.optional or c in motion]
+    table = np.column_stack([flight[c] for c in columns])
+    known = np.isfinite(table).all(axis=1)
+    found = []
+    for part in flight.segments:
+        for start, stop in _runs(known[part]):
+            if stop - start >= SHORTEST:
+                rows = slice(part.start + start, part.start + stop)
+                signals = {c: flight[c][rows] for c in columns}
+                found.append(_stretch(axis, signals, flight.time[rows], rows.start, form, motion))
+    if not found:
+        raise DataError(
+            f"{flight.name}: no stretch of {SHORTEST} samples in a row with all of {', '.join(columns)}; "
+            "Neural Gauss-Newton needs one"
+        )
+    return found
+
+
+def _runs(known: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], known, [False]]).astype(int)))
+    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
+
+
+def _stretch(
+    axis: Axis, signals: dict[str, Array], time: Array, first: int, form: Form, motion: tuple[str, ...]
+) -> Stretch:
+    if "psi" in signals:
+        signals = {**signals, "psi": np.unwrap(signals["psi"])}
+    return (_point if form == "point" else _interval)(axis, signals, time, first, motion)
+
+
+def _point(axis: Axis, raw: dict[str, Array], time: Array, first: int, motion: tuple[str, ...]) -> Stretch:
+    """The published form. Controls are used as measured, motion is smoothed by the filter that differentiates it."""
+    dt = float(np.median(np.diff(time)))
+
+    def smooth(name: str, derivative: int = 0) -> Array:
+        return savgol_filter(raw[name], SMOOTHING_WINDOW, SMOOTHING_ORDER, deriv=derivative, delta=dt)
+
+    s = {c: raw[c] if c in axis.controls or c == "rho" else smooth(c) for c in raw}
+    loads = axis.inertial(s, {c: smooth(c, 1) for c in axis.angular_rates})
+    u = np.column_stack([*(s[c] for c in motion), loads / dynamic_pressure(s)[:, None]])[:-1]
+    z = np.column_stack([s[c] for c in (*motion, *axis.accelerations)])[1:]
+    return Stretch(u, z, first + np.arange(len(u)), s, 0)
+
+
+def _interval(axis: Axis, raw: dict[str, Array], time: Array, first: int, motion: tuple[str, ...]) -> Stretch:
+    """The interval form, over the number of samples nearest to INTERVAL_S."""
+    dt = float(np.median(np.diff(time)))
+    steps = max(1, min(round(INTERVAL_S / dt), len(time) // 4))
+    s = {c: denoise(raw[c], order=1 if c in axis.controls else 2).values for c in raw}
+    none = {c: np.zeros(len(time)) for c in axis.angular_rates}
+    exact = {c: (raw[c][steps:] - raw[c][:-steps]) / (steps * dt) for c in axis.angular_rates}
+    measured = {**s, **{c: raw[c] for c in axis.accelerations}}
+    loads = window_mean(axis.inertial(measured, none), steps)
+    zero = {c: np.zeros(len(loads)) for c in raw}
+    loads = loads + axis.inertial(zero, exact)  # the moment equations are linear in the rate derivatives
+    pressure = window_mean(dynamic_pressure(s), steps)
+    u = np.column_stack([*(raw[c][:-steps] for c in motion), loads / pressure[:, None]])
+    accelerations = [window_mean(raw[c], steps) for c in axis.accelerations]
+    z = np.column_stack([*(raw[c][steps:] for c in motion), *accelerations])
+    return Stretch(u, z, first + np.arange(len(u)), s, steps)

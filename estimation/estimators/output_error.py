@@ -1,0 +1,207 @@
+"""Maximum likelihood by output error: the laboratory's main method.
+
+`output_error(model, flights)` fits one flight, or any number together, with the engine's exact sensitivities; each
+segment has initial states of its own, each flight its own values of `local` parameters. The result carries both
+bounds and says what the data could not tell.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from estimation.engine.data import FlightData, Preparation, prepare
+from estimation.engine.kernel import Array
+from estimation.engine.simulate import Compile, Hold, Simulator
+from estimation.errors import DataError
+from estimation.estimators.gauss_newton import LoopOptions, Outcome, Status, minimise
+from estimation.estimators.likelihood import LikelihoodPoint, Noise, OutputErrorProblem
+from estimation.estimators.result import Estimate, FlightFit, Result
+from estimation.estimators.uncertainty import estimates, uncertainty
+from estimation.models import load_model
+from estimation.models.base import Model
+from estimation.validation import fits
+from groundstation.flight import Flight
+
+
+@dataclass(frozen=True)
+class OutputErrorOptions:
+    """noise: diagonal or full residual covariance. sigma: given noise per output instead. free_states: names of the
+    states whose initial values are estimated (default: all). improve_start: try the equation-error solution too.
+    compile_: auto uses gcc where it repays. substeps: Runge-Kutta steps per sample."""
+
+    noise: Noise = "diagonal"
+    sigma: Mapping[str, float] | None = None
+    free_states: tuple[str, ...] | None = None
+    improve_start: bool = True
+    compile_: Compile = "auto"
+    substeps: int = 2
+    hold: Hold = "linear"
+    preparation: Preparation = Preparation()
+    loop: LoopOptions = LoopOptions()
+
+
+def output_error(
+    model: Model | str,
+    flights: Flight | FlightData | Sequence[Flight | FlightData],
+    start: Mapping[str, float] | None = None,
+    options: OutputErrorOptions = OutputErrorOptions(),
+) -> Result:
+    """Fit `model` to one flight or to several together.
+
+    start: start values by parameter name (default: the model's). Raises DataError or MissingColumnError for a flight
+    that cannot feed the model; a fit that fails is a Result whose status says so.
+    """
+    chosen = load_model(model).with_starts(start or {})
+    data = prepared(chosen, flights, options.preparation)
+    chosen, data = compared(chosen, data)
+    problem = build_problem(chosen, data, options)
+    first = _starts(problem, options)
+    outcome = minimise(problem, first, options.loop)
+    return describe(problem, outcome, "ml")
+
+
+def prepared(
+    model: Model,
+    flights: Flight | FlightData | Sequence[Flight | FlightData],
+    preparation: Preparation = Preparation(),
+) -> list[FlightData]:
+    """Flights prepared for a model, those that are so already taken as they are."""
+    many = [flights] if isinstance(flights, Flight | FlightData) else list(flights)
+    if not many:
+        raise DataError("no flight given: at least one is needed")
+    return [f if isinstance(f, FlightData) else prepare(model, f, preparation) for f in many]
+
+
+def compared(model: Model, data: list[FlightData]) -> tuple[Model, list[FlightData]]:
+    """Model and data without the outputs that no flight measures."""
+    absent = set(data[0].absent_outputs).intersection(*(d.absent_outputs for d in data[1:]))
+    if not absent:
+        return model, data
+    keep = [i for i, n in enumerate(model.output_names) if n not in absent]
+    slim = [
+        replace(d, segments=tuple(replace(s, z=np.ascontiguousarray(s.z[:, keep])) for s in d.segments), absent_outputs=())
+        for d in data
+    ]
+    return model.without_outputs(*absent), slim
+
+
+def build_problem(model: Model, data: list[FlightData], options: OutputErrorOptions) -> OutputErrorProblem:
+    """The likelihood of prepared flights, with the back end that the amount of work deserves."""
+    columns = len(model.free_names) + len(model.states)
+    work = 12.0 * sum(d.used for d in data) * columns / 20.0
+    simulator = Simulator.build(
+        model, work=work, compile_=options.compile_, substeps=options.substeps, hold=options.hold
+    )
+    free_states = None
+    if options.free_states is not None:
+        free_states = np.array([n in options.free_states for n in model.state_names])
+    sigma = None if options.sigma is None else np.array([options.sigma[n] for n in model.output_names])
+    return OutputErrorProblem(model, data, simulator, noise=options.noise, sigma=sigma, free_states=free_states)
+
+
+def _starts(problem: OutputErrorProblem, options: OutputErrorOptions) -> Array:
+    """The better of the given start and the equation-error solution."""
+    given = problem.pack(problem.model.starts())
+    if not options.improve_start:
+        return given
+    from estimation.estimators.equation_error import start_values
+
+    better = start_values(problem.simulator, problem.flights)
+    if better is None:
+        return given
+    other = problem.clip(problem.pack(better))
+    return other if problem.evaluate(other, False).cost < problem.evaluate(given, False).cost else given
+
+
+def describe(problem: OutputErrorProblem, outcome: Outcome, method: str) -> Result:
+    """The result of an optimisation: bounds, verdicts, histories, fit."""
+    model, unknowns = problem.model, outcome.unknowns
+    point = outcome.point
+    assert isinstance(point, LikelihoodPoint)
+    if outcome.status is Status.DIVERGED:
+        return _failed(problem, outcome, method)
+    problem.segment_blocks(point)
+    spread = uncertainty(problem, unknowns, point)
+    shared_names = tuple(problem.free[i] for i in problem.shared)
+    found, pairs = estimates(
+        model, shared_names, unknowns[: len(shared_names)], spread.covariance, spread.coloured, spread.undetermined,
+        problem.flights,
+    )  # fmt: skip
+    flights = tuple(
+        _flight_fit(problem, unknowns, point, i, spread.local_covariance[i], spread.local_coloured[i])
+        for i in range(len(problem.flights))
+    )
+    if len(problem.local):
+        found |= _mean_of_locals(flights, tuple(problem.free[i] for i in problem.local))
+    ordered = {n: found[n] for n in problem.free if n in found}
+    blind = [n for n, e in ordered.items() if not e.identifiable]
+    status = Status.NOT_IDENTIFIABLE if outcome.status is Status.CONVERGED and blind else outcome.status
+    text = status.value + (f": {', '.join(blind)}" if status is Status.NOT_IDENTIFIABLE else "")
+    return Result(
+        model, method, status, text, outcome.iterations, outcome.evaluations, point.cost, point.R, shared_names, ordered,
+        spread.covariance, spread.coloured, pairs, flights, problem.simulator.kernel.label,
+    )  # fmt: skip
+
+
+def _failed(problem: OutputErrorProblem, outcome: Outcome, method: str) -> Result:
+    names = tuple(problem.free[i] for i in problem.shared)
+    nothing = np.full((len(names), len(names)), np.nan)
+    why = "no usable simulation was found"
+    found = {
+        n: Estimate(n, float("nan"), float("inf"), float("inf"), False, why, problem.model.parameter(n).unit)
+        for n in problem.free
+    }
+    flights = []
+    for f in problem.flights:
+        blank = np.full((f.samples, problem.ny), np.nan)
+        time, measured = _histories(f, problem.ny)
+        x0 = tuple(s.x0 for s in f.segments)
+        flights.append(FlightFit(f.name, f.samples, time, measured, blank, blank, x0, {}, {}, f.notes))
+    return Result(
+        problem.model, method, outcome.status, outcome.status.value, outcome.iterations, outcome.evaluations,
+        float("inf"), np.eye(problem.ny) * np.nan, names, found, nothing, nothing, (), tuple(flights),
+        problem.simulator.kernel.label,
+    )  # fmt: skip
+
+
+def _histories(flight: FlightData, ny: int) -> tuple[Array, Array]:
+    time = np.full(flight.samples, np.nan)
+    measured = np.full((flight.samples, ny), np.nan)
+    for s in flight.segments:
+        time[s.first : s.first + len(s)] = s.time
+        measured[s.first : s.first + len(s)] = s.z
+    return time, measured
+
+
+def _flight_fit(
+    problem: OutputErrorProblem, unknowns: Array, point: LikelihoodPoint, index: int, covariance: Array, coloured: Array
+) -> FlightFit:
+    flight = problem.flights[index]
+    time, measured = _histories(flight, problem.ny)
+    outputs = np.full_like(measured, np.nan)
+    for segment, motion in zip(flight.segments, point.motions[index], strict=True):
+        outputs[segment.first : segment.first + len(segment)] = motion.y
+    names = tuple(problem.free[i] for i in problem.local)
+    values = problem.parameters(unknowns, index)[problem.local]
+    local, _ = estimates(
+        problem.model, names, values, covariance, coloured, np.zeros(len(names), bool), [flight]
+    )
+    states = tuple(problem.initial_state(unknowns, index, j) for j in range(len(flight.segments)))
+    fit = fits(problem.model.output_names, measured, outputs)
+    return FlightFit(
+        flight.name, flight.samples, time, measured, outputs, measured - outputs, states, local, fit, flight.notes
+    )
+
+
+def _mean_of_locals(flights: tuple[FlightFit, ...], names: tuple[str, ...]) -> dict[str, Estimate]:
+    """One line per local parameter for the joint table: mean over flights, and the bound of that mean."""
+    result = {}
+    for name in names:
+        each = [f.local[name] for f in flights]
+        count = len(each)
+        std = float(np.sqrt(sum(e.std**2 for e in each))) / count
+        coloured = float(np.sqrt(sum(e.std_coloured**2 for e in each))) / count
+        mean = float(np.mean([e.estimate for e in each]))
+        result[name] = replace(each[0], estimate=mean, std=std, std_coloured=coloured, identifiable=True, why="")
+    return result

@@ -1,0 +1,155 @@
+"""What an estimation leaves: estimates that travel with their validity and spread, per flight and joint.
+
+`Result.to_json()` is one method's entry of `estimate --json`.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimation.estimators.gauss_newton import Status
+from estimation.models.base import Model
+from estimation.validation import ChannelFit
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One parameter. std: Cramer-Rao bound; std_coloured: corrected for coloured residuals (both inf where the data does
+    not see the parameter); identifiable False comes with `why`."""
+
+    name: str
+    estimate: float
+    std: float
+    std_coloured: float
+    identifiable: bool = True
+    why: str = ""
+    unit: str = "1"
+    reference: float | None = None
+    reference_source: str = ""
+    local: bool = False
+
+    def to_json(self) -> dict[str, Any]:
+        data: dict[str, Any] = {
+            "estimate": finite(self.estimate),
+            "std": finite(self.std),
+            "std_coloured": finite(self.std_coloured),
+            "identifiable": self.identifiable,
+        }
+        return data if self.identifiable else {**data, "why": self.why}
+
+
+@dataclass(frozen=True)
+class FlightFit:
+    """One flight within a fit. measured, outputs, residuals: (samples, ny), NaN outside the segments.
+
+    initial_states: one (nx,) per segment. local: estimates of parameters (biases, trims) of this flight alone.
+    """
+
+    name: str
+    samples: int
+    time: Array
+    measured: Array
+    outputs: Array
+    residuals: Array
+    initial_states: tuple[Array, ...]
+    local: Mapping[str, Estimate]
+    fit: Mapping[str, ChannelFit]
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Result:
+    """A whole fit, of one flight or of many together. Matrices are in the order of `names` (the shared parameters)."""
+
+    model: Model
+    method: str
+    status: Status
+    text: str
+    iterations: int
+    evaluations: int
+    cost: float
+    R: Array
+    names: tuple[str, ...]
+    parameters: Mapping[str, Estimate]
+    covariance: Array
+    covariance_coloured: Array
+    collinear: tuple[tuple[str, str, float], ...]
+    flights: tuple[FlightFit, ...]
+    engine: str = ""
+    extra: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def converged(self) -> bool:
+        return self.status.usable
+
+    @property
+    def correlation(self) -> Array:
+        """(n, n) correlation of the estimates, from the Cramer-Rao covariance."""
+        return correlation(self.covariance)
+
+    @property
+    def std(self) -> dict[str, float]:
+        return {n: e.std for n, e in self.parameters.items()}
+
+    @property
+    def std_coloured(self) -> dict[str, float]:
+        return {n: e.std_coloured for n, e in self.parameters.items()}
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Every parameter of the model by name: estimates (mean over flights for local ones) and fixed values."""
+        return {**self.model.starts(), **{n: e.estimate for n, e in self.parameters.items()}}
+
+    @property
+    def fitted_model(self) -> Model:
+        """The model with the estimates as its values: for prediction, for a child in a lineage, for a TOML file."""
+        return self.model.with_starts({n: v for n, v in self.values.items() if math.isfinite(v)})
+
+    @property
+    def noise(self) -> dict[str, float]:
+        """Residual standard deviation per output."""
+        return dict(zip(self.model.output_names, np.sqrt(np.diag(self.R)).tolist(), strict=True))
+
+    def with_method(self, method: str) -> "Result":
+        return replace(self, method=method)
+
+    def to_json(self) -> dict[str, Any]:
+        """One method's entry of `estimate --json`."""
+        data: dict[str, Any] = {
+            "converged": self.converged,
+            "status": self.text,
+            "iterations": self.iterations,
+            "cost": finite(self.cost),
+            "R": {n: finite(v) for n, v in zip(self.model.output_names, np.diag(self.R).tolist(), strict=True)},
+            "parameters": {n: e.to_json() for n, e in self.parameters.items()},
+            "fit": self._fit_json(),
+        }
+        if len(self.flights) > 1:
+            data["local"] = {f.name: {n: e.to_json() for n, e in f.local.items()} for f in self.flights if f.local}
+        return data
+
+    def _fit_json(self) -> dict[str, Any]:
+        if len(self.flights) == 1:
+            return {n: f.to_json() for n, f in self.flights[0].fit.items()}
+        return {flight.name: {n: f.to_json() for n, f in flight.fit.items()} for flight in self.flights}
+
+
+def correlation(covariance: Array) -> Array:
+    """Correlation matrix; rows of parameters without a bound are zero but for the diagonal."""
+    d = np.sqrt(np.diag(covariance))
+    good = np.isfinite(d) & (d > 0)
+    scale = np.where(good, 1.0 / np.where(good, d, 1.0), 0.0)
+    result = np.where(np.isfinite(covariance), covariance, 0.0) * scale[:, None] * scale[None, :]
+    np.fill_diagonal(result, 1.0)
+    return result
+
+
+def finite(value: float) -> float | None:
+    """JSON knows no infinity: None stands for it."""
+    return float(value) if math.isfinite(value) else None

@@ -1,0 +1,249 @@
+"""Bounds and what they are worth: Cramer-Rao, corrected for coloured residuals, identifiability with reasons.
+
+Coloured correction: V. Klein and E. A. Morelli, Aircraft System Identification, 2nd ed., section 6.4 (and Morelli and
+Klein, Journal of Aircraft 34(1), 1997): with M the information matrix and S_i the sensitivities,
+Cov = M^-1 [sum_i sum_j S_i' R^-1 Rvv(i-j) R^-1 S_j] M^-1, Rvv the residual autocorrelation matrix, here between all
+outputs and tapered (Parzen window) so that it stays positive.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimation.engine.data import FlightData
+from estimation.estimators.arrow import FlightBlocks, pseudo_inverse
+from estimation.estimators.likelihood import LikelihoodPoint, OutputErrorProblem
+from estimation.estimators.result import Estimate, correlation
+from estimation.models.base import Model, Parameter
+from estimation.models.expressions import parse
+
+Array = NDArray[np.float64]
+
+WINDOW_SECONDS = 4.0  # reach of the autocorrelation window: two Dutch-roll periods
+COLLINEAR = 0.95  # correlation from which two estimates are called collinear
+LISTED = 0.9
+USEFUL = 0.3  # a bound wider than this part of what is believed tells nothing new
+STILL = 3.0  # an input that moves less than this many noise levels has not moved
+
+
+@dataclass(frozen=True)
+class Uncertainty:
+    """Covariances of the shared parameters and of each flight's local ones; undetermined: names the data does not see."""
+
+    covariance: Array
+    coloured: Array
+    local_covariance: list[Array]
+    local_coloured: list[Array]
+    undetermined: Array
+
+
+def uncertainty(problem: OutputErrorProblem, unknowns: Array, point: LikelihoodPoint) -> Uncertainty:
+    """Both bounds at an optimum evaluated with derivatives."""
+    blocks = [problem.flight_blocks(unknowns, point, i) for i in range(len(problem.flights))]
+    information, _ = problem.shared_information(unknowns, blocks)
+    covariance, blind = pseudo_inverse(information)
+    undetermined = np.any(np.abs(blind) > 0.05, axis=1) if blind.size else np.zeros(len(problem.shared), bool)
+    ns = len(problem.shared)
+    middle = np.zeros((ns, ns))
+    local_covariance, local_coloured = [], []
+    for i, flight in enumerate(problem.flights):
+        score = flight_score_covariance(problem, point, i, flight)
+        shared, local = problem.shared, problem.local
+        lever = blocks[i].sl @ blocks[i].ll_inverse if len(local) else np.zeros((ns, 0))
+        middle += (
+            score[np.ix_(shared, shared)]
+            - lever @ score[np.ix_(local, shared)]
+            - score[np.ix_(shared, local)] @ lever.T
+            + lever @ score[np.ix_(local, local)] @ lever.T
+        )
+        local_covariance.append(_local(blocks[i], covariance, blocks[i].ll_inverse))
+        local_coloured.append(score[np.ix_(local, local)])
+    coloured = covariance @ (middle + np.diag(problem.prior_weight[problem.shared])) @ covariance
+    for i, block in enumerate(blocks):
+        own = block.ll_inverse @ local_coloured[i] @ block.ll_inverse
+        local_coloured[i] = _local(block, coloured, own)
+    return Uncertainty(covariance, coloured, local_covariance, local_coloured, undetermined)
+
+
+def _local(block: FlightBlocks, shared: Array, own: Array) -> Array:
+    lever = block.ll_inverse @ block.sl.T
+    return own + lever @ shared @ lever.T
+
+
+def flight_score_covariance(problem: OutputErrorProblem, point: LikelihoodPoint, index: int, flight: FlightData) -> Array:
+    """(n, n) covariance of one flight's score about the free parameters, initial states projected out."""
+    n = len(problem.free)
+    total = np.zeros((n, n))
+    gamma = residual_autocorrelation(point.residuals[index], flight)
+    for block, motion, residual in zip(
+        point.blocks[index], point.motions[index], point.residuals[index], strict=True
+    ):
+        assert motion.dy is not None
+        sensitivity = motion.dy[:, :, :n]
+        if block.xx.size:
+            states = motion.dy[:, :, n + problem.free_states]
+            sensitivity = sensitivity - states @ (block.xx_inverse @ block.tx.T)
+        weighted = np.where(np.isfinite(residual)[:, :, None], sensitivity, 0.0)
+        weighted = np.einsum("ab,kbn->kan", np.linalg.inv(point.R), weighted)
+        total += double_sum(weighted, gamma)
+    return total
+
+
+def residual_autocorrelation(residuals: list[Array], flight: FlightData) -> Array:
+    """(lags + 1, ny, ny) tapered autocorrelation E v_i v_{i+k}' of a flight's residuals, pooled over its segments."""
+    ny = residuals[0].shape[1]
+    longest = max(r.shape[0] for r in residuals)
+    interval = float(np.median(np.concatenate([np.diff(s.time) for s in flight.segments])))
+    lags = int(min(max(8.0, WINDOW_SECONDS / interval), longest // 2))
+    sums = np.zeros((lags + 1, ny, ny))
+    counts = np.zeros((lags + 1, ny, ny))
+    for r in residuals:
+        known = np.isfinite(r)
+        v = np.where(known, r, 0.0)
+        for k in range(min(lags, r.shape[0] - 1) + 1):
+            sums[k] += v[: r.shape[0] - k].T @ v[k:]
+            counts[k] += known[: r.shape[0] - k].T.astype(float) @ known[k:]
+    gamma = sums / np.maximum(counts[0], 1.0)  # biased: keeps the matrix sequence positive
+    return gamma * parzen(lags)[:, None, None]
+
+
+def parzen(lags: int) -> Array:
+    """Parzen lag window (lags + 1,): positive spectrum, 1 at lag 0."""
+    x = np.arange(lags + 1) / (lags + 1)
+    return np.where(x <= 0.5, 1 - 6 * x**2 * (1 - x), 2 * (1 - x) ** 3)
+
+
+def double_sum(weighted: Array, gamma: Array) -> Array:
+    """sum_i sum_j W_i' Gamma(j - i) W_j by Fourier transform. weighted: (N, ny, n); gamma: (lags + 1, ny, ny)."""
+    count, ny, n = weighted.shape
+    lags = min(gamma.shape[0] - 1, count - 1)
+    size = 1 << int(np.ceil(np.log2(count + lags + 1)))
+    transformed = np.fft.rfft(weighted, size, axis=0)
+    both = np.zeros((size, ny, ny))
+    both[: lags + 1] = gamma[: lags + 1]
+    for k in range(1, lags + 1):
+        both[size - k] = gamma[k].T
+    spectrum = np.fft.fft(both, axis=0)[: size // 2 + 1].conj()
+    product = spectrum @ transformed
+    part = np.full(size // 2 + 1, 2.0)
+    part[0] = part[-1] = 1.0
+    left = (transformed.conj() * part[:, None, None]).reshape(-1, n)
+    total = np.real(left.T @ product.reshape(-1, n)) / size
+    return 0.5 * (total + total.T)
+
+
+# ------------------------------------------------------------------------------------------------ identifiability
+
+
+def estimates(
+    model: Model,
+    names: tuple[str, ...],
+    values: Array,
+    covariance: Array,
+    coloured: Array,
+    undetermined: Array,
+    flights: list[FlightData],
+) -> tuple[dict[str, Estimate], tuple[tuple[str, str, float], ...]]:
+    """Estimates with bounds and a verdict on each, and the list of strongly correlated pairs."""
+    std = np.where(undetermined, np.inf, np.sqrt(np.maximum(np.diag(covariance), 0.0)))
+    std_coloured = np.where(undetermined, np.inf, np.sqrt(np.maximum(np.diag(coloured), 0.0)))
+    std_coloured = np.maximum(std, std_coloured)
+    rho = correlation(covariance)
+    movement = input_movement(model, flights)
+    result = {}
+    for i, name in enumerate(names):
+        parameter = model.parameter(name)
+        why = _why_not(model, parameter, float(values[i]), float(std_coloured[i]), rho[i], names, i, movement)
+        if not why and undetermined[i]:
+            partners = ", ".join(n for j, n in enumerate(names) if undetermined[j] and j != i) or "nothing else"
+            why = f"tied exactly to {partners}: only a combination can be told; held at its start value"
+        result[name] = Estimate(
+            name, float(values[i]), float(std[i]), float(std_coloured[i]), not why, why, parameter.unit,
+            parameter.reference, parameter.reference_source, parameter.local,
+        )  # fmt: skip
+    pairs = [
+        (names[i], names[j], round(float(rho[i, j]), 4))
+        for i in range(len(names))
+        for j in range(i)
+        if abs(rho[i, j]) >= LISTED and not (undetermined[i] or undetermined[j])
+    ]
+    return result, tuple(sorted(pairs, key=lambda p: -abs(p[2])))
+
+
+def _why_not(
+    model: Model,
+    parameter: Parameter,
+    value: float,
+    std: float,
+    rho: Array,
+    names: tuple[str, ...],
+    index: int,
+    movement: dict[str, tuple[float, float]],
+) -> str:
+    for name in sorted(companions(model, parameter.name)):
+        if name in movement:
+            moved, noise = movement[name]
+            if moved <= max(STILL * noise, 1e-12):
+                unit, factor = _face(model, name)
+                return (
+                    f"{name} moved only {moved * factor:.2g} {unit} rms"
+                    + (f" against {noise * factor:.2g} {unit} of sensor noise" if noise else "")
+                    + ": this data cannot tell; move it on purpose (doublet or 3-2-1-1)"
+                )
+    if not np.isfinite(std):
+        return ""
+    limit = _useful_bound(parameter, value)
+    if std <= limit:
+        return ""
+    strong = [(abs(rho[j]), names[j]) for j in range(len(names)) if j != index and abs(rho[j]) >= COLLINEAR]
+    if strong:
+        r, partner = max(strong)
+        return f"collinear with {partner} (correlation {r:.3f}): this data cannot tell them apart"
+    return f"bound {std:.2g} is wider than {limit:.2g}, too wide to be of use: this data cannot tell"
+
+
+def _useful_bound(parameter: Parameter, value: float) -> float:
+    if parameter.reference:
+        return USEFUL * abs(parameter.reference)
+    if parameter.reference_std is not None:
+        return parameter.reference_std
+    return np.inf if parameter.reference == 0.0 else max(abs(value), 1e-12)
+
+
+def _face(model: Model, name: str) -> tuple[str, float]:
+    unit = next((s.unit for s in model.inputs if s.name == name), "")
+    return ("deg", 57.29577951308232) if unit == "rad" else (unit, 1.0)
+
+
+def input_movement(model: Model, flights: list[FlightData]) -> dict[str, tuple[float, float]]:
+    """Control input -> (rms movement about its median, noise level), pooled over flights."""
+    result = {}
+    for i, signal in enumerate(model.inputs):
+        if not signal.control:
+            continue
+        squares, count = 0.0, 0
+        for flight in flights:
+            for segment in flight.segments:
+                u = segment.u[:, i]
+                squares += float(np.sum((u - np.median(u)) ** 2))
+                count += u.size
+        noise = max((f.noise.get(signal.name, (0.0, 0.0))[0] for f in flights), default=0.0)
+        result[signal.name] = (float(np.sqrt(squares / max(count, 1))), noise)
+    return result
+
+
+def companions(model: Model, parameter: str) -> frozenset[str]:
+    """Input names that stand in a product with the parameter in some line of the model."""
+    import ast
+
+    inputs = set(model.input_names)
+    found: set[str] = set()
+    for expression in model.definitions.values():
+        for node in ast.walk(parse(expression)):
+            if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Mult):
+                names = {n.id for n in ast.walk(node) if isinstance(n, ast.Name)}
+                plain = not any(isinstance(n, ast.BinOp) and isinstance(n.op, ast.Add | ast.Sub) for n in ast.walk(node))
+                if parameter in names and plain:
+                    found |= names & inputs
+    return frozenset(found)

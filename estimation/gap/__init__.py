@@ -1,0 +1,1 @@
+"""Find where model and flight disagree, name the effect, add it, and show that the gap shrinks."""

@@ -1,0 +1,108 @@
+"""Flights prepared once for every model the workflow tries.
+
+De-noising the inputs is the costly part and does not depend on the hypothesis, so the union of all inputs that any
+candidate could bring in is prepared once; a model then takes the columns it needs.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from estimation.engine.data import prepare
+from estimation.engine.kernel import Array
+from estimation.engine.simulate import Segment
+from estimation.gap.effects.base import Effect, Form
+from estimation.models.base import Model, Signal
+from groundstation.flight import Flight
+
+
+@dataclass(frozen=True)
+class Record:
+    """One unbroken stretch of one flight.
+
+    flight: index of the flight. first: index of the first sample in it. inputs: name -> (N,) de-noised; z: (N, ny)
+    measured outputs, NaN where not measured; x0: (nx,) guess of the initial state; both in the base model's order.
+    input_noise: name -> standard deviation of the noise found on an input.
+    """
+
+    flight: int
+    first: int
+    time: Array
+    inputs: Mapping[str, Array]
+    z: Array
+    x0: Array
+    input_noise: Mapping[str, float]
+
+    def __len__(self) -> int:
+        return int(self.time.size)
+
+    def segment(self, model: Model, base: Model) -> Segment:
+        """This record as `model`, a descendant of `base`, needs it."""
+        count = len(self)
+        u = np.column_stack([self.inputs[n] for n in model.input_names]) if model.inputs else np.zeros((count, 0))
+        return Segment(self.first, self.time, np.ascontiguousarray(u), self.z, self.start(model, base))
+
+    def start(self, model: Model, base: Model) -> Array:
+        """Guess of the initial state of `model`; states the base lacks start where their signal says."""
+        at = dict(zip(base.state_names, self.x0, strict=True))
+        for signal in model.states:
+            if signal.name not in at:
+                at[signal.name] = at.get(str(signal.start), 0.0) if isinstance(signal.start, str) else float(signal.start or 0.0)
+        return np.array([at[n] for n in model.state_names])
+
+
+@dataclass(frozen=True)
+class Bench:
+    """Records of the flights given, for one base model. names: of the flights; training, holdout: flight indices."""
+
+    base: Model
+    names: tuple[str, ...]
+    records: tuple[Record, ...]
+    training: tuple[int, ...]
+    holdout: tuple[int, ...]
+    available: frozenset[str]
+    notes: tuple[str, ...]
+
+    def of(self, flights: Iterable[int]) -> tuple[Record, ...]:
+        """Records of the named flights."""
+        wanted = set(flights)
+        return tuple(r for r in self.records if r.flight in wanted)
+
+    def supports(self, form: Form) -> bool:
+        """Whether every flight has the inputs a form would bring in."""
+        return all(s.name in self.available for s in form.inputs)
+
+
+def build_bench(base: Model, effects: Sequence[Effect], training: Sequence[Flight], holdout: Sequence[Flight]) -> Bench:
+    """Prepare all flights for `base` and whatever `effects` may add to it.
+
+    Raises MissingColumnError or DataError (one sentence) where a flight cannot feed the base model at all.
+    """
+    flights = [*training, *holdout]
+    extra: dict[str, Signal] = {}
+    for effect in effects:
+        for form in effect.forms:
+            for signal in form.inputs:
+                extra.setdefault(signal.name, signal)
+    known = {*base.input_names, *base.state_names, *base.parameter_names, *base.constants, *base.definitions}
+    usable = [s for s in extra.values() if s.name not in known and all(f.measured(s.source) for f in flights)]
+    probe = base.plus(inputs=[replace(s, optional=False) for s in usable])
+    records: list[Record] = []
+    notes: list[str] = []
+    for index, flight in enumerate(flights):
+        data = prepare(probe, flight)
+        notes += [f"{flight.name}: {note}" for note in data.notes]
+        noise = {name: level for name, (level, _) in data.noise.items()}
+        for segment in data.segments:
+            inputs = {n: np.ascontiguousarray(segment.u[:, i]) for i, n in enumerate(probe.input_names)}
+            records.append(Record(index, segment.first, segment.time, inputs, segment.z, segment.x0, noise))
+    return Bench(
+        base=base,
+        names=tuple(f.name for f in flights),
+        records=tuple(records),
+        training=tuple(range(len(training))),
+        holdout=tuple(range(len(training), len(flights))),
+        available=frozenset(known | {s.name for s in usable}),
+        notes=tuple(notes),
+    )

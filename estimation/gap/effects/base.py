@@ -1,0 +1,201 @@
+"""What a candidate effect is: data that can be added to any model that has the lines it speaks of.
+
+An `Effect` has one or more `Form`s, each a way in which it can enter with unknowns of its own (a lever arm has an x and
+a z form). The search works on forms and answers with the effect's name; it knows nothing of any particular effect.
+A form names model lines, inputs and outputs by the words of `estimation.models`; where a model lacks what a form
+speaks of, or already contains it, the form does not apply and says why.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+
+from estimation.gap.errors import EffectError
+from estimation.models.base import InputTransform, Model, Parameter, Signal
+from estimation.models.expressions import names_in
+
+
+class Group(StrEnum):
+    """Where an effect lives; the kinematic gate speaks of SENSOR against the rest."""
+
+    DERIVATIVE = "omitted derivative"
+    NONLINEAR = "aerodynamic nonlinearity"
+    UNSTEADY = "unsteady aerodynamics"
+    INERTIAL = "kinematic, inertial"
+    PROPULSION = "propulsion"
+    ACTUATOR = "actuator"
+    SENSOR = "sensor"
+    ENVIRONMENT = "environment"
+
+
+@dataclass(frozen=True, slots=True)
+class EffectParameter:
+    """An unknown of a form.
+
+    typical: usual magnitude (positive), the scale of the prior and of the secant step. lower, upper: physically
+    possible range; an estimate outside is rejected. none: the value at which the effect vanishes (a number, or the
+    name of the model constant the parameter replaces).
+    """
+
+    name: str
+    unit: str
+    typical: float
+    lower: float
+    upper: float
+    none: float | str = 0.0
+    meaning: str = ""
+
+    def null_value(self, model: Model) -> float:
+        """The value without effect in `model`."""
+        return float(model.constants[self.none]) if isinstance(self.none, str) else self.none
+
+
+@dataclass(frozen=True)
+class Form:
+    """One way an effect enters a model: the arguments of `Model.plus`, as data.
+
+    terms: line -> pieces added to it; a piece naming a symbol the model lacks is left out, and a form none of whose
+    pieces apply does not apply. requires: symbols the model must know. unless: (line, symbol) pairs; where the line
+    (or a line it is made of) already contains the symbol, the model has the effect. inputs: flight columns the form
+    brings in as inputs where the model does not have them already. frees: parameters the model has but holds fixed.
+    """
+
+    label: str
+    parameters: tuple[EffectParameter, ...]
+    terms: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    lines: tuple[str, ...] = ()
+    outputs: Mapping[str, str] = field(default_factory=dict)
+    states: tuple[Signal, ...] = ()
+    inputs: tuple[Signal, ...] = ()
+    transforms: tuple[InputTransform, ...] = ()
+    output_delays: Mapping[str, str] = field(default_factory=dict)
+    requires: tuple[str, ...] = ()
+    unless: tuple[tuple[str, str], ...] = ()
+    frees: tuple[str, ...] = ()
+
+    def obstacle(self, model: Model) -> str | None:
+        """Why the form cannot be added to `model`, or None where it can."""
+        known = _symbols(model)
+        present = [p.name for p in self.parameters if p.name in model.parameter_names and p.name not in self.frees]
+        if present:
+            return f"the model already has {', '.join(present)}"
+        missing = [s for s in self.requires if s not in known]
+        missing += [o for o in (*self.outputs, *self.output_delays) if o not in model.output_names]
+        if self.transforms and not self._transforms(model):
+            missing.append(self.transforms[0].input)
+        if missing:
+            return f"the model has no {', '.join(dict.fromkeys(missing))}"
+        for line, symbol in self.unless:
+            if symbol in _reach(model, line):
+                return f"the model's {line} already contains {symbol}"
+        if any(o in model.output_delays for o in self.output_delays):
+            return "the model already delays these outputs"
+        if self.terms and not self._pieces(model):
+            return "the model has none of the terms it would change"
+        return None
+
+    def added_to(self, model: Model, at: Mapping[str, float] | None = None, fixed: bool = False) -> Model:
+        """`model` with this form, its parameters starting at `at` (by default without effect).
+
+        Raises EffectError where the form does not apply.
+        """
+        obstacle = self.obstacle(model)
+        if obstacle:
+            raise EffectError(f"effect {self.label}: cannot be added to model {model.name}: {obstacle}")
+        starts = {p.name: p.null_value(model) for p in self.parameters} | dict(at or {})
+        parameters = [
+            Parameter(p.name, p.unit, start=starts[p.name], lower=min(p.lower, starts[p.name]),
+                      upper=max(p.upper, starts[p.name]), fixed=fixed, description=p.meaning)
+            for p in self.parameters
+        ]  # fmt: skip
+        return model.plus(
+            terms=self._pieces(model),
+            lines=self.lines,
+            outputs=self.outputs,
+            states=self.states,
+            inputs=[s for s in self.inputs if s.name not in _symbols(model)],
+            parameters=parameters,
+            transforms=self._transforms(model),
+            output_delays=self.output_delays,
+        )
+
+    def _transforms(self, model: Model) -> tuple[InputTransform, ...]:
+        return tuple(t for t in self.transforms if t.input in model.input_names)
+
+    def _pieces(self, model: Model) -> dict[str, str]:
+        known = _symbols(model) | {p.name for p in self.parameters} | {s.name for s in (*self.states, *self.inputs)}
+        known |= {line.partition("=")[0].strip() for line in self.lines}
+        chosen = {}
+        for line, pieces in self.terms.items():
+            if line in model.definitions:
+                fitting = [piece for piece in pieces if names_in(piece) <= known]
+                if fitting:
+                    chosen[line] = " + ".join(f"({piece})" for piece in fitting)
+        return chosen
+
+
+@dataclass(frozen=True)
+class Effect:
+    """A candidate explanation of a gap, with what a person must know to judge it.
+
+    physics: a paragraph. equation: how it is written. source: where form and size come from. signature: what it leaves
+    in the residuals. confusions: other effects it can be mistaken for -> what tells them apart. separate_by: the
+    manoeuvre or bench test that isolates it. family: members of one family count as one class. tied_to: base
+    parameters that already carry it exactly.
+    """
+
+    name: str
+    title: str
+    group: Group
+    physics: str
+    equation: str
+    source: str
+    signature: str
+    confusions: Mapping[str, str]
+    separate_by: str
+    forms: tuple[Form, ...]
+    family: str = ""
+    tied_to: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        labels = [f.label for f in self.forms]
+        if len(set(labels)) < len(labels):
+            raise EffectError(f"effect {self.name}: two forms are called {labels}")
+
+    def applicable(self, model: Model) -> tuple[Form, ...]:
+        """The forms that can be added to `model`."""
+        return tuple(f for f in self.forms if f.obstacle(model) is None)
+
+    def form(self, label: str) -> Form:
+        """The form of that label; EffectError otherwise."""
+        for form in self.forms:
+            if form.label == label:
+                return form
+        raise EffectError(f"effect {self.name}: no form {label!r}; it has {', '.join(f.label for f in self.forms)}")
+
+
+def add_effect(effect: Effect, model: Model, size: float | None = None) -> Model:
+    """`model` with the first applicable form of `effect`, started at `size` typical sizes (default: no effect)."""
+    for form in effect.forms:
+        if form.obstacle(model) is None:
+            at = None if size is None else {p.name: p.null_value(model) + size * p.typical for p in form.parameters}
+            made = form.added_to(model, at)
+            return replace(made, name=f"{model.name}+{effect.name}")
+    raise EffectError(f"effect {effect.name}: cannot be added to model {model.name}: {effect.forms[0].obstacle(model)}")
+
+
+def _symbols(model: Model) -> set[str]:
+    return {*model.state_names, *model.input_names, *model.parameter_names, *model.constants, *model.definitions}
+
+
+def _reach(model: Model, line: str) -> set[str]:
+    """Symbols that `line` is made of, through intermediate lines but not through coefficients' states."""
+    found: set[str] = set()
+    open_ = [line]
+    while open_:
+        symbol = open_.pop()
+        for name in names_in(model.definitions[symbol]) if symbol in model.definitions else ():
+            if name not in found:
+                found.add(name)
+                open_.append(name)
+    return found

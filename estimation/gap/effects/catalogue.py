@@ -1,0 +1,123 @@
+"""The catalogue as one ordered table, extended by installed packages and by files a person names.
+
+A laboratory adds an effect in one short file: a TOML file with the fields of `Effect` and `Form` (data only, nothing is
+executed), or a Python file with a tuple `EFFECTS`; or installs it under the entry point group `sideslip.effects`.
+"""
+
+import importlib.metadata
+import importlib.util
+import tomllib
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from estimation.errors import ModelError
+from estimation.gap.effects.aerodynamic import DERIVATIVES, NONLINEAR, UNSTEADY
+from estimation.gap.effects.base import Effect, EffectParameter, Form, Group
+from estimation.gap.effects.hardware import ACTUATOR, ENVIRONMENT, SENSOR
+from estimation.gap.effects.motion import INERTIAL, PROPULSION
+from estimation.gap.errors import EffectError
+from estimation.models.base import InputTransform, Signal
+from estimation.models.expressions import parse
+
+ENTRY_POINTS = "sideslip.effects"
+BUILT_IN: tuple[Effect, ...] = (
+    *DERIVATIVES, *NONLINEAR, *UNSTEADY, *INERTIAL, *PROPULSION, *ACTUATOR, *SENSOR, *ENVIRONMENT,
+)  # fmt: skip
+
+
+def catalogue(extra_files: Iterable[str | Path] = ()) -> tuple[Effect, ...]:
+    """Built-in effects, then those of installed packages, then those of `extra_files`; a later name takes the place of
+    an earlier one.
+
+    Raises EffectError naming the file and key that does not fit.
+    """
+    effects = {e.name: e for e in BUILT_IN}
+    for point in importlib.metadata.entry_points(group=ENTRY_POINTS):
+        for effect in _checked(point.load(), f"entry point {point.name}"):
+            effects[effect.name] = effect
+    for path in extra_files:
+        for effect in load_effects(path):
+            effects[effect.name] = effect
+    return tuple(effects.values())
+
+
+def load_effects(path: str | Path) -> tuple[Effect, ...]:
+    """Effects of one .toml or .py file."""
+    path = Path(path)
+    if not path.is_file():
+        raise EffectError(f"effects {path}: no such file")
+    if path.suffix == ".toml":
+        return _from_toml(path)
+    if path.suffix == ".py":
+        spec = importlib.util.spec_from_file_location(f"sideslip_effects_{path.stem}", path)
+        assert spec is not None and spec.loader is not None
+        module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+        if not hasattr(module, "EFFECTS"):
+            raise EffectError(f"effects {path}: no tuple EFFECTS in it")
+        return _checked(module.EFFECTS, str(path))
+    raise EffectError(f"effects {path}: give a .toml or a .py file")
+
+
+def _checked(found: Any, where: str) -> tuple[Effect, ...]:
+    effects = tuple(found)
+    for effect in effects:
+        if not isinstance(effect, Effect):
+            raise EffectError(f"{where}: EFFECTS holds {effect!r}, which is no Effect")
+    return effects
+
+
+def _from_toml(path: Path) -> tuple[Effect, ...]:
+    try:
+        data = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise EffectError(f"effects {path}: not a TOML file: {error}") from error
+    tables = data.get("effect")
+    if not isinstance(tables, list) or not tables:
+        raise EffectError(f"effects {path}: write each effect as a table [[effect]]")
+    try:
+        return tuple(_effect(table) for table in tables)
+    except (TypeError, ValueError, KeyError, ModelError) as error:
+        raise EffectError(f"effects {path}: {error}") from error
+
+
+def _effect(table: Mapping[str, Any]) -> Effect:
+    data = dict(table)
+    forms = tuple(_form(f) for f in data.pop("form", []))
+    if not forms:
+        raise EffectError(f"effect {data.get('name')!r}: at least one [[effect.form]] is needed")
+    texts = {k: str(data.pop(k, "")) for k in ("physics", "equation", "source", "signature", "separate_by", "family")}
+    effect = Effect(
+        name=data.pop("name"),
+        title=data.pop("title"),
+        group=Group(data.pop("group", Group.DERIVATIVE)),
+        confusions=dict(data.pop("confusions", {})),
+        forms=forms,
+        **texts,
+    )
+    if data:
+        raise EffectError(f"effect {effect.name!r}: unknown key {next(iter(data))!r}")
+    return effect
+
+
+def _form(table: Mapping[str, Any]) -> Form:
+    data = dict(table)
+    terms = {k: (v,) if isinstance(v, str) else tuple(v) for k, v in data.pop("terms", {}).items()}
+    for pieces in terms.values():
+        for piece in pieces:
+            parse(piece)
+    return Form(
+        label=data.pop("label", "form"),
+        parameters=tuple(EffectParameter(**p) for p in data.pop("parameters")),
+        terms=terms,
+        lines=tuple(data.pop("lines", ())),
+        outputs=dict(data.pop("outputs", {})),
+        states=tuple(Signal(**s) for s in data.pop("states", ())),
+        inputs=tuple(Signal(**s) for s in data.pop("inputs", ())),
+        transforms=tuple(InputTransform(t["kind"], t["input"], tuple(t["parameters"])) for t in data.pop("transforms", ())),
+        output_delays=dict(data.pop("output_delays", {})),
+        requires=tuple(data.pop("requires", ())),
+        unless=tuple((line, symbol) for line, symbol in data.pop("unless", ())),
+        **data,
+    )

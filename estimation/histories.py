@@ -1,0 +1,57 @@
+"""Figures of measured against estimated (or predicted) histories, channel under channel, flight beside flight."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from estimation.laboratory import Session
+    from estimation.models.base import Model
+    from estimation.proof import Proof
+
+Array = NDArray[np.float64]
+DEGREES = 57.29577951308232
+
+
+def write_histories(session: "Session", path: Path) -> None:
+    """Measured and estimated outputs of every flight, one curve for each method; format by the suffix of `path`."""
+    columns = []
+    for f in session.flights:
+        results = [r for r in f.results.values() if r.flights]
+        if not results:
+            continue
+        fitted = {r.method: r.flights[0].outputs for r in results}
+        columns.append((f.flight.name, results[0].flights[0].time, results[0].flights[0].measured, fitted))
+    _draw(next(iter(session.flights[0].results.values())).model, columns, path)
+
+
+def write_proof(proofs: Sequence["Proof"], path: Path) -> None:
+    """Measured and predicted outputs of every flight."""
+    columns = [(p.name, p.time, p.measured, {"predicted": p.predicted}) for p in proofs]
+    _draw(proofs[0].result.model, columns, path)
+
+
+def _draw(model: "Model", columns: Sequence[tuple[str, Array, Array, dict[str, Array]]], path: Path) -> None:
+    from matplotlib.figure import Figure
+
+    rows = len(model.outputs)
+    figure = Figure(figsize=(4.5 * len(columns) + 1.5, 1.7 * rows + 0.8), layout="constrained")
+    axes: Any = figure.subplots(rows, len(columns), sharex="col", squeeze=False)
+    for j, (name, time, measured, fitted) in enumerate(columns):
+        for i, signal in enumerate(model.outputs):
+            factor, unit = (DEGREES, signal.unit.replace("rad", "deg")) if "rad" in signal.unit else (1.0, signal.unit)
+            axis = axes[i][j]
+            axis.plot(time, measured[:, i] * factor, ".", color="0.6", markersize=2.5, label="measured")
+            for label, outputs in fitted.items():
+                axis.plot(time, outputs[:, i] * factor, linewidth=1.1, label=label)
+            axis.grid(alpha=0.3)
+            if j == 0:
+                axis.set_ylabel(f"{signal.name} [{unit}]")
+        axes[0][j].set_title(name, fontsize=10)
+        axes[-1][j].set_xlabel("time [s]")
+    axes[0][0].legend(fontsize=8)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=110)

@@ -1,0 +1,149 @@
+"""Equation text as data: parsed by a whitelist, never evaluated as code.
+
+A line is `name = expression`. An expression knows + - * / ** (or ^), unary minus, numbers, names, and the functions of
+`FUNCTIONS`; comparisons may stand as the first argument of `where`. Everything else is refused with a sentence, so a
+model file from a stranger can do nothing but arithmetic.
+"""
+
+import ast
+import re
+from collections.abc import Callable, Mapping
+from functools import lru_cache
+from typing import Any
+
+from estimation.errors import ModelError
+
+FUNCTIONS: Mapping[str, int] = {
+    "sin": 1, "cos": 1, "tan": 1, "asin": 1, "acos": 1, "atan": 1, "atan2": 2,
+    "sinh": 1, "cosh": 1, "tanh": 1, "sqrt": 1, "exp": 1, "log": 1, "abs": 1, "sign": 1,
+    "min": 2, "max": 2, "where": 3,
+}  # fmt: skip
+"""Function name -> number of arguments."""
+
+NUMBERS: Mapping[str, float] = {"pi": 3.141592653589793}
+LONGEST = 4000  # characters in one expression; longer text is no equation of motion
+
+_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*\Z")
+_BINARY = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Pow: "**"}
+_COMPARE = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">="}
+
+
+def check_name(name: str, what: str) -> str:
+    """`name` if it can stand in an equation; ModelError otherwise."""
+    if not _NAME.match(name) or name in FUNCTIONS or name in NUMBERS:
+        raise ModelError(f"{what} {name!r}: use letters, digits and _, not beginning with a digit, and no function's name")
+    return name
+
+
+def split_line(line: str) -> tuple[str, str]:
+    """(`name`, `expression`) of an equation line."""
+    left, sign, right = line.partition("=")
+    if not sign or not right.strip() or right.lstrip().startswith("="):
+        raise ModelError(f"equation {line.strip()!r}: write it as 'name = expression'")
+    return check_name(left.strip(), f"left side of {line.strip()!r}:"), right.strip()
+
+
+@lru_cache(maxsize=4096)
+def parse(expression: str) -> ast.expr:
+    """Syntax tree of an expression, every node checked against the whitelist.
+
+    Raises ModelError naming the first thing that is not allowed.
+    """
+    if len(expression) > LONGEST:
+        raise ModelError(f"expression of {len(expression)} characters: the limit is {LONGEST}; use intermediate lines")
+    try:
+        tree = ast.parse(expression.replace("^", "**").strip(), mode="eval").body
+        _check(tree, expression)
+    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
+        raise ModelError(f"expression {_short(expression)}: cannot be read ({error})") from error
+    return tree
+
+
+def names_in(expression: str) -> frozenset[str]:
+    """Names an expression refers to, functions and pi left out."""
+    called = {n.func.id for n in ast.walk(parse(expression)) if isinstance(n, ast.Call) and isinstance(n.func, ast.Name)}
+    used = {n.id for n in ast.walk(parse(expression)) if isinstance(n, ast.Name)}
+    return frozenset(used - called - set(NUMBERS))
+
+
+def evaluate(expression: str, symbols: Mapping[str, Any], functions: Mapping[str, Callable[..., Any]]) -> Any:
+    """Value of an expression; symbols and functions decide of what kind (numbers, arrays, CasADi symbols)."""
+    return _value(parse(expression), symbols, functions)
+
+
+def _check(node: ast.AST, text: str) -> None:
+    match node:
+        case ast.Constant(value=value) if isinstance(value, int | float) and not isinstance(value, bool):
+            return
+        case ast.Name():
+            return
+        case ast.UnaryOp(op=ast.USub() | ast.UAdd(), operand=operand):
+            _check(operand, text)
+        case ast.BinOp(left=left, op=op, right=right) if type(op) in _BINARY:
+            _check(left, text)
+            _check(right, text)
+        case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]) if name in FUNCTIONS:
+            _check_call(name, arguments, text)
+        case ast.Call(func=ast.Name(id=name)):
+            raise ModelError(f"expression {_short(text)}: no function {name!r}; known are {', '.join(FUNCTIONS)}")
+        case _:
+            raise ModelError(f"expression {_short(text)}: only arithmetic is allowed, not {type(node).__name__}")
+
+
+def _check_call(name: str, arguments: list[ast.expr], text: str) -> None:
+    if len(arguments) != FUNCTIONS[name]:
+        raise ModelError(f"expression {_short(text)}: {name} takes {FUNCTIONS[name]} arguments, not {len(arguments)}")
+    rest = arguments
+    if name == "where":
+        condition, *rest = arguments
+        match condition:
+            case ast.Compare(left=left, ops=[op], comparators=[right]) if type(op) in _COMPARE:
+                _check(left, text)
+                _check(right, text)
+            case _:
+                raise ModelError(f"expression {_short(text)}: where(a < b, value, other) needs one comparison first")
+    for argument in rest:
+        _check(argument, text)
+
+
+def _value(node: ast.AST, symbols: Mapping[str, Any], functions: Mapping[str, Callable[..., Any]]) -> Any:
+    match node:
+        case ast.Constant(value=value):
+            return float(value)  # type: ignore[arg-type]
+        case ast.Name(id=name):
+            return NUMBERS[name] if name in NUMBERS else symbols[name]
+        case ast.UnaryOp(op=op, operand=operand):
+            inner = _value(operand, symbols, functions)
+            return -inner if isinstance(op, ast.USub) else inner
+        case ast.BinOp(left=left, op=op, right=right):
+            return _arithmetic(_BINARY[type(op)], _value(left, symbols, functions), _value(right, symbols, functions))
+        case ast.Compare(left=left, ops=[op], comparators=[right]):
+            a, b = _value(left, symbols, functions), _value(right, symbols, functions)
+            return _comparison(_COMPARE[type(op)], a, b)
+        case ast.Call(func=ast.Name(id=name), args=arguments):
+            return functions[name](*(_value(argument, symbols, functions) for argument in arguments))
+    raise ModelError(f"expression holds {type(node).__name__}, which is not arithmetic")
+
+
+def _arithmetic(operator: str, a: Any, b: Any) -> Any:
+    match operator:
+        case "+":
+            return a + b
+        case "-":
+            return a - b
+        case "*":
+            return a * b
+        case "/":
+            return a / b
+    # small whole powers as products: exact derivatives at zero and faster than pow()
+    if isinstance(b, float) and b in (2.0, 3.0):
+        return a * a if b == 2.0 else a * a * a
+    return a**b
+
+
+def _comparison(operator: str, a: Any, b: Any) -> Any:
+    return {"<": lambda: a < b, "<=": lambda: a <= b, ">": lambda: a > b, ">=": lambda: a >= b}[operator]()
+
+
+def _short(text: str) -> str:
+    return repr(text if len(text) <= 60 else text[:57] + "...")

@@ -1,0 +1,283 @@
+"""A model of one's own as a short class: names with units, and two methods of plain equations.
+
+    class RollMode:
+        states = {"p": "rad/s"}
+        inputs = {"delta_a": "rad"}
+        measured = {"p": "rad/s"}
+        parameters = {"L_p": ("1/s", -5.0), "L_da": ("1/s2", -20.0)}
+
+        def derivatives(self, x, u, p):
+            return [p.L_p * x.p + p.L_da * u.delta_a]
+
+        def outputs(self, x, u, p, xdot):
+            return [x.p]
+
+The methods are called once with symbols and give the equation text of an ordinary `Model`, so such a model simulates,
+compiles, is written to TOML and takes extra terms like any other. Use `sin`, `where`, ... from this module, or numpy's.
+A class whose constructor takes an argument is given the aircraft.
+"""
+
+import inspect
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any, Self
+
+from estimation.aircraft import Aircraft
+from estimation.errors import ModelError
+from estimation.models.base import Model, Parameter, Signal
+
+_LEVEL = {"+": 1, "-": 1, "*": 2, "/": 2, "neg": 3, "**": 4}
+_NUMPY = {
+    "add": "+", "subtract": "-", "multiply": "*", "divide": "/", "power": "**", "negative": "neg",
+    "sin": "sin", "cos": "cos", "tan": "tan", "tanh": "tanh", "arcsin": "asin", "arccos": "acos", "arctan": "atan",
+    "arctan2": "atan2", "sqrt": "sqrt", "exp": "exp", "log": "log", "sign": "sign", "absolute": "abs", "minimum": "min",
+    "maximum": "max", "less": "<", "less_equal": "<=", "greater": ">", "greater_equal": ">=",
+}  # fmt: skip
+SHORT = 12  # characters below which an expression used twice is written twice
+
+
+class Symbol:
+    """A quantity in an equation: arithmetic on it gives equation text."""
+
+    __slots__ = ("arguments", "operator")
+
+    def __init__(self, operator: str, *arguments: "Symbol | str") -> None:
+        self.operator = operator
+        self.arguments = arguments
+
+    def __bool__(self) -> bool:
+        raise ModelError("an equation cannot branch with 'if' or 'and'; use where(a < b, value, otherwise)")
+
+    def __array_ufunc__(self, ufunc: Any, method: str, *inputs: object, **_: object) -> "Symbol":
+        """numpy's functions and numpy numbers in an equation."""
+        if method != "__call__" or ufunc.__name__ not in _NUMPY:
+            raise ModelError(f"numpy.{ufunc.__name__} has no place in an equation; known are {', '.join(_NUMPY)}")
+        return Symbol(_NUMPY[ufunc.__name__], *(symbol(value) for value in inputs))
+
+    def __add__(self, other: object) -> "Symbol":
+        return Symbol("+", self, symbol(other))
+
+    def __radd__(self, other: object) -> "Symbol":
+        if isinstance(other, int) and other == 0:  # where sum() begins
+            return self
+        return Symbol("+", symbol(other), self)
+
+    def __sub__(self, other: object) -> "Symbol":
+        return Symbol("-", self, symbol(other))
+
+    def __rsub__(self, other: object) -> "Symbol":
+        return Symbol("-", symbol(other), self)
+
+    def __mul__(self, other: object) -> "Symbol":
+        return Symbol("*", self, symbol(other))
+
+    def __rmul__(self, other: object) -> "Symbol":
+        return Symbol("*", symbol(other), self)
+
+    def __truediv__(self, other: object) -> "Symbol":
+        return Symbol("/", self, symbol(other))
+
+    def __rtruediv__(self, other: object) -> "Symbol":
+        return Symbol("/", symbol(other), self)
+
+    def __pow__(self, other: object) -> "Symbol":
+        return Symbol("**", self, symbol(other))
+
+    def __rpow__(self, other: object) -> "Symbol":
+        return Symbol("**", symbol(other), self)
+
+    def __neg__(self) -> "Symbol":
+        return Symbol("neg", self)
+
+    def __pos__(self) -> Self:
+        return self
+
+    def __abs__(self) -> "Symbol":
+        return Symbol("abs", self)
+
+    def __lt__(self, other: object) -> "Symbol":
+        return Symbol("<", self, symbol(other))
+
+    def __le__(self, other: object) -> "Symbol":
+        return Symbol("<=", self, symbol(other))
+
+    def __gt__(self, other: object) -> "Symbol":
+        return Symbol(">", self, symbol(other))
+
+    def __ge__(self, other: object) -> "Symbol":
+        return Symbol(">=", self, symbol(other))
+
+
+def symbol(value: object) -> Symbol:
+    """A number or symbol as a symbol."""
+    if isinstance(value, Symbol):
+        return value
+    try:
+        return Symbol("leaf", repr(float(value)))  # type: ignore[arg-type]
+    except (TypeError, ValueError):
+        raise ModelError(f"an equation holds {type(value).__name__}, which is neither a number nor a quantity") from None
+
+
+def _function(name: str) -> Any:
+    def apply(*arguments: object) -> Symbol:
+        return Symbol(name, *(symbol(a) for a in arguments))
+
+    apply.__name__ = name
+    apply.__doc__ = f"{name} of quantities in an equation."
+    return apply
+
+
+sin, cos, tan, tanh = (_function(n) for n in ("sin", "cos", "tan", "tanh"))
+asin, acos, atan, atan2 = (_function(n) for n in ("asin", "acos", "atan", "atan2"))
+sqrt, exp, log, sign = (_function(n) for n in ("sqrt", "exp", "log", "sign"))
+minimum, maximum, where = _function("min"), _function("max"), _function("where")
+
+
+class Names:
+    """Quantities by attribute: `x.p`, `u.delta_a`; also by item and in order."""
+
+    def __init__(self, kind: str, names: Iterable[str], suffix: str = "") -> None:
+        self._kind = kind
+        self._symbols = {name: Symbol("leaf", name + suffix) for name in names}
+
+    def __getattr__(self, name: str) -> Symbol:
+        if name.startswith("_"):
+            raise AttributeError(name)
+        try:
+            return self._symbols[name]
+        except KeyError:
+            raise ModelError(f"no {self._kind} {name!r}; there are {', '.join(self._symbols)}") from None
+
+    def __getitem__(self, name: str) -> Symbol:
+        return getattr(self, name)  # type: ignore[no-any-return]
+
+    def __iter__(self) -> Iterator[Symbol]:
+        return iter(self._symbols.values())
+
+
+def model_from_class(cls: type, aircraft: Aircraft | None = None) -> Model:
+    """The `Model` that a class as in the module head describes; ModelError says what it lacks."""
+    for needed in ("states", "measured", "parameters", "derivatives", "outputs"):
+        if not hasattr(cls, needed):
+            raise ModelError(f"model class {cls.__name__}: no {needed!r}; see 'A model of one's own' in docs/estimation.md")
+    instance = _instance(cls, aircraft)
+    states = tuple(_signal(n, v, "state") for n, v in instance.states.items())
+    inputs = tuple(_signal(n, v, "input") for n, v in getattr(instance, "inputs", {}).items())
+    measured = tuple(_signal(n, v, "output") for n, v in instance.measured.items())
+    parameters = tuple(_parameter(n, v) for n, v in instance.parameters.items())
+    x, u = Names("state", [s.name for s in states]), Names("input", [s.name for s in inputs])
+    p, xdot = Names("parameter", [q.name for q in parameters]), Names("state", [s.name for s in states], "_dot")
+    rates = _in_order(instance.derivatives(x, u, p), [s.name for s in states], f"{cls.__name__}.derivatives")
+    shown = _in_order(instance.outputs(x, u, p, xdot), [s.name for s in measured], f"{cls.__name__}.outputs")
+    targets = [(f"{s.name}_dot", r) for s, r in zip(states, rates, strict=True)]
+    taken = {s.name for s in (*states, *inputs, *parameters)} | {t for t, _ in targets}
+    for signal, value in zip(measured, shown, strict=True):
+        name = f"{signal.name}_measured" if signal.name in taken else signal.name
+        if not (value.operator == "leaf" and value.arguments == (signal.name,)):
+            targets.append((name, value))
+    return Model(
+        name=str(getattr(instance, "name", cls.__name__)),
+        title=(inspect.getdoc(cls) or "").split("\n", 1)[0],
+        states=states,
+        inputs=inputs,
+        outputs=measured,
+        parameters=parameters,
+        constants={} if aircraft is None else aircraft.constants(),
+        equations=tuple(_Writer(targets).lines()),
+    )
+
+
+def _instance(cls: type, aircraft: Aircraft | None) -> Any:
+    wanted = [q for q in inspect.signature(cls).parameters.values() if q.default is q.empty and q.kind in (0, 1)]
+    if not wanted:
+        return cls()
+    if aircraft is None:
+        from estimation.aircraft import load_aircraft
+
+        aircraft = load_aircraft()
+    return cls(aircraft)
+
+
+def _signal(name: str, value: object, kind: str) -> Signal:
+    if isinstance(value, Signal):
+        return value
+    return Signal(name, str(value), control=kind == "input" and name.startswith(("delta_", "cmd_")))
+
+
+def _parameter(name: str, value: object) -> Parameter:
+    if isinstance(value, Parameter):
+        return value
+    if isinstance(value, str):
+        return Parameter(name, value)
+    if isinstance(value, tuple) and 1 <= len(value) <= 4:
+        return Parameter(name, str(value[0]), *(float(v) for v in value[1:]))
+    raise ModelError(f"parameter {name!r}: give a unit, (unit, start), (unit, start, lower, upper) or a Parameter")
+
+
+def _in_order(value: object, names: list[str], what: str) -> list[Symbol]:
+    if isinstance(value, Mapping):
+        if set(value) != set(names):
+            raise ModelError(f"{what}: gives {', '.join(map(str, value))}; needed are {', '.join(names)}")
+        value = [value[n] for n in names]
+    values = [symbol(v) for v in (value if isinstance(value, Iterable) else [value])]
+    if len(values) != len(names):
+        raise ModelError(f"{what}: gives {len(values)} values for {len(names)} names ({', '.join(names)})")
+    return values
+
+
+class _Writer:
+    """Equation text of several targets; what is used more than once becomes a line of its own."""
+
+    def __init__(self, targets: list[tuple[str, Symbol]]) -> None:
+        self.targets = targets
+        self.uses: dict[int, int] = {}
+        self.names: dict[int, str] = {}
+        self.made: list[str] = []
+        for _, value in targets:
+            self._count(value)
+
+    def lines(self) -> list[str]:
+        for name, value in self.targets:
+            text = self._text(value, top=True)[0]
+            self.made.append(f"{name} = {text}")
+        return self.made
+
+    def _count(self, node: Symbol) -> None:
+        self.uses[id(node)] = self.uses.get(id(node), 0) + 1
+        if self.uses[id(node)] == 1:
+            for argument in node.arguments:
+                if isinstance(argument, Symbol):
+                    self._count(argument)
+
+    def _text(self, node: Symbol, top: bool = False) -> tuple[str, int]:
+        """(text, binding strength) of a node."""
+        if id(node) in self.names:
+            return self.names[id(node)], 9
+        if node.operator == "leaf":
+            text = str(node.arguments[0])
+            return (f"({text})", 9) if text.startswith("-") else (text, 9)
+        written, level = self._operation(node)
+        if not top and self.uses[id(node)] > 1 and len(written) > SHORT and node.operator not in ("<", "<=", ">", ">="):
+            name = f"common_{len(self.names) + 1}"
+            self.names[id(node)] = name
+            self.made.append(f"{name} = {written}")
+            return name, 9
+        return written, level
+
+    def _operation(self, node: Symbol) -> tuple[str, int]:
+        parts = [self._text(a) for a in node.arguments if isinstance(a, Symbol)]
+        operator = node.operator
+        if operator == "neg":
+            return f"-{_wrapped(parts[0], 3)}", _LEVEL["neg"]
+        if operator in _LEVEL:
+            level = _LEVEL[operator]
+            right = level + 1 if operator in "-/*" else level
+            left_need = level + 1 if operator == "**" else level
+            return f"{_wrapped(parts[0], left_need)} {operator} {_wrapped(parts[1], right)}", level
+        if operator in ("<", "<=", ">", ">="):
+            return f"{parts[0][0]} {operator} {parts[1][0]}", 0
+        return f"{operator}({', '.join(t for t, _ in parts)})", 9
+
+
+def _wrapped(part: tuple[str, int], need: int) -> str:
+    text, level = part
+    return text if level >= need else f"({text})"

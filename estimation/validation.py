@@ -1,0 +1,89 @@
+"""How well a model's outputs match measurements: per channel, with the parts of the misfit, and proof of match.
+
+r2 = 1 - sum e^2 / sum (z - mean z)^2. Theil's inequality coefficient U = rms e / (rms z + rms y), 0 perfect, 1 hopeless,
+below 0.25-0.3 usually called good; its squared error splits into bias, variance and covariance parts that add to one
+(Jategaonkar, Flight Vehicle System Identification, 2nd ed., section 11.3). Whiteness: share of the residual
+autocorrelations within +-1.96/sqrt(N) over lags up to a quarter of the record (0.95 expected of white noise).
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class ChannelFit:
+    """Match of one channel; see the module head. samples: finite pairs counted."""
+
+    r2: float
+    theil: float
+    theil_bias: float
+    theil_variance: float
+    theil_covariance: float
+    rms: float
+    whiteness: float
+    samples: int
+
+    def to_json(self) -> dict[str, float | int | None]:
+        return {name: _plain(getattr(self, name)) for name in self.__dataclass_fields__}
+
+
+def _plain(value: float) -> float | int | None:
+    return value if isinstance(value, int) or np.isfinite(value) else None
+
+
+def channel_fit(measured: Array, predicted: Array) -> ChannelFit:
+    """Fit of one channel; (N,) each, samples where either is NaN left out. All NaN when fewer than 3 remain."""
+    known = np.isfinite(measured) & np.isfinite(predicted)
+    z, y = measured[known], predicted[known]
+    if z.size < 3:
+        return ChannelFit(*([float("nan")] * 7), samples=int(z.size))
+    e = z - y
+    mse = float(np.mean(e**2))
+    spread = float(np.sum((z - z.mean()) ** 2))
+    scale = float(np.sqrt(np.mean(z**2)) + np.sqrt(np.mean(y**2)))
+    bias = float((z.mean() - y.mean()) ** 2)
+    variance = float((z.std() - y.std()) ** 2)
+    safe = mse if mse > 0 else 1.0
+    return ChannelFit(
+        r2=1.0 - float(np.sum(e**2)) / spread if spread > 0 else float("nan"),
+        theil=float(np.sqrt(mse)) / scale if scale > 0 else 0.0,
+        theil_bias=bias / safe,
+        theil_variance=variance / safe,
+        theil_covariance=max(0.0, 1.0 - (bias + variance) / safe) if mse > 0 else 0.0,
+        rms=float(np.sqrt(mse)),
+        whiteness=whiteness(e),
+        samples=int(z.size),
+    )
+
+
+def fits(names: Sequence[str], measured: Array, predicted: Array) -> dict[str, ChannelFit]:
+    """Fit of every channel; measured, predicted: (N, ny)."""
+    return {name: channel_fit(measured[:, i], predicted[:, i]) for i, name in enumerate(names)}
+
+
+def autocorrelation(residual: Array, lags: int) -> Array:
+    """Biased autocorrelation (lags + 1,) of a residual (N,), NaN counted as zero, 1 at lag 0."""
+    e = np.where(np.isfinite(residual), residual, 0.0)
+    e = e - e.mean()
+    size = 1 << int(np.ceil(np.log2(2 * e.size)))
+    spectrum = np.abs(np.fft.rfft(e, size)) ** 2
+    r = np.fft.irfft(spectrum, size)[: lags + 1]
+    return r / r[0] if r[0] > 0 else np.zeros(lags + 1)
+
+
+def whiteness(residual: Array) -> float:
+    """Share of autocorrelations at lags 1 .. N/4 within the 95 % band of white noise."""
+    count = residual.size
+    lags = max(1, count // 4)
+    r = autocorrelation(residual, min(lags, count - 1))[1:]
+    return float(np.mean(np.abs(r) <= 1.96 / np.sqrt(count))) if r.size else float("nan")
+
+
+def to_json(fit: Mapping[str, ChannelFit]) -> dict[str, Any]:
+    return {name: f.to_json() for name, f in fit.items()}

@@ -1,0 +1,230 @@
+"""The simulated sensor bus: the `smbus2.SMBus` calls that drivers use, served by simulated chips.
+
+Every transfer takes the time it would take on the wire plus the software's share, and the clock is moved on by it, so the
+offsets at which channels are read within a scan are as real as on hardware. Errors are those of Linux: a chip that does
+not acknowledge raises OSError(EREMOTEIO), a line held low OSError(ETIMEDOUT) after the adapter's time-out.
+Timing: nine clocks for each byte, two for start and stop (NXP UM10204 rev. 7, 3.1).
+"""
+
+import ctypes
+import errno
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from pydantic import BaseModel, ConfigDict, Field
+
+READ_FLAG = 0x0001  # I2C_M_RD of linux/i2c.h
+GENERAL_CALL = 0x00
+BLOCK_LIMIT = 32  # bytes in one SMBus block transfer
+
+
+class BusModel(BaseModel):
+    """Scenario table `[bus]`: how fast the bus and the machine behind it are."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    frequency_hz: float = Field(default=400e3, gt=0.0, description="clock of the bus [Hz]")
+    overhead_us: float = Field(default=60.0, ge=0.0, description="system call and driver time of each transfer [us]")
+    timeout_ms: float = Field(
+        default=10.0, gt=0.0, description="time after which the adapter gives up on a held line [ms]"
+    )
+
+
+class Chip(Protocol):
+    """A device on the bus. Times are monotonic nanoseconds of the bus's clock."""
+
+    def answers(self, now_ns: int) -> bool:
+        """Whether the chip acknowledges its address now."""
+        ...
+
+    def write(self, data: bytes, now_ns: int) -> None:
+        """Take the bytes of one write."""
+        ...
+
+    def read(self, count: int, now_ns: int) -> bytes:
+        """The bytes of one read."""
+        ...
+
+    def general_call(self, data: bytes, now_ns: int) -> None:
+        """Take bytes sent to everybody."""
+        ...
+
+    def set_power(self, on: bool, now_ns: int) -> None:
+        """Power comes (registers at their reset values) or goes."""
+        ...
+
+
+class BusClock(Protocol):
+    """What the bus needs of a clock: simulated time that it can move on."""
+
+    def monotonic_ns(self) -> int: ...
+
+    def advance(self, duration_ns: int) -> None: ...
+
+
+@dataclass(frozen=True, slots=True)
+class Disturbance:
+    """What a fault does to one transfer."""
+
+    refused: bool = False  # the address is not acknowledged
+    held: bool = False  # a line is held low: the adapter times out
+    stretch: float = 1.0  # the transfer takes this many times as long
+
+
+def _no_disturbance(address: int, now_ns: int) -> Disturbance | None:
+    return None
+
+
+Message = Any  # smbus2.i2c_msg, or anything with addr, flags, len and buf
+
+
+class SimulatedBus:
+    """An I2C bus with chips on it, called as `smbus2.SMBus` is.
+
+    chips: 7-bit address -> chip. disturb: asked before every transfer; None means an undisturbed one.
+    transfers, busy_ns: count and total duration of all transfers so far.
+    """
+
+    def __init__(
+        self,
+        clock: BusClock,
+        chips: Mapping[int, Chip],
+        model: BusModel | None = None,
+        disturb: Callable[[int, int], Disturbance | None] = _no_disturbance,
+    ) -> None:
+        model = model or BusModel()
+        self.chips = dict(chips)
+        self.transfers = 0
+        self.busy_ns = 0
+        self._clock = clock
+        self._disturb = disturb
+        self._bit_ns = 1e9 / model.frequency_hz
+        self._overhead_ns = model.overhead_us * 1e3
+        self._timeout_ns = round(model.timeout_ms * 1e6)
+        self._closed = False
+
+    def read_byte(self, i2c_addr: int, force: bool | None = None) -> int:
+        """One byte, from where the chip's pointer stands."""
+        return self._transfer(i2c_addr, None, 1)[0]
+
+    def write_byte(self, i2c_addr: int, value: int, force: bool | None = None) -> None:
+        """One byte without a register."""
+        self._transfer(i2c_addr, bytes([value]), 0)
+
+    def read_byte_data(self, i2c_addr: int, register: int, force: bool | None = None) -> int:
+        """One byte of a register."""
+        return self._transfer(i2c_addr, bytes([register]), 1)[0]
+
+    def write_byte_data(self, i2c_addr: int, register: int, value: int, force: bool | None = None) -> None:
+        """One byte to a register."""
+        self._transfer(i2c_addr, bytes([register, value]), 0)
+
+    def read_word_data(self, i2c_addr: int, register: int, force: bool | None = None) -> int:
+        """Two bytes of a register, the first one low, as SMBus has it."""
+        return int.from_bytes(self._transfer(i2c_addr, bytes([register]), 2), "little")
+
+    def write_word_data(self, i2c_addr: int, register: int, value: int, force: bool | None = None) -> None:
+        """Two bytes to a register, the low one first, as SMBus has it."""
+        self._transfer(i2c_addr, bytes([register]) + value.to_bytes(2, "little"), 0)
+
+    def read_i2c_block_data(self, i2c_addr: int, register: int, length: int, force: bool | None = None) -> list[int]:
+        """Up to 32 bytes from a register on."""
+        if not 0 < length <= BLOCK_LIMIT:
+            raise ValueError(f"Desired block length over {BLOCK_LIMIT} bytes")
+        return list(self._transfer(i2c_addr, bytes([register]), length))
+
+    def write_i2c_block_data(
+        self, i2c_addr: int, register: int, data: Sequence[int], force: bool | None = None
+    ) -> None:
+        """Up to 32 bytes to a register and those after it."""
+        if len(data) > BLOCK_LIMIT:
+            raise ValueError(f"Data length cannot exceed {BLOCK_LIMIT} bytes")
+        self._transfer(i2c_addr, bytes([register, *data]), 0)
+
+    def i2c_rdwr(self, *i2c_msgs: Message) -> None:
+        """Messages in one transaction with repeated starts; read messages are filled in place."""
+        self._begin()
+        for message in i2c_msgs:
+            if message.flags & READ_FLAG:
+                _fill(message, self._segment(message.addr, None, message.len))
+            else:
+                self._segment(message.addr, bytes(list(message)), 0)
+
+    def close(self) -> None:
+        """Close the bus; later transfers raise as on a closed file."""
+        self._closed = True
+
+    def __enter__(self) -> "SimulatedBus":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def set_power(self, on: bool) -> None:
+        """Power all chips on or off at once, as a dip of the sensor supply does."""
+        for chip in self.chips.values():
+            chip.set_power(on, self._clock.monotonic_ns())
+
+    def _begin(self) -> None:
+        if self._closed:
+            raise OSError(errno.EBADF, os.strerror(errno.EBADF))
+        self._take(self._overhead_ns)
+
+    def _transfer(self, address: int, data: bytes | None, count: int) -> bytes:
+        self._begin()
+        return self._segment(address, data, count)
+
+    def _segment(self, address: int, data: bytes | None, count: int) -> bytes:
+        """One addressed write, one read, or a write and a read joined by a repeated start."""
+        now = self._clock.monotonic_ns()
+        self.transfers += 1
+        trouble = self._disturb(address, now)
+        stretch = 1.0
+        if trouble is not None:
+            if trouble.held:
+                self._take(self._timeout_ns)
+                raise OSError(errno.ETIMEDOUT, os.strerror(errno.ETIMEDOUT))
+            if trouble.refused:
+                self._refuse()
+            stretch = trouble.stretch
+        if address == GENERAL_CALL:
+            return self._call_everybody(data or b"", now)
+        chip = self.chips.get(address)
+        if chip is None or not chip.answers(now):
+            self._refuse()
+            raise AssertionError  # unreachable: _refuse raises
+        if data is not None:
+            self._take(self._bits(len(data)) * self._bit_ns * stretch)
+            chip.write(data, self._clock.monotonic_ns())
+        if count == 0:
+            return b""
+        self._take(10.0 * self._bit_ns * stretch)  # start and address; the chip latches its data here
+        answer = chip.read(count, self._clock.monotonic_ns())
+        self._take((self._bits(count) - 10.0) * self._bit_ns * stretch)
+        return answer
+
+    def _call_everybody(self, data: bytes, now_ns: int) -> bytes:
+        self._take(self._bits(len(data)) * self._bit_ns)
+        for chip in self.chips.values():
+            if chip.answers(now_ns):
+                chip.general_call(data, now_ns)
+        return b""
+
+    def _refuse(self) -> None:
+        self._take(11.0 * self._bit_ns)
+        raise OSError(errno.EREMOTEIO, os.strerror(errno.EREMOTEIO))
+
+    @staticmethod
+    def _bits(byte_count: int) -> float:
+        return 9.0 * (byte_count + 1) + 2.0
+
+    def _take(self, duration_ns: float) -> None:
+        whole = round(duration_ns)
+        self.busy_ns += whole
+        self._clock.advance(whole)
+
+
+def _fill(message: Message, data: bytes) -> None:
+    ctypes.memmove(message.buf, data, len(data))

@@ -1,0 +1,1 @@
+"""What the simulator can hide: physics the aircraft has and its model does not, each in a class of its own."""

@@ -1,0 +1,205 @@
+"""What the pilot flies: doublets, multi-steps, 3-2-1-1s, multisines and steps, and the sets made of them.
+
+A manoeuvre is added to the trimmed stick on one axis; angles are surface angles in degrees with the signs of the flight
+columns. Sets vary amplitude, timing and direction a little from seed to seed, as two flights of one plan would.
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+Axis = Literal["aileron", "rudder", "elevator", "throttle"]
+Shape = Literal["step", "doublet", "multistep", "3211", "multisine", "ramp", "staircase"]
+AXES: tuple[Axis, ...] = ("aileron", "rudder", "elevator", "throttle")
+SHAPES: tuple[Shape, ...] = ("step", "doublet", "multistep", "3211", "multisine", "ramp", "staircase")
+
+# Sign of each unit-width step.
+_STEPS: Mapping[str, Sequence[float]] = {
+    "step": (1,),
+    "doublet": (1, -1),
+    "multistep": (1, -1, -1, 1, -1),
+    "3211": (1, 1, 1, -1, -1, 1, -1),
+    "staircase": (1 / 3, 2 / 3, 1, 0, -1 / 3, -2 / 3, -1),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Manoeuvre:
+    """One stick input: axis, shape, start [s], amplitude [deg; throttle 0..1] and width [s] of one step.
+
+    A multisine lasts `width` seconds and sums `harmonics` sines with phases that keep its peak low (Schroeder); its
+    amplitude is its root mean square.
+    `harmonics` gives the multiples of 1 / width used, so two axes can be excited at once without sharing a frequency.
+    """
+
+    axis: Axis
+    shape: Shape
+    start: float
+    amplitude: float
+    width: float
+    harmonics: tuple[int, ...] = ()
+
+    @property
+    def length(self) -> float:
+        """How long it lasts [s]."""
+        if self.shape in ("multisine", "ramp"):
+            return self.width
+        return self.width * len(_STEPS[self.shape])
+
+    def values(self, time: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Stick at each time [deg], zero outside the manoeuvre."""
+        since = time - self.start
+        inside = (since >= 0.0) & (since < self.length)
+        if self.shape == "multisine":
+            return np.where(inside, self._multisine(since), 0.0)
+        if self.shape == "ramp":
+            return np.where(inside, self.amplitude * (1.0 - np.abs(2.0 * since / self.width - 1.0)), 0.0)
+        steps = np.asarray(_STEPS[self.shape], float)
+        index = np.clip((since / self.width).astype(int), 0, len(steps) - 1)
+        return np.where(inside, self.amplitude * steps[index], 0.0)
+
+    def _multisine(self, since: NDArray[np.float64]) -> NDArray[np.float64]:
+        n = len(self.harmonics)
+        phases = [-math.pi * k * k / n for k in range(n)]
+        waves = sum(
+            np.sin(2.0 * math.pi * h * since / self.width + p) for h, p in zip(self.harmonics, phases, strict=True)
+        )
+        return self.amplitude * math.sqrt(2.0 / n) * np.asarray(waves) * np.minimum(1.0, 4.0 * since.clip(0.0))
+
+
+def _varied(plan: Sequence[Manoeuvre], rng: np.random.Generator) -> list[Manoeuvre]:
+    """The plan as flown: amplitude within 12 %, start within 0.2 s, width within 8 %, either direction.
+
+    Inputs that start together with one width belong together and vary together.
+    """
+    drawn: dict[tuple[float, float], tuple[float, float, float]] = {}
+    flown = []
+    for m in plan:
+        if (m.start, m.width) not in drawn:
+            side = 1.0 if rng.random() < 0.5 else -1.0
+            drawn[m.start, m.width] = (rng.uniform(-0.2, 0.2), side * rng.uniform(0.88, 1.12), rng.uniform(0.92, 1.08))
+        later, larger, longer = drawn[m.start, m.width]
+        width = m.width if m.shape == "multisine" else m.width * longer
+        flown.append(Manoeuvre(m.axis, m.shape, m.start + later, m.amplitude * larger, width, m.harmonics))
+    return flown
+
+
+def _rich(_: np.random.Generator) -> list[Manoeuvre]:
+    return [
+        Manoeuvre("aileron", "doublet", 1.6, 5.0, 0.7),
+        Manoeuvre("rudder", "doublet", 5.6, 2.0, 0.85),
+        Manoeuvre("aileron", "3211", 11.6, 4.2, 0.40),
+        Manoeuvre("rudder", "3211", 16.4, 3.0, 0.36),
+        Manoeuvre("aileron", "multistep", 21.4, 2.8, 0.42),
+        Manoeuvre("rudder", "multistep", 25.0, 2.4, 0.42),
+    ]
+
+
+def _aileron_only(_: np.random.Generator) -> list[Manoeuvre]:
+    return [
+        Manoeuvre("aileron", "doublet", 2.0, 5.0, 0.7),
+        Manoeuvre("aileron", "3211", 7.5, 4.0, 0.40),
+        Manoeuvre("aileron", "multistep", 14.0, 3.0, 0.45),
+        Manoeuvre("aileron", "doublet", 20.0, 3.5, 0.5),
+        Manoeuvre("aileron", "3211", 25.0, 3.0, 0.30),
+    ]
+
+
+def _hand_flown(_: np.random.Generator) -> list[Manoeuvre]:
+    return [
+        Manoeuvre("aileron", "doublet", 2.5, 5.5, 0.8),
+        Manoeuvre("aileron", "multistep", 8.0, 4.5, 0.55),
+        Manoeuvre("aileron", "doublet", 14.5, 6.0, 0.6),
+        Manoeuvre("aileron", "multistep", 19.5, 4.0, 0.45),
+        Manoeuvre("aileron", "doublet", 25.5, 5.0, 0.9),
+    ]
+
+
+def _multisine(_: np.random.Generator) -> list[Manoeuvre]:
+    odd, even = tuple(range(5, 40, 4)), tuple(range(3, 40, 4))
+    return [
+        Manoeuvre("aileron", "multisine", 2.0, 1.6, 20.0, odd),
+        Manoeuvre("rudder", "multisine", 2.0, 1.2, 20.0, even),
+    ]
+
+
+def _longitudinal(_: np.random.Generator) -> list[Manoeuvre]:
+    return [
+        Manoeuvre("elevator", "doublet", 2.0, 2.0, 0.5),
+        Manoeuvre("elevator", "3211", 8.0, 1.8, 0.30),
+        Manoeuvre("throttle", "step", 14.0, 0.2, 3.0),
+        Manoeuvre("elevator", "multistep", 20.0, 1.5, 0.4),
+        Manoeuvre("elevator", "doublet", 25.5, 2.5, 0.35),
+    ]
+
+
+def _staircase(_: np.random.Generator) -> list[Manoeuvre]:
+    return [
+        Manoeuvre("rudder", "staircase", 2.0, 7.0, 2.0),
+        Manoeuvre("aileron", "staircase", 2.0, -9.5, 2.0),  # wings held level against the dihedral effect
+        Manoeuvre("aileron", "doublet", 18.5, 4.0, 0.6),
+        Manoeuvre("rudder", "3211", 23.0, 4.0, 0.4),
+    ]
+
+
+def _two_speeds(_: np.random.Generator) -> list[Manoeuvre]:
+    return [
+        Manoeuvre("throttle", "step", 0.5, 0.22, 14.0),
+        Manoeuvre("aileron", "doublet", 2.0, 4.5, 0.6),
+        Manoeuvre("rudder", "3211", 6.0, 2.5, 0.36),
+        Manoeuvre("aileron", "3211", 11.0, 3.5, 0.35),
+        Manoeuvre("throttle", "step", 14.6, -0.15, 14.0),
+        Manoeuvre("rudder", "doublet", 17.0, 2.5, 0.8),
+        Manoeuvre("aileron", "3211", 21.5, 4.0, 0.4),
+        Manoeuvre("rudder", "multistep", 25.5, 2.4, 0.42),
+    ]
+
+
+def _all_axes(_: np.random.Generator) -> list[Manoeuvre]:
+    return [
+        Manoeuvre("aileron", "doublet", 1.6, 5.0, 0.7),
+        Manoeuvre("elevator", "doublet", 5.0, 2.0, 0.4),
+        Manoeuvre("rudder", "3211", 8.5, 2.8, 0.36),
+        Manoeuvre("elevator", "3211", 13.0, 1.5, 0.3),
+        Manoeuvre("aileron", "3211", 13.2, 4.0, 0.40),
+        Manoeuvre("rudder", "doublet", 18.5, 2.4, 0.8),
+        Manoeuvre("elevator", "step", 22.0, -1.5, 2.4),
+        Manoeuvre("aileron", "3211", 22.2, 3.2, 0.36),
+        Manoeuvre("rudder", "multistep", 26.0, 2.4, 0.42),
+    ]
+
+
+def _none(_: np.random.Generator) -> list[Manoeuvre]:
+    return []
+
+
+MANOEUVRE_SETS: Mapping[str, Callable[[np.random.Generator], list[Manoeuvre]]] = {
+    "none": _none,
+    "rich": _rich,
+    "aileron_only": _aileron_only,
+    "hand_flown": _hand_flown,
+    "multisine": _multisine,
+    "longitudinal": _longitudinal,
+    "sideslip_staircase": _staircase,
+    "speed_sweep": _two_speeds,
+    "all_axes": _all_axes,
+}
+
+
+def flown_set(name: str, rng: np.random.Generator, repeat_every: float, duration: float) -> list[Manoeuvre]:
+    """The manoeuvres of a set as one pilot flies them, repeated until the flight ends; names in MANOEUVRE_SETS."""
+    flown: list[Manoeuvre] = []
+    start = 0.0
+    while start < duration:
+        again = _varied(MANOEUVRE_SETS[name](rng), rng)
+        flown += [
+            Manoeuvre(m.axis, m.shape, m.start + start, m.amplitude, m.width, m.harmonics)
+            for m in again
+            if m.start + start + m.length <= duration - 0.2
+        ]
+        start += repeat_every
+    return flown

@@ -1,0 +1,115 @@
+"""One time base: samples taken at their own instants, and delayed by their filters, brought to the scan's time.
+
+Within a run of consecutive scans the value at the scan's time is interpolated through the neighbouring samples: a cubic
+through four of them for smooth motion, a straight line for surfaces, whose edges a cubic would overshoot. Runs end at
+every missing scan and every missing value: nothing is ever interpolated across, and at the ends of a run at most half
+a sample interval is extrapolated along the last straight line.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+COMPLETE = 0.9
+"""A recording with at least this part of its scan numbers present is aligned by default."""
+
+SLOWEST = 40
+"""A channel with fewer samples than one in so many scans is left where it is."""
+
+DERIVATIVE_HALF_WIDTH = 2
+"""Rates are differentiated by a quadratic through this many samples to each side."""
+
+
+def completeness(number: NDArray[np.int64]) -> float:
+    """Part of the scan numbers between first and last that are present."""
+    return float(number.size / (number[-1] - number[0] + 1)) if number.size > 1 and number[-1] > number[0] else 1.0
+
+
+def runs(number: NDArray[np.int64], finite: Mask) -> tuple[list[NDArray[np.int64]], int]:
+    """Row numbers of the samples of each unbroken run of a channel, and its spacing in scans.
+
+    A channel read in every k-th scan has spacing k; a run ends where the next sample is further away than that, be it
+    for a missing scan or a missing value.
+    """
+    rows = np.flatnonzero(finite)
+    if rows.size < 2:
+        return [rows] if rows.size else [], 1
+    steps = np.diff(number[rows])
+    positive = steps[steps > 0]
+    spacing = int(np.median(positive)) if positive.size else 1
+    if spacing > SLOWEST:
+        spacing = 1
+    breaks = np.flatnonzero((steps > spacing) | (steps <= 0)) + 1
+    return np.split(rows, breaks), spacing
+
+
+def to_scan_time(values: Array, sampled_at: Array, wanted: Array, number: NDArray[np.int64], *, smooth: bool) -> Array:
+    """`values` (N,) sampled at `sampled_at` (N,) [s], brought to `wanted` (N,) [s], run by run.
+
+    number: (N,) scan counter. smooth: cubic instead of linear. A channel read in every k-th scan gets a value in each
+    scan of its runs. A run of one sample, or one whose instants do not increase, cannot be aligned and becomes NaN,
+    as does a wanted time further outside a run than half its sample interval.
+    """
+    out = np.full_like(values, np.nan)
+    found, spacing = runs(number, np.isfinite(values) & np.isfinite(sampled_at))
+    for rows in found:
+        t, y = sampled_at[rows], values[rows]
+        if t.size >= 2 and np.all(np.diff(t) > 0):
+            span = slice(max(0, rows[0] - spacing // 2), min(values.size, rows[-1] + 1 + spacing // 2))
+            aligned = _in_run(t, y, wanted[span], smooth and t.size >= 4)
+            out[span] = np.where(np.isnan(aligned), out[span], aligned)
+    return out
+
+
+def _in_run(t: Array, y: Array, wanted: Array, cubic: bool) -> Array:
+    i = np.clip(np.searchsorted(t, wanted) - 1, 0, t.size - 2)
+    out = y[i] + (wanted - t[i]) * ((y[i + 1] - y[i]) / (t[i + 1] - t[i]))
+    if cubic:
+        j = np.clip(i - 1, 0, t.size - 4)
+        inside = (wanted >= t[0]) & (wanted <= t[-1])
+        out = np.where(inside, _lagrange(t, y, wanted, j), out)
+    exact = wanted == t[i]
+    out = np.where(exact, y[i], out)
+    reach = 0.5 * float(np.median(np.diff(t)))
+    return np.where((wanted < t[0] - reach) | (wanted > t[-1] + reach), np.nan, out)
+
+
+def _lagrange(t: Array, y: Array, wanted: Array, first: NDArray[np.int64]) -> Array:
+    total = np.zeros_like(wanted)
+    for a in range(4):
+        weight = np.ones_like(wanted)
+        for b in range(4):
+            if a != b:
+                weight = weight * (wanted - t[first + b]) / (t[first + a] - t[first + b])
+        total = total + weight * y[first + a]
+    return total
+
+
+def derivative(values: Array, time: Array, number: NDArray[np.int64], half_width: int = DERIVATIVE_HALF_WIDTH) -> Array:
+    """Rate of change of `values` (N,) by a quadratic fitted through the neighbouring samples of the run [per s].
+
+    At the ends of a run the window is one-sided; a run shorter than three samples has none (NaN).
+    """
+    out = np.full_like(values, np.nan)
+    found, _ = runs(number, np.isfinite(values))
+    for rows in found:
+        if rows.size >= 3:
+            width = min(2 * half_width + 1, rows.size - 1 + rows.size % 2)
+            out[rows] = _quadratic_slope(time[rows], values[rows], width)
+    return out
+
+
+def _quadratic_slope(t: Array, y: Array, width: int) -> Array:
+    windows = np.arange(width)[None, :] + np.clip(np.arange(t.size) - width // 2, 0, t.size - width)[:, None]
+    dt, v = t[windows] - t[:, None], y[windows]
+    mean, mean_v = dt.mean(axis=1, keepdims=True), v.mean(axis=1, keepdims=True)
+    x, v = dt - mean, v - mean_v
+    s2, s3, s4 = ((x**k).sum(axis=1) for k in (2, 3, 4))
+    z2 = x**2 - (s2 / width)[:, None]
+    m1, m2 = (x * v).sum(axis=1), (z2 * v).sum(axis=1)
+    z22 = s4 - s2**2 / width
+    det = s2 * z22 - s3 * s3
+    b, c = (m1 * z22 - m2 * s3) / det, (m2 * s2 - m1 * s3) / det
+    return np.asarray(b + 2 * c * (0 - mean[:, 0]))

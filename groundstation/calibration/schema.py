@@ -1,0 +1,305 @@
+"""Calibration files: one TOML per instrument, read into frozen models and kept with their text and hash.
+
+A set is a directory of such files. It is embedded in every recording as text, so that a flight can be calibrated again
+from the file alone, and a later, better set can take its place (`--calibration DIR`).
+"""
+
+import hashlib
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import date
+from pathlib import Path
+from types import MappingProxyType
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from daq.contract.channels import CHANNEL_BY_NAME
+from groundstation.calibration.errors import CalibrationError
+
+FORMAT = 1
+NOMINAL_DIRECTORY = Path(__file__).parent / "files"
+
+Vector = tuple[float, float, float]
+Matrix = tuple[Vector, Vector, Vector]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class Curve(_Table):
+    """Output as a function of one input: a polynomial about `centre`, or a table interpolated linearly.
+
+    valid: range of the input that was calibrated; outside it a value is computed and flagged as extrapolated.
+    uncertainty: one sigma of the calibration (not of the noise of a reading) [output unit] within the valid range.
+    covariance: of the coefficients, as fitted; gives the uncertainty at each input where present.
+    """
+
+    kind: Literal["polynomial", "table"]
+    input_unit: str
+    output_unit: str
+    centre: Finite = 0.0
+    coefficients: tuple[Finite, ...] = ()
+    inputs: tuple[Finite, ...] = ()
+    outputs: tuple[Finite, ...] = ()
+    valid: tuple[Finite, Finite]
+    uncertainty: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
+    residual_rms: float | None = None
+    covariance: tuple[tuple[float, ...], ...] = ()
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "Curve":
+        if self.valid[0] >= self.valid[1]:
+            raise ValueError("valid: the lower end must be below the upper end")
+        if self.kind == "polynomial" and not self.coefficients:
+            raise ValueError("coefficients: a polynomial needs at least one")
+        if self.kind == "table":
+            if len(self.inputs) < 2 or len(self.inputs) != len(self.outputs):
+                raise ValueError("inputs, outputs: a table needs two or more points and as many outputs as inputs")
+            if any(a >= b for a, b in zip(self.inputs, self.inputs[1:], strict=False)):
+                raise ValueError("inputs: must increase")
+        if self.covariance and {len(self.coefficients)} != {len(self.covariance), *map(len, self.covariance)}:
+            raise ValueError("covariance: must be square, one row per coefficient")
+        return self
+
+
+class Vane(_Table):
+    """Where a vane sits and how the aircraft bends the flow there.
+
+    position: from the CG, body axes [m]. local angle = wash_factor * free-stream angle + wash_offset.
+    """
+
+    angle: Literal["alpha", "beta"]
+    position: Vector
+    wash_factor: Annotated[float, Field(gt=0.2, lt=5)] = 1.0
+    wash_offset: Finite = 0.0
+    wash_factor_uncertainty: Annotated[float, Field(ge=0)] = 0.0
+
+
+class Triad(_Table):
+    """Three axes: output = matrix (input - bias - bias_per_kelvin (T - reference_temperature)).
+
+    The input is the count at data-sheet scale, in output units. matrix holds scale and misalignment (for a
+    magnetometer the soft iron), bias the zero offset (the hard iron).
+    """
+
+    output_unit: str
+    matrix: Matrix
+    bias: Vector
+    bias_per_kelvin: Vector = (0.0, 0.0, 0.0)
+    reference_temperature: float = 298.15
+    valid: tuple[float, float]
+    uncertainty: Vector = (0.0, 0.0, 0.0)
+    matrix_uncertainty: Annotated[float, Field(ge=0)] = 0.0
+    residual_rms: float | None = None
+
+
+class Mount(_Table):
+    """Position of a sensor from the CG, body axes [m]."""
+
+    position: Vector
+
+
+class Static(_Table):
+    """Static pressure port: compensation of the chip, position error and reference of the altitude.
+
+    nvm: the chip's 21 coefficient bytes as hex, used where the recording carries none.
+    position_error: (measured - true static pressure) / dynamic pressure; feeds_pitot: the differential sensor takes its
+    low side from the same port, so that its reading is short by the same amount.
+    """
+
+    nvm: str = ""
+    position_error: Finite = 0.0
+    feeds_pitot: bool = True
+    pressure_offset: Finite = 0.0
+    temperature_offset: Finite = 0.0
+    sea_level_pressure: Annotated[float, Field(gt=8e4, lt=1.2e5)] = 101325.0
+    uncertainty: Annotated[float, Field(ge=0)] = 0.0
+    temperature_uncertainty: Annotated[float, Field(ge=0)] = 0.0
+
+    @model_validator(mode="after")
+    def _nvm_is_hex(self) -> "Static":
+        try:
+            size = len(bytes.fromhex(self.nvm))
+        except ValueError:
+            raise ValueError(f"nvm: {self.nvm!r} is not hexadecimal") from None
+        if size not in (0, 21):
+            raise ValueError(f"nvm: {size} bytes, a BMP390 has 21")
+        return self
+
+
+class Mixing(_Table):
+    """delta_e and delta_a as weights of the left and right elevon angles, trailing edge down positive."""
+
+    elevator: tuple[float, float]
+    aileron: tuple[float, float]
+
+
+class Attitude(_Table):
+    """Boresight of the IMU against the body axes (roll, pitch, yaw) and magnetic declination, + east [rad]."""
+
+    boresight: Vector = (0.0, 0.0, 0.0)
+    declination: Finite = 0.0
+    uncertainty: Vector = (0.0, 0.0, 0.0)
+
+
+class Points(_Table):
+    """The bench points a calibration was fitted from: readings (mean of each dwell) against the reference."""
+
+    reading: tuple[tuple[float, ...], ...] = ()
+    reference: tuple[tuple[float, ...], ...] = ()
+    samples: tuple[int, ...] = ()
+
+
+class Bench(_Table):
+    """The recording a calibration was fitted from."""
+
+    recording: str
+    sha256: str
+    software: str = ""
+
+
+class Ratiometric(_Table):
+    """A sensor whose output is a fraction of the 5 V sensor supply: the reading is referred to `reference` volts."""
+
+    reference: Annotated[float, Field(gt=0)]
+
+
+class SupplySensitivity(_Table):
+    """Zero shift of a sensor with its supply [output unit per volt] away from `reference` volts."""
+
+    per_volt: Finite
+    reference: Annotated[float, Field(gt=0)] = 5.0
+
+
+_KINDS = {
+    "curve": ("curve",),
+    "triad": ("triad",),
+    "static": ("static",),
+    "mixing": ("mixing",),
+    "attitude": ("attitude",),
+}
+
+
+class Instrument(_Table):
+    """One calibration file.
+
+    delay: how far the reading lags the physical quantity [s]: filter group delay, vane dynamics.
+    """
+
+    format: Literal[1]
+    instrument: str
+    kind: Literal["curve", "triad", "static", "mixing", "attitude"]
+    date: date
+    method: str
+    channel: str | None = None
+    channels: tuple[str, ...] = ()
+    delay: Annotated[float, Field(ge=-0.05, le=1.0)] = 0.0
+    note: str = ""
+    curve: Curve | None = None
+    triad: Triad | None = None
+    static: Static | None = None
+    mixing: Mixing | None = None
+    attitude: Attitude | None = None
+    vane: Vane | None = None
+    mount: Mount | None = None
+    ratiometric: Ratiometric | None = None
+    supply_sensitivity: SupplySensitivity | None = None
+    points: Points | None = None
+    bench: Bench | None = None
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "Instrument":
+        for table in _KINDS[self.kind]:
+            if getattr(self, table) is None:
+                raise ValueError(f"a file of kind {self.kind} needs the table [{table}]")
+        unknown = [c for c in (self.channel, *self.channels) if c is not None and c not in CHANNEL_BY_NAME]
+        if unknown:
+            raise ValueError(f"channel: {unknown[0]} is not in the channel table")
+        if self.kind == "curve" and self.channel is None:
+            raise ValueError("channel: a file of kind curve names the raw channel it reads")
+        if self.kind == "triad" and len(self.channels) != 3:
+            raise ValueError("channels: a file of kind triad names three raw channels")
+        return self
+
+
+@dataclass(frozen=True)
+class CalibrationSet:
+    """The calibration of every instrument of one aircraft, with the texts it was read from.
+
+    texts: file name -> TOML text, as embedded in a recording. A set without some instrument leaves its columns unmeasured.
+    """
+
+    name: str
+    instruments: Mapping[str, Instrument]
+    texts: Mapping[str, str]
+
+    @classmethod
+    def from_texts(cls, name: str, texts: Mapping[str, str]) -> "CalibrationSet":
+        """A set from TOML texts by file name (with or without '.toml').
+
+        Raises CalibrationError naming file and key.
+        """
+        instruments: dict[str, Instrument] = {}
+        for file, text in sorted(texts.items()):
+            item = _parse(f"{name}/{file}", text)
+            if item.instrument in instruments:
+                raise CalibrationError(f"{name}/{file}: instrument {item.instrument} is calibrated twice in this set")
+            instruments[item.instrument] = item
+        if not instruments:
+            raise CalibrationError(f"{name}: no calibration file in it; give a directory of .toml files")
+        return cls(name, MappingProxyType(instruments), MappingProxyType(dict(sorted(texts.items()))))
+
+    @property
+    def hashes(self) -> dict[str, str]:
+        """SHA-256 of each file's text."""
+        return {file: hashlib.sha256(text.encode()).hexdigest() for file, text in self.texts.items()}
+
+    def get(self, instrument: str) -> Instrument | None:
+        """The calibration of an instrument, None when the set has none."""
+        return self.instruments.get(instrument)
+
+    def with_texts(self, texts: Mapping[str, str]) -> "CalibrationSet":
+        """A set with files added or replaced, by file name."""
+        return CalibrationSet.from_texts(self.name, {**self.texts, **texts})
+
+
+def load_calibration(directory: str | Path = "cdfp") -> CalibrationSet:
+    """Read a calibration set from a directory, or a built-in one by name ('cdfp').
+
+    Raises CalibrationError naming the file and the key that is wrong.
+    """
+    path = Path(directory)
+    if not path.is_dir():
+        built_in = NOMINAL_DIRECTORY / str(directory)
+        if path.name != str(directory) or not built_in.is_dir():
+            raise CalibrationError(
+                f"{directory}: no such directory of calibration files (built in: {', '.join(built_in_sets())})"
+            )
+        path = built_in
+    try:
+        texts = {file.name: file.read_text(encoding="utf-8") for file in sorted(path.glob("*.toml"))}
+    except (OSError, UnicodeDecodeError) as error:
+        raise CalibrationError(f"{path}: cannot read the calibration files ({error})") from error
+    return CalibrationSet.from_texts(path.name, texts)
+
+
+def built_in_sets() -> tuple[str, ...]:
+    """Names of the calibration sets that come with the software."""
+    return tuple(sorted(p.name for p in NOMINAL_DIRECTORY.iterdir() if p.is_dir()))
+
+
+def _parse(where: str, text: str) -> Instrument:
+    try:
+        return Instrument.model_validate(tomllib.loads(text))
+    except tomllib.TOMLDecodeError as error:
+        raise CalibrationError(f"{where}: not valid TOML: {error}") from error
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(k) for k in first["loc"])
+        message = first["msg"].removeprefix("Value error, ")
+        more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
+        raise CalibrationError(f"{where}: {key + ': ' if key else ''}{message}{more}") from error

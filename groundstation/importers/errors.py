@@ -1,0 +1,7 @@
+"""Errors of importing that a person can act on."""
+
+from daq.contract.errors import UserError
+
+
+class ImportDataError(UserError):
+    """Foreign data, or a mapping for it, that cannot be used."""

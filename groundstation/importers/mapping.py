@@ -1,0 +1,147 @@
+"""The mapping file: which foreign column becomes which flight column, in which unit and with which sign.
+
+format = 1
+[time]
+column = "t_ms"
+unit = "ms"
+[columns]
+ax = { column = "AccX", unit = "g" }
+beta = { column = "SSA", unit = "deg", sign = -1 }
+delta_a = { terms = [{ column = "ElevonL", factor = -0.5 }, { column = "ElevonR", factor = 0.5 }], unit = "deg" }
+V = [{ column = "TAS", unit = "knots" }, { column = "IAS", unit = "knots" }]   # the first that exists
+"""
+
+import tomllib
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+
+from daq.contract.channels import COLUMN_BY_NAME
+from groundstation.importers.errors import ImportDataError
+from groundstation.importers.units import conversion
+
+MAPS = Path(__file__).parent / "maps"
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class Term(_Table):
+    """One summand of a flight column."""
+
+    column: str
+    factor: float = 1.0
+
+
+class Source(_Table):
+    """Where a flight column comes from: value = sign * factor * sum(terms) [unit] + offset [unit], turned into SI.
+
+    hold: between samples the value is the last one (a command), not a straight line.
+    """
+
+    column: str | None = None
+    terms: tuple[Term, ...] = ()
+    unit: str = "1"
+    sign: Literal[1, -1] = 1
+    factor: float = 1.0
+    offset: float = 0.0
+    hold: bool = False
+
+    @model_validator(mode="after")
+    def _one_origin(self) -> "Source":
+        if (self.column is None) == (not self.terms):
+            raise ValueError("give either column or terms")
+        return self
+
+    @property
+    def parts(self) -> tuple[Term, ...]:
+        """The summands."""
+        return self.terms or (Term(column=self.column or ""),)
+
+
+class Time(_Table):
+    """The time column. unit 'iso' reads dates such as 2026-11-21T03:15:00.25; offset [s] is added."""
+
+    column: str
+    unit: str = "s"
+    offset: float = 0.0
+
+
+class FileFormat(_Table):
+    """How a text table is written, where it cannot be guessed."""
+
+    delimiter: str | None = None
+    decimal: Literal[".", ","] = "."
+    header_line: Annotated[int, Field(ge=1)] = 1
+    skip_after_header: Annotated[int, Field(ge=0)] = 0
+
+
+def _listed(value: object) -> object:
+    return value if isinstance(value, (list, tuple)) else [value]
+
+
+Sources = Annotated[tuple[Source, ...], BeforeValidator(_listed)]
+
+
+class Map(_Table):
+    """A whole mapping file."""
+
+    format: Literal[1]
+    title: str = ""
+    aircraft: str = ""
+    file: FileFormat = FileFormat()
+    time: Time | None = None
+    segment: str | None = None
+    rate_hz: Annotated[float, Field(gt=0, le=1000)] | None = None
+    columns: dict[str, Sources]
+
+    @model_validator(mode="after")
+    def _units_fit(self) -> "Map":
+        for name, sources in self.columns.items():
+            column = COLUMN_BY_NAME.get(name)
+            for source in sources:
+                if column is not None:
+                    try:
+                        conversion(source.unit, name, column.unit)
+                    except ImportDataError as error:
+                        raise ValueError(str(error)) from error
+        return self
+
+    def over(self, base: "Map") -> "Map":
+        """This mapping on top of another: columns named here replace those of the base."""
+        return base.model_copy(
+            update={
+                "title": self.title or base.title,
+                "aircraft": self.aircraft or base.aircraft,
+                "time": self.time or base.time,
+                "segment": self.segment or base.segment,
+                "rate_hz": self.rate_hz or base.rate_hz,
+                "file": self.file,
+                "columns": {**base.columns, **self.columns},
+            }
+        )
+
+
+def load_map(path: str | Path) -> Map:
+    """Read a mapping file. Raises ImportDataError naming file and key."""
+    path = Path(path)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ImportDataError(f"{path}: cannot read the mapping file ({error})") from error
+    try:
+        return Map.model_validate(tomllib.loads(text))
+    except tomllib.TOMLDecodeError as error:
+        raise ImportDataError(f"{path}: not valid TOML: {error}") from error
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(k) for k in first["loc"] if not isinstance(k, int))
+        message = first["msg"].removeprefix("Value error, ")
+        raise ImportDataError(f"{path}: {key + ': ' if key else ''}{message}") from error
+
+
+def built_in_map(name: str) -> Map:
+    """A mapping that comes with the software: 'px4', 'ardupilot' or 'mavlink'."""
+    return load_map(MAPS / f"{name}.toml")

@@ -1,0 +1,179 @@
+"""Unit and sign mistakes that the data themselves give away: gravity, angles beyond pi, attitude against gyro, speeds.
+
+Each suspicion names the column, what is seen, and the unit or sign that would explain it.
+"""
+
+from collections.abc import Iterable, Iterator, Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.contract.channels import COLUMN_BY_NAME
+
+Array = NDArray[np.float64]
+Columns = Mapping[str, Array]
+
+GRAVITY = 9.80665
+_DEG = 180 / np.pi
+
+_GRAVITY_IN = {"g": 1.0, "ft/s2": 32.174, "cm/s2": 980.665, "mg": 1000.0}
+_ANGLES = ("phi", "theta", "psi", "alpha", "beta", "delta_e", "delta_a", "delta_r", "cmd_e", "cmd_a", "cmd_r")
+_RATES = ("p", "q", "r")
+_SPEED_UNITS = {"knots": 3600 / 1852, "km/h": 3.6, "mph": 1 / 0.44704, "ft/s": 1 / 0.3048}
+
+# column -> (unit, lowest and highest median that this unit gives)
+_OTHER_UNITS: dict[str, tuple[tuple[str, float, float], ...]] = {
+    "p_static": (("hPa", 200, 1100), ("kPa", 20, 110), ("inHg", 6, 19.9), ("psi", 3, 5.9)),
+    "temperature": (("degC", -60, 60), ("degF", 60, 130)),
+    "rho": (("g/m3", 300, 1600), ("slug/ft3", 6e-4, 3.2e-3)),
+    "throttle": (("%", 1.5, 100), ("us", 800, 2200)),
+    "mx": (("uT", 1.5, 100), ("gauss", 0.015, 1.4), ("nT", 1500, 1e5), ("mgauss", 101, 1400)),
+    "latitude": (("degE7", 1e6, 9e8),),
+    "longitude": (("degE7", 1e6, 1.8e9),),
+}
+
+
+def suspicions(time: Array, columns: Columns) -> list[str]:
+    """Sentences about columns (N,) whose values look like another unit or sign; empty when nothing is suspicious."""
+    present = {n: v for n, v in columns.items() if n in COLUMN_BY_NAME and np.isfinite(v).sum() >= 2}
+    checks: Iterable[Iterator[str]] = (
+        _time(time), _gravity(present), _angles(present), _rates(present), _others(present), _attitude_rate(time, present),
+        _pressure_speed(present), _ground_speed(present),
+    )  # fmt: skip
+    return [words for check in checks for words in check]
+
+
+def _median(values: Array) -> float:
+    return float(np.nanmedian(values))
+
+
+def _time(time: Array) -> Iterator[str]:
+    steps = np.diff(time)
+    steps = steps[steps > 0]
+    if not steps.size:
+        return
+    interval = float(np.median(steps))
+    for unit, scale in (("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9)):
+        if interval >= 4 and 1e-3 <= interval * scale <= 0.5:
+            yield f"time: {interval:g} s from sample to sample; is the column in {unit}?"
+            return
+    if interval > 2:
+        yield f"time: {interval:g} s from sample to sample is too slow for flight dynamics; check the time unit"
+    elif interval < 1e-4:
+        yield f"time: {interval:.3g} s from sample to sample; is the column in min or h?"
+
+
+def _gravity(c: Columns) -> Iterator[str]:
+    if not all(a in c for a in ("ax", "ay", "az")):
+        return
+    size = _median(np.sqrt(c["ax"] ** 2 + c["ay"] ** 2 + c["az"] ** 2))
+    if not 0.75 * GRAVITY < size < 1.3 * GRAVITY:
+        unit = next((u for u, g in _GRAVITY_IN.items() if 0.8 * g < size < 1.25 * g), None)
+        if unit is None and size < 0.3 * GRAVITY:
+            hint = "an accelerometer in level flight shows one g: is gravity taken out of ax, ay, az?"
+        else:
+            hint = f"are ax, ay, az in {unit}?" if unit else "check unit and axes of ax, ay, az"
+        yield f"ax, ay, az: the median specific force is {size:.4g}, not near 9.8 m/s2; {hint}"
+    elif _median(c["az"]) > 0.5 * GRAVITY:
+        yield "az: positive in the mean, but with z down level flight has -9.8 m/s2; turn it with sign = -1"
+
+
+def _angles(c: Columns) -> Iterator[str]:
+    for name in _ANGLES:
+        if name in c:
+            low, high = COLUMN_BY_NAME[name].plausible
+            lowest, highest = float(np.nanmin(c[name])), float(np.nanmax(c[name]))
+            worst = highest if highest > -lowest else lowest
+            if lowest < low - 1e-3 or highest > high + 1e-3:
+                unit = "deg" if abs(worst) <= 370 else "cdeg or us"
+                yield f"{name}: reaches {worst:.4g} rad, beyond {high if worst > 0 else low:.3g}; is it in {unit}?"
+
+
+def _rates(c: Columns) -> Iterator[str]:
+    for name in _RATES:
+        if name in c:
+            high = COLUMN_BY_NAME[name].plausible[1]
+            worst = float(np.nanmax(np.abs(c[name])))
+            if worst > high:
+                yield f"{name}: reaches {worst:.4g} rad/s, beyond {high:g}; is it in deg/s?"
+
+
+def _others(c: Columns) -> Iterator[str]:
+    for name, values in c.items():
+        if name in (*_ANGLES, *_RATES, "ax", "ay", "az", "V", "V_cas"):
+            continue
+        low, high = COLUMN_BY_NAME[name].plausible
+        middle = _median(values)
+        if low <= middle <= high:
+            continue
+        key = "mx" if name in ("my", "mz") else name
+        unit = next((u for u, a, b in _OTHER_UNITS.get(key, ()) if a <= abs(middle) <= b or a <= middle <= b), None)
+        hint = f"is it in {unit}?" if unit else "check its unit"
+        yield f"{name}: median {middle:.4g} {COLUMN_BY_NAME[name].unit}, outside {low:.4g} to {high:.4g}; {hint}"
+
+
+def _attitude_rate(time: Array, c: Columns) -> Iterator[str]:
+    """phi against the integral of p, theta against q: their ratio is 1, or 57.3 where one is in degrees."""
+    for angle, rate in (("phi", "p"), ("theta", "q")):
+        if angle not in c or rate not in c:
+            continue
+        slope = _integral_slope(time, c[angle], c[rate])
+        if slope is None:
+            continue
+        if 0.5 < abs(slope) / _DEG < 2:
+            yield f"{angle}: moves {abs(slope):.0f} times as far as {rate} turns; is {angle} in deg?"
+        elif 0.5 < abs(slope) * _DEG < 2:
+            yield f"{rate}: turns {1 / abs(slope):.0f} times as far as {angle} moves; is {rate} in deg/s?"
+        elif -2 < slope < -0.5:
+            yield f"{rate}: turns against {angle}; one of them has the wrong sign (sign = -1)"
+
+
+def _integral_slope(time: Array, angle: Array, rate: Array) -> float | None:
+    """Slope of the angle against the integrated rate over windows of 4 s with their lines removed; None without motion."""
+    top = bottom = rest = 0.0
+    start = 0
+    while start < time.size - 10:
+        stop = int(np.searchsorted(time, time[start] + 4.0))
+        t, a, b = time[start:stop], angle[start:stop], rate[start:stop]
+        start = max(stop, start + 1)
+        if t.size < 10 or not np.all(np.isfinite(a)) or not np.all(np.isfinite(b)) or np.any(np.diff(t) <= 0):
+            continue
+        turned = np.concatenate([[0.0], np.cumsum(0.5 * (b[1:] + b[:-1]) * np.diff(t))])
+        line = np.vander(t - t.mean(), 2)
+        x, y = (
+            v - line @ np.linalg.lstsq(line, v, rcond=None)[0] for v in (turned, np.unwrap(a) if np.ptp(a) < 7 else a)
+        )
+        top, bottom, rest = top + float(x @ y), bottom + float(x @ x), rest + float(y @ y)
+    if bottom <= 0 or rest <= 0 or top * top < 0.7 * bottom * rest:  # the two do not show the same motion
+        return None
+    return top / bottom
+
+
+def _pressure_speed(c: Columns) -> Iterator[str]:
+    if "V" not in c or "p_dynamic" not in c:
+        return
+    rho = c.get("rho", np.full_like(c["V"], 1.2))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ratio = c["V"] / np.sqrt(2 * np.where(c["p_dynamic"] > 20, c["p_dynamic"], np.nan) / rho)
+    yield from _speed_ratio("V", ratio, "the dynamic pressure gives", 0.08)
+
+
+def _ground_speed(c: Columns) -> Iterator[str]:
+    if "p_dynamic" in c or not all(n in c for n in ("V", "vn", "ve")):
+        return
+    ground = np.hypot(c["vn"], c["ve"])
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ratio = np.where(ground > 5, c["V"] / ground, np.nan)
+    # wind makes the ratio wander: only a ratio far beyond what wind does is a mistake
+    if np.isfinite(ratio).sum() > 20 and _median(ratio) > 1.7:
+        yield from _speed_ratio("V", ratio, "GPS gives", 0.15)
+
+
+def _speed_ratio(name: str, ratio: Array, source: str, tolerance: float) -> Iterator[str]:
+    if np.isfinite(ratio).sum() < 5:
+        return
+    middle = _median(ratio)
+    for unit, factor in _SPEED_UNITS.items():
+        if abs(middle / factor - 1) < tolerance:
+            yield f"{name}: {middle:.3g} times the speed that {source}; is it in {unit}?"
+            return

@@ -1,0 +1,203 @@
+"""Importing: foreign file, mapping, one time base, plausibility, provenance."""
+
+import hashlib
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.contract.channels import COLUMN_BY_NAME
+from groundstation.flight import Flight, Provenance
+from groundstation.importers.errors import ImportDataError
+from groundstation.importers.mapping import Map, Source, built_in_map, load_map
+from groundstation.importers.plausibility import suspicions
+from groundstation.importers.series import Log, Series, grid, native_rate, resample
+from groundstation.importers.units import conversion
+
+Array = NDArray[np.float64]
+
+DEFAULT_RATE = 50.0
+"""Highest rate [Hz] of the common time base of a log whose series have times of their own, unless stated."""
+
+_WRAPPED = ("phi", "psi")
+_TABLES = (".csv", ".txt", ".tsv", ".parquet")
+_LOGS = (".ulg", ".bin", ".tlog")
+
+
+def import_data(
+    path: str | Path,
+    mapping: Map | str | Path | None = None,
+    *,
+    rate_hz: float | None = None,
+    accept_implausible: bool = False,
+) -> Flight:
+    """A flight from somebody else's data: .csv, .parquet, .ulg (PX4), .bin (ArduPilot) or .tlog (MAVLink).
+
+    mapping: a mapping file on top of the built-in one for the format. rate_hz: resample to an even time base (always done
+    for logs, at most at DEFAULT_RATE unless stated). Values that look like another unit or sign raise ImportDataError with
+    a hint, or become notes with `accept_implausible`.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise ImportDataError(f"{path}: no such file")
+    given = load_map(mapping) if isinstance(mapping, (str, Path)) else mapping
+    log, chosen = _read(path, given)
+    rate = rate_hz or chosen.rate_hz
+    time = _time_base(path, log, chosen, rate)
+    columns, used, notes = _columns(log, chosen, time)
+    if not columns:
+        raise ImportDataError(
+            f"{path}: nothing in it is known as a flight column; found {', '.join(list(log.series)[:12])}; "
+            "write a mapping file (--map)"
+        )
+    notes = [*log.notes, *notes]
+    doubts = suspicions(time, columns)
+    if doubts and not accept_implausible:
+        raise ImportDataError(
+            f"{path}: {'; '.join(doubts)}; if the data are right as they are, add --accept-implausible"
+        )
+    notes += doubts
+    provenance = Provenance(
+        source="imported",
+        path=str(path),
+        sha256=hashlib.sha256(path.read_bytes()).hexdigest(),
+        aircraft=chosen.aircraft,
+        detail={
+            "format": log.kind,
+            "mapping": {name: _spoken(source) for name, source in used.items()},
+            "resampled_hz": None if log.common and rate is None else float(1 / np.median(np.diff(time))),
+            **log.detail,
+        },
+    )
+    segment = _segment(log, chosen, rate)
+    return Flight.build(path.stem, time, columns, segment=segment, provenance=provenance, notes=notes)
+
+
+def _read(path: Path, given: Map | None) -> tuple[Log, Map]:
+    suffix = path.suffix.lower()
+    if suffix in _TABLES:
+        return _read_table(path, given)
+    readers: dict[str, tuple[str, Callable[[Path], Log]]] = {
+        ".ulg": ("px4", _ulog), ".ulog": ("px4", _ulog), ".bin": ("ardupilot", _dataflash), ".tlog": ("mavlink", _tlog),
+    }  # fmt: skip
+    if suffix not in readers:
+        raise ImportDataError(f"{path}: files of this kind are not known; give {', '.join((*_TABLES, *_LOGS))}")
+    name, read = readers[suffix]
+    base = built_in_map(name)
+    return read(path), given.over(base) if given else base
+
+
+def _read_table(path: Path, given: Map | None) -> tuple[Log, Map]:
+    from groundstation.importers.tables import header_map, read_table, table_log
+
+    numeric, words = read_table(path, given.file if given else Map(format=1, columns={}).file)
+    guessed = header_map([*numeric, *words])
+    chosen = given.over(guessed) if given else guessed
+    return table_log(path, numeric, words, chosen.time), chosen
+
+
+def _ulog(path: Path) -> Log:
+    from groundstation.importers.ulog import read_ulog
+
+    return read_ulog(path)
+
+
+def _dataflash(path: Path) -> Log:
+    from groundstation.importers.dataflash import read_dataflash
+
+    return read_dataflash(path)
+
+
+def _tlog(path: Path) -> Log:
+    from groundstation.importers.tlog import read_tlog
+
+    return read_tlog(path)
+
+
+def _time_base(path: Path, log: Log, chosen: Map, rate: float | None) -> Array:
+    if log.common and rate is None:
+        return next(iter(log.series.values())).time if log.series else np.zeros(0)
+    wanted = {t.column for sources in chosen.columns.values() for s in sources for t in s.parts}
+    series = {n: s for n, s in log.series.items() if n in wanted and s.time.size >= 2}
+    if not series:
+        raise ImportDataError(
+            f"{path}: none of the expected messages is in this log; it has {', '.join(_topics(log)) or 'nothing'}; "
+            "name columns in a mapping file (--map)"
+        )
+    fastest = max(native_rate(s) for s in series.values())
+    return grid(series, rate or min(DEFAULT_RATE, fastest))
+
+
+def _topics(log: Log) -> list[str]:
+    return sorted({name.split(".")[0] for name in log.series})[:15]
+
+
+def _columns(log: Log, chosen: Map, time: Array) -> tuple[dict[str, Array], dict[str, Source], list[str]]:
+    columns: dict[str, Array] = {}
+    used: dict[str, Source] = {}
+    absent: list[str] = []
+    for name, sources in chosen.columns.items():
+        source = next((s for s in sources if all(t.column in log.series for t in s.parts)), None)
+        if source is None:
+            absent.append(f"{name} ({' or '.join(' + '.join(t.column for t in s.parts) for s in sources)})")
+            continue
+        columns[name] = _value(log, source, name, time)
+        used[name] = source
+    notes = [f"not in the file, so not measured: {', '.join(absent)}"] if absent else []
+    taken = {t.column for s in used.values() for t in s.parts} | ({chosen.segment} if chosen.segment else set())
+    if log.common:
+        left = [n for n in log.series if n not in taken]
+        columns.update(
+            {n: log.series[n].values if time is log.series[n].time else resample(log.series[n], time) for n in left}
+        )
+        if left:
+            notes.append(f"columns not known to Sideslip, kept as they are: {', '.join(left)}")
+        if log.text_columns:
+            notes.append(f"columns that are not numbers, left out: {', '.join(log.text_columns)}")
+    return columns, used, notes
+
+
+def _value(log: Log, source: Source, name: str, time: Array) -> Array:
+    scale, offset = conversion(source.unit, name, COLUMN_BY_NAME[name].unit) if name in COLUMN_BY_NAME else (1.0, 0.0)
+    total = np.zeros(time.size)
+    for term in source.parts:
+        series = log.series[term.column]
+        values = (
+            series.values if time is series.time else resample(_unwrapped(series, name, scale), time, hold=source.hold)
+        )
+        total = total + term.factor * values
+    value = (source.sign * source.factor * total + source.offset) * scale + offset
+    if name in _WRAPPED and not log.common:
+        value = (value + np.pi) % (2 * np.pi) - np.pi
+    return np.asarray(value)
+
+
+def _unwrapped(series: Series, name: str, scale: float) -> Series:
+    """A heading made continuous before it is interpolated: between 359 and 1 deg lies 0, not 180."""
+    if name not in _WRAPPED:
+        return series
+    values = series.values.copy()
+    good = np.isfinite(values)
+    values[good] = np.unwrap(values[good] * scale) / scale
+    return Series(series.time, values)
+
+
+def _segment(log: Log, chosen: Map, rate: float | None) -> NDArray[np.int64] | None:
+    if chosen.segment is None or chosen.segment not in log.series or rate is not None:
+        return None
+    values = log.series[chosen.segment].values
+    if not np.all(np.isfinite(values)):
+        raise ImportDataError(
+            f"column {chosen.segment}: empty cells; give an integer in each row or leave the column out"
+        )
+    return values.astype(np.int64)
+
+
+def _spoken(source: Source) -> str:
+    """How a column was made, for the provenance."""
+    terms = " + ".join(t.column if t.factor == 1 else f"{t.factor:g} {t.column}" for t in source.parts)
+    sign = "-" if source.sign < 0 else ""
+    factor = "" if source.factor == 1 else f"{source.factor:g} "
+    shift = f" + {source.offset:g}" if source.offset else ""
+    return f"{sign}{factor}({terms}){shift} [{source.unit}]"

@@ -1,0 +1,88 @@
+"""Named series with times of their own, and bringing them to one time base."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+LONGEST_STEP = 3.5
+"""A step longer than this many median intervals of a series is a gap in it: nothing is interpolated across."""
+
+
+@dataclass(frozen=True)
+class Series:
+    """Samples of one quantity: time (n,) [s], values (n,), both in order."""
+
+    time: Array
+    values: Array
+
+
+@dataclass(frozen=True)
+class Log:
+    """What a foreign file holds: series by name, all on one clock [s].
+
+    common: whether all series share one time column (a table), so that nothing needs to be interpolated.
+    """
+
+    kind: str
+    series: Mapping[str, Series]
+    common: bool = False
+    notes: tuple[str, ...] = ()
+    text_columns: tuple[str, ...] = ()
+    detail: Mapping[str, str] = field(default_factory=dict)
+
+
+def grid(series: Mapping[str, Series], rate_hz: float) -> Array:
+    """Even time base over the span that the series share the most of: from the earliest start to the latest end."""
+    start = min(float(s.time[0]) for s in series.values())
+    stop = max(float(s.time[-1]) for s in series.values())
+    return start + np.arange(int(np.floor((stop - start) * rate_hz + 1e-9)) + 1) / rate_hz
+
+
+def native_rate(series: Series) -> float:
+    """Median rate of a series [Hz]; 0 for fewer than two samples."""
+    steps = np.diff(series.time)
+    steps = steps[steps > 0]
+    return float(1 / np.median(steps)) if steps.size else 0.0
+
+
+def resample(series: Series, time: Array, *, hold: bool = False) -> Array:
+    """Values of a series at `time` (n,): NaN outside the series and inside its gaps.
+
+    A series at least twice as fast as the grid is averaged over each grid interval, which keeps vibration from folding
+    into the motion; a slower one is interpolated along straight lines; `hold` takes the last value.
+    """
+    good = np.isfinite(series.values) & np.isfinite(series.time)
+    t, y = series.time[good], series.values[good]
+    if t.size < 2:
+        return np.full_like(time, np.nan)
+    t, first = np.unique(t, return_index=True)
+    y = y[first]
+    interval = float(np.median(np.diff(t)))
+    step = float(np.median(np.diff(time))) if time.size > 1 else interval
+    before = np.clip(np.searchsorted(t, time, side="right") - 1, 0, t.size - 2)
+    inside = (time >= t[0]) & (time <= t[-1]) & (t[before + 1] - t[before] <= LONGEST_STEP * interval)
+    if hold:
+        out = y[np.clip(np.searchsorted(t, time, side="right") - 1, 0, t.size - 1)]
+    elif interval <= 0.5 * step:
+        out = _mean_over(t, y, time, step)
+    else:
+        out = np.interp(time, t, y)
+    return np.where(inside, out, np.nan)
+
+
+def _mean_over(t: Array, y: Array, time: Array, step: float) -> Array:
+    """Mean of the piecewise straight line through (t, y) over time +- step/2."""
+    area = np.concatenate([[0.0], np.cumsum(0.5 * (y[1:] + y[:-1]) * np.diff(t))])
+
+    def integral(at: Array) -> Array:
+        i = np.clip(np.searchsorted(t, at, side="right") - 1, 0, t.size - 2)
+        dt = at - t[i]
+        return np.asarray(area[i] + dt * (y[i] + 0.5 * dt * (y[i + 1] - y[i]) / (t[i + 1] - t[i])))
+
+    low, high = np.maximum(time - step / 2, t[0]), np.minimum(time + step / 2, t[-1])
+    width = np.where(high > low, high - low, np.nan)
+    return np.asarray(np.where(np.isfinite(width), (integral(high) - integral(low)) / width, np.interp(time, t, y)))

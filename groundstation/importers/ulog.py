@@ -1,0 +1,55 @@
+"""PX4 ULog, read by pyulog. Series are named 'topic.field', further instances of a topic 'topic[1].field'.
+
+Format: PX4 user guide, "ULog File Format". Topics keep their own `timestamp` [us since boot].
+"""
+
+from pathlib import Path
+
+import numpy as np
+
+from groundstation.importers.attitude import euler_from_quaternion
+from groundstation.importers.errors import ImportDataError
+from groundstation.importers.series import Log, Series
+
+_MAGIC = b"ULog\x01\x12\x35"
+
+
+def read_ulog(path: Path) -> Log:
+    """All numeric fields of all topics. Raises ImportDataError when the file is not a ULog or has no data."""
+    try:
+        from pyulog import ULog
+    except ModuleNotFoundError:
+        raise ImportDataError(
+            f"{path}: reading ULog needs the package pyulog; pip install 'sideslip[ground]'"
+        ) from None
+
+    with path.open("rb") as handle:
+        if handle.read(len(_MAGIC)) != _MAGIC:
+            raise ImportDataError(f"{path}: not a ULog file (its first bytes are not 'ULog')")
+    try:
+        log = ULog(str(path))
+    except (KeyError, IndexError, ValueError, TypeError, OSError, AttributeError) as error:
+        raise ImportDataError(f"{path}: damaged ULog ({type(error).__name__}: {error})") from error
+    series: dict[str, Series] = {}
+    for topic in log.data_list:
+        prefix = topic.name if topic.multi_id == 0 else f"{topic.name}[{topic.multi_id}]"
+        time = np.asarray(topic.data["timestamp"], float) * 1e-6
+        for field, values in topic.data.items():
+            if field != "timestamp" and time.size:
+                series[f"{prefix}.{field}"] = Series(time, np.asarray(values, float))
+        quaternion = [series.get(f"{prefix}.q[{i}]") for i in range(4)]
+        if all(q is not None for q in quaternion):
+            angles = euler_from_quaternion(*(q.values for q in quaternion if q is not None))
+            series.update(
+                {f"{prefix}.{n}": Series(time, a) for n, a in zip(("roll", "pitch", "yaw"), angles, strict=True)}
+            )
+    if not series:
+        raise ImportDataError(f"{path}: no data in this ULog")
+    notes = []
+    if log.file_corruption:
+        notes.append("the ULog is damaged in places; what could be read is used")
+    lost = sum(d.duration for d in log.dropouts)
+    if log.dropouts:
+        notes.append(f"the logger of this ULog reports {len(log.dropouts)} dropouts, together {lost / 1000:.3g} s")
+    system = str(log.msg_info_dict.get("ver_sw", ""))
+    return Log("ulog", series, notes=tuple(notes), detail={"firmware": system} if system else {})

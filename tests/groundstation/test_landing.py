@@ -1,0 +1,50 @@
+"""The end of a flight is recognised once, and not before it."""
+
+import math
+
+from groundstation.landing import LandingLimits, LandingWatch, Phase
+
+
+def run(watch: LandingWatch, start: float, seconds: float, speed: float, rate: float = 0.0) -> int:
+    ends = 0
+    for i in range(round(seconds * 10)):
+        ends += watch.update(start + i * 0.1, {"V": speed, "p": rate, "q": 0.0, "r": 0.0})
+    return ends
+
+
+def test_a_flight_ends_once_and_another_may_follow() -> None:
+    watch = LandingWatch(LandingLimits())
+    assert run(watch, 0, 30, 0.2) == 0
+    assert watch.phase is Phase.BEFORE
+    assert run(watch, 30, 60, 17.0) == 0
+    assert watch.phase is Phase.FLYING
+    assert run(watch, 90, 30, 0.3) == 1
+    assert watch.phase is Phase.LANDED
+    assert run(watch, 120, 60, 17.0) == 0
+    assert run(watch, 180, 30, 0.3) == 1
+
+
+def test_a_gust_of_pitot_noise_before_take_off_is_not_a_flight() -> None:
+    watch = LandingWatch(LandingLimits())
+    run(watch, 0, 1.5, 15.0)
+    run(watch, 1.5, 60, 0.0)
+    assert watch.phase is Phase.BEFORE
+
+
+def test_slow_but_turning_is_not_landed() -> None:
+    watch = LandingWatch(LandingLimits())
+    run(watch, 0, 10, 17.0)
+    assert run(watch, 10, 30, 3.0, rate=0.5) == 0
+
+
+def test_lost_pitot_in_flight_does_not_end_it_while_it_moves() -> None:
+    watch = LandingWatch(LandingLimits())
+    run(watch, 0, 10, 17.0)
+    assert run(watch, 10, 30, math.nan, rate=0.5) == 0
+    assert watch.phase is Phase.FLYING
+
+
+def test_nothing_measured_decides_nothing() -> None:
+    watch = LandingWatch(LandingLimits())
+    run(watch, 0, 10, 17.0)
+    assert not any(watch.update(10 + i, {}) for i in range(100))
