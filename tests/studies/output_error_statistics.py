@@ -13,10 +13,11 @@ from tests.estimation.truth import NOISE, STRONG, TRUE, Case, fly
 
 PLAIN = {k: v for k, v in NOISE.items() if k in ("beta", "p", "r", "phi", "ay")}
 CASES = {
-    "white": Case(noise=PLAIN),
-    "white inputs noisy": Case(noise=NOISE),
-    "light gusts": Case(noise=NOISE, gust=0.12),
-    "gusts": Case(noise=NOISE, gust=0.3),
+    "white noise, exact inputs": Case(noise=PLAIN, servo=None),
+    "all sensors noisy": Case(noise=NOISE, servo=None),
+    "all sensors noisy, servo lag": Case(noise=NOISE, phase=0.0213),
+    "light gusts": Case(noise=NOISE, gust=0.12, phase=0.0213),
+    "gusts": Case(noise=NOISE, gust=0.3, phase=0.0213),
 }
 
 

@@ -1,0 +1,106 @@
+"""`sideslip check`: data compatibility (flight-path reconstruction) and data quality."""
+
+from pathlib import Path
+
+import click
+
+EXAMPLE = (
+    "Example: sideslip check ld1.mcap ld2.mcap --factors +K_alpha,dalpha --figure compatibility.png --json check.json"
+)
+
+
+@click.command(epilog=EXAMPLE)
+@click.argument("flights", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="FLIGHT...")
+@click.option("--factors", "factors_text", default="", help="Factors to estimate, comma-separated; with a leading + they are "
+              "added to the standard ones (dax day daz dp dq dr K_beta dbeta). Also K_alpha dalpha K_V dV dphi dtheta, "
+              "x_imu y_imu z_imu, x_vane y_vane z_vane, and delays tau_beta tau_alpha tau_V tau_phi tau_theta tau_psi.")  # fmt: skip
+@click.option("--joint", is_flag=True, help="Also one set of factors shared by all flights.")
+@click.option("--segments", help="Use only these stretches, each with initial states of its own: 2:12,15:25 [s].")
+@click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write the results as JSON.")
+@click.option(
+    "--figure", "figure_path", type=click.Path(path_type=Path), help="Write measured and reconstructed motion."
+)
+@click.option(
+    "--write", "folder", type=click.Path(path_type=Path, file_okay=False), help="Write corrected flights here."
+)
+def check(
+    flights: tuple[Path, ...],
+    factors_text: str,
+    joint: bool,
+    segments: str | None,
+    json_path: Path | None,
+    figure_path: Path | None,
+    folder: Path | None,
+) -> int:
+    """Check that accelerations, rates, attitude and air data of each FLIGHT tell the same story."""
+    from estimation.commands.estimate import select_segments, write_json
+    from estimation.compatibility.correct import corrected
+    from estimation.compatibility.present import factor_lines, fit_of, write_figure
+    from estimation.compatibility.reconstruction import compatibility
+    from groundstation.flight import read_flight, write_flight
+    from groundstation.quality import quality_report, worst
+
+    factors = wanted_factors(factors_text)
+    read = [select_segments(read_flight(path), segments) for path in flights]
+    quality = [quality_report(flight) for flight in read]
+    results = [(flight.name, compatibility(flight, factors)) for flight in read]
+    if joint and len(read) > 1:
+        results.append(("joint", compatibility(read, factors)))
+    for line in factor_lines(results):
+        click.echo(line)
+    for flight, findings in zip(read, quality, strict=True):
+        click.echo(f"\nquality of {flight.name}")
+        for finding in findings:
+            click.echo(f"  {finding.verdict:<5}{finding.check}: {finding.text}")
+    if json_path is not None:
+        entries = []
+        for flight, findings, (_, result) in zip(read, quality, results, strict=False):
+            entries.append(
+                {
+                    "name": flight.name,
+                    "converged": result.converged,
+                    "status": result.text,
+                    "factors": {n: _factor_json(f) for n, f in result.factors.items()},
+                    "fit": fit_of(result.flights[0]),
+                    "quality": [f.to_json() for f in findings],
+                }
+            )
+        data: dict[str, object] = {"version": 1, "flights": entries}
+        if joint and len(read) > 1:
+            data["joint"] = {n: _factor_json(f) for n, f in results[-1][1].factors.items()}
+        write_json(data, json_path)
+    if figure_path is not None:
+        write_figure([r.flights[0] for (_, r), _ in zip(results, read, strict=False)], figure_path)
+        click.echo(f"\nfigure: {figure_path}")
+    if folder is not None:
+        for flight, (_, result) in zip(read, results, strict=False):
+            target = folder / f"{flight.name}.mcap"
+            write_flight(corrected(flight, result), target)
+            click.echo(f"corrected flight: {target}")
+    failed = any(worst(findings) == "fail" for findings in quality) or not all(r.converged for _, r in results)
+    return 1 if failed else 0
+
+
+def wanted_factors(text: str) -> tuple[str, ...]:
+    """The factors that --factors asks for."""
+    from estimation.models.kinematic import STANDARD_FACTORS
+
+    names = tuple(n.strip() for n in text.lstrip("+").split(",") if n.strip())
+    if not names:
+        return STANDARD_FACTORS
+    chosen = (*STANDARD_FACTORS, *names) if text.startswith("+") else names
+    return tuple(dict.fromkeys(chosen))
+
+
+def _factor_json(factor: object) -> dict[str, object]:
+    from estimation.compatibility.reconstruction import Factor
+
+    assert isinstance(factor, Factor)
+    data: dict[str, object] = {
+        "estimate": factor.estimate,
+        "std": factor.std,
+        "std_coloured": factor.std_coloured,
+        "unit": factor.unit,
+        "identifiable": factor.identifiable,
+    }
+    return data if factor.identifiable else {**data, "why": factor.why}

@@ -1,0 +1,201 @@
+"""A time-varying extended Kalman filter for any traced model, as one CasADi function per step.
+
+Flight-path reconstruction drives its motion with measured accelerations and rates. Their noise integrates to a random
+walk, so output error would call everything the walk explains a bias, with bounds tens of times too small. Here the
+noise of each input sample is process noise of known size, and the likelihood is that of the innovations (Maine and
+Iliff 1981; Jategaonkar, Flight Vehicle System Identification, ch. 5). Normalised innovations are white with variance
+one when model and noise levels are right: that is what the bounds rest on and what is tested.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from estimation.engine.trace import constant_names, trace
+from estimation.models.base import Model
+
+Array = NDArray[np.float64]
+CHUNK = 256  # samples per call of the accumulated function
+
+
+@dataclass(frozen=True)
+class Record:
+    """One gap-free stretch. time: (N,); u: (N, nu) inputs; z: (N, ny) outputs, NaN where not measured."""
+
+    first: int
+    time: Array
+    u: Array
+    z: Array
+
+    @cached_property
+    def step(self) -> float:
+        """Sample interval [s]."""
+        return float(np.median(np.diff(self.time)))
+
+
+@dataclass(frozen=True)
+class NoiseLevels:
+    """Standard deviations: of the inputs (nu,), of the outputs (ny,); drift: of the states per root second (nx,)."""
+
+    inputs: Array
+    outputs: Array
+    drift: Array
+
+
+@dataclass(frozen=True)
+class Run:
+    """normalised: (N, ny) innovations over their predicted deviation, 0 where not measured; known: (N, ny) bool;
+    log_variance: sum over known samples; states: (N, nx) after each update; predicted: (N, ny) before it."""
+
+    normalised: Array
+    known: NDArray[np.bool_]
+    log_variance: float
+    states: Array
+    predicted: Array
+
+    @property
+    def cost(self) -> float:
+        """Negative log likelihood, without constants."""
+        return 0.5 * float(np.sum(self.normalised**2)) + 0.5 * self.log_variance
+
+
+class KalmanFilter:
+    """Filter of one model. Parameters are given as the vector of all model parameters."""
+
+    def __init__(self, model: Model, delayed: tuple[tuple[int, int], ...] = ()) -> None:
+        """delayed: pairs (output index, parameter index of its delay)."""
+        self.model = model
+        self.delayed = delayed
+        self._constants = np.array([model.constants[n] for n in constant_names(model)])
+        self._step = _step_function(model, len(delayed))
+        self._many = self._step.mapaccum(CHUNK)
+
+    def run(self, record: Record, p: Array, noise: NoiseLevels, x0: Array, spread: Array) -> Run:
+        """Filter one record. x0: (nx,) start; spread: (nx,) its standard deviation."""
+        model, count = self.model, len(record.time)
+        nx, ny = len(model.states), len(model.outputs)
+        known = np.isfinite(record.z)
+        u_next = np.vstack([record.u[1:], record.u[-1:]])
+        past = [self._past_inputs(record, float(p[i])) for _, i in self.delayed]
+        columns = [record.u, u_next, np.where(known, record.z, 0.0), known.astype(float), *past]
+        table = np.hstack(columns).T
+        pad = -count % CHUNK
+        table = np.hstack([table, np.zeros((table.shape[0], pad))])
+        table[2 * record.u.shape[1] + ny : 2 * record.u.shape[1] + 2 * ny, count:] = 0.0  # nothing known in the padding
+        fixed = np.concatenate([p, self._constants, noise.inputs**2, noise.outputs**2, noise.drift**2, [record.step]])
+        state = np.concatenate([x0, np.diag(spread**2).ravel()])
+        outs = []
+        for start in range(0, count + pad, CHUNK):
+            states, out = self._many(state, table[:, start : start + CHUNK], np.tile(fixed[:, None], (1, CHUNK)))
+            outs.append(np.asarray(out))
+            state = np.asarray(states)[:, -1]
+            if not np.all(np.isfinite(outs[-1])):
+                break
+        out = np.hstack(outs).T[:count]
+        normalised, log_s = out[:, :ny], out[:, ny : 2 * ny]
+        finite = len(out) == count and bool(np.all(np.isfinite(out)))
+        log_variance = float(np.sum(log_s[known[: len(out)]])) if finite else np.inf
+        return Run(normalised, known, log_variance, out[:, 2 * ny : 2 * ny + nx], out[:, 2 * ny + nx :])
+
+    def _past_inputs(self, record: Record, delay: float) -> Array:
+        """(N, 2 nu) inputs half a delay and a whole delay before each sample, on straight lines between samples."""
+        shifted = []
+        for back in (0.5 * delay, delay):
+            shifted.append(np.column_stack([np.interp(record.time - back, record.time, c) for c in record.u.T]))
+        return np.hstack(shifted)
+
+
+@lru_cache(maxsize=32)
+def _cached(key: str, delays: int, box: "_Box") -> ca.Function:
+    return _build(box.model, box.delayed)
+
+
+class _Box:
+    """Carries a model past the cache, which looks at its structure alone."""
+
+    def __init__(self, model: Model, delayed: tuple[tuple[int, int], ...]) -> None:
+        self.model, self.delayed = model, delayed
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Box)
+
+    def __hash__(self) -> int:
+        return 0
+
+
+def _step_function(model: Model, delays: int) -> ca.Function:
+    delayed = delayed_outputs(model)
+    key = repr(
+        (model.state_names, model.input_names, model.output_names, model.parameter_names, model.equations, delayed)
+    )
+    return _cached(key, delays, _Box(model, delayed))
+
+
+def delayed_outputs(model: Model) -> tuple[tuple[int, int], ...]:
+    """Pairs (output index, parameter index) of the delayed outputs of a model."""
+    return tuple(
+        (model.output_names.index(o), model.parameter_names.index(p)) for o, p in sorted(model.output_delays.items())
+    )
+
+
+def _rk4(f: ca.Function, x: ca.SX, u: tuple[ca.SX, ca.SX, ca.SX], p: ca.SX, h: ca.SX) -> ca.SX:
+    k1 = f(x, u[0], p)
+    k2 = f(x + h / 2 * k1, u[1], p)
+    k3 = f(x + h / 2 * k2, u[1], p)
+    k4 = f(x + h * k3, u[2], p)
+    return x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+
+
+def _build(model: Model, delayed: tuple[tuple[int, int], ...]) -> ca.Function:
+    """(state and covariance; data; constants) -> (the same one sample on; normalised innovations, log variances, ...)."""
+    traced = trace(model)
+    nx, nu, np_, ny = traced.sizes
+    x, P = ca.SX.sym("x", nx), ca.SX.sym("P", nx, nx)
+    u0, u1 = ca.SX.sym("u0", nu), ca.SX.sym("u1", nu)
+    z, known = ca.SX.sym("z", ny), ca.SX.sym("known", ny)
+    past = [ca.SX.sym(f"past{i}", 2 * nu) for i in range(len(delayed))]
+    p, h = ca.SX.sym("p", np_), ca.SX.sym("h")
+    q, r, drift = ca.SX.sym("q", nu), ca.SX.sym("r", ny), ca.SX.sym("drift", nx)
+
+    lagging = {out: (i, parameter) for i, (out, parameter) in enumerate(delayed)}
+    y_now = traced.outputs(x, u0, p)
+    predicted = []
+    for j in range(ny):
+        if j in lagging:
+            i, parameter = lagging[j]
+            back = _rk4(traced.rates, x, (u0, past[i][:nu], past[i][nu:]), p, -p[parameter])
+            predicted.append(traced.outputs(back, past[i][nu:], p)[j])
+        else:
+            predicted.append(y_now[j])
+    y = ca.vertcat(*predicted)
+    H = ca.jacobian(y, x)
+    xf, Pf = x, P
+    normalised, logs = [], []
+    for j in range(ny):  # one output after the other: R is diagonal, so no matrix need be inverted
+        row = H[j, :]
+        innovation = z[j] - y[j] - ca.mtimes(row, xf - x)
+        s = ca.mtimes(ca.mtimes(row, Pf), row.T) + r[j]
+        gain = known[j] * ca.mtimes(Pf, row.T) / s
+        xf = xf + gain * innovation
+        Pf = Pf - ca.mtimes(gain, ca.mtimes(row, Pf))
+        normalised.append(known[j] * innovation / ca.sqrt(s))
+        logs.append(ca.log(s))
+    Pf = (Pf + Pf.T) / 2
+
+    xs, d = ca.SX.sym("xs", nx), ca.SX.sym("d", nu)
+    advanced = _rk4(traced.rates, xs, (u0 + d, (u0 + u1) / 2 + d, u1 + d), p, h)
+    zero = ca.DM.zeros(nu)
+    F, G = (ca.substitute(ca.jacobian(advanced, v), d, zero) for v in (xs, d))
+    move = ca.Function("move", [xs, u0, u1, p, h], [ca.substitute(advanced, d, zero), F, G])
+    ahead, Fk, Gk = move(xf, u0, u1, p, h)
+    Pn = ca.mtimes(ca.mtimes(Fk, Pf), Fk.T) + ca.mtimes(ca.mtimes(Gk, ca.diag(q)), Gk.T) + ca.diag(drift) * h
+
+    carried = ca.vertcat(x, ca.reshape(P, nx * nx, 1))
+    data = ca.vertcat(u0, u1, z, known, *past)
+    fixed = ca.vertcat(p, q, r, drift, h)
+    after = ca.vertcat(ahead, ca.reshape(Pn, nx * nx, 1))
+    shown = ca.vertcat(*normalised, *logs, xf, y)
+    return ca.Function("kalman", [carried, data, fixed], ca.cse([after, shown]))

@@ -1,0 +1,121 @@
+"""Flight-path kinematics with instrument factors: the model of the data-compatibility check.
+
+Measured specific forces and rates drive the motion; what the vanes, the pitot, the attitude filter and the altimeter
+should have shown follows without any aerodynamics. Conventions: measured = true + bias for accelerations and rates
+(so the motion is driven by measured - bias), measured = K true + bias for alpha, beta, V. SI, radians, body axes x
+forward, y right, z down, everything at the centre of gravity.
+
+Source: kinematic equations of a rigid body over a flat earth; factors as in The Aeronautical Journal (2018), pp 889-912,
+Table 2.
+"""
+
+from collections.abc import Iterable
+
+from estimation.aircraft import GRAVITY
+from estimation.errors import ModelError
+from estimation.models.base import Model, Parameter, Signal
+
+STANDARD_FACTORS = ("dax", "day", "daz", "dp", "dq", "dr", "K_beta", "dbeta")
+"""Table 2 of the paper."""
+
+FACTORS: dict[str, Parameter] = {
+    **{f"da{x}": Parameter(f"da{x}", "m/s2", description=f"bias of the specific force, {x}") for x in "xyz"},
+    **{f"d{r}": Parameter(f"d{r}", "rad/s", description=f"bias of the rate {r}") for r in "pqr"},
+    "K_alpha": Parameter("K_alpha", "1", start=1.0, description="scale of angle of attack"),
+    "dalpha": Parameter("dalpha", "rad", description="bias of angle of attack"),
+    "K_beta": Parameter("K_beta", "1", start=1.0, description="scale of sideslip"),
+    "dbeta": Parameter("dbeta", "rad", description="bias of sideslip"),
+    "K_V": Parameter("K_V", "1", start=1.0, description="scale of airspeed"),
+    "dV": Parameter("dV", "m/s", description="bias of airspeed"),
+    "dphi": Parameter("dphi", "rad", description="bias of bank angle"),
+    "dtheta": Parameter("dtheta", "rad", description="bias of pitch attitude"),
+    "x_imu": Parameter("x_imu", "m", description="IMU ahead of the centre of gravity"),
+    "y_imu": Parameter("y_imu", "m", description="IMU right of the centre of gravity"),
+    "z_imu": Parameter("z_imu", "m", description="IMU below the centre of gravity"),
+    "x_vane": Parameter("x_vane", "m", description="vane ahead of the centre of gravity"),
+    "y_vane": Parameter("y_vane", "m", description="alpha vane right of the centre of gravity"),
+    "z_vane": Parameter("z_vane", "m", description="beta vane below the centre of gravity"),
+}
+
+DELAYS: dict[str, str] = {f"tau_{c}": c for c in ("alpha", "beta", "V", "phi", "theta", "psi")}
+"""Delay factor -> the output that is late [s]."""
+
+MEASUREMENTS = {
+    "V": Signal("V", "m/s", "true airspeed"),
+    "alpha": Signal("alpha", "rad", "angle of attack"),
+    "beta": Signal("beta", "rad", "sideslip"),
+    "phi": Signal("phi", "rad", "bank angle"),
+    "theta": Signal("theta", "rad", "pitch attitude"),
+    "psi": Signal("psi", "rad", "heading"),
+}
+
+
+def compatibility_model(
+    factors: Iterable[str] = STANDARD_FACTORS, outputs: Iterable[str] = tuple(MEASUREMENTS)
+) -> Model:
+    """Kinematic model with the named factors free.
+
+    Raises ModelError for a factor that does not exist.
+    """
+    wanted, measured = tuple(factors), tuple(outputs)
+    unknown = [f for f in wanted if f not in FACTORS and f not in DELAYS]
+    if unknown:
+        known = ", ".join([*FACTORS, *DELAYS])
+        raise ModelError(f"compatibility: no factor {unknown[0]!r}; choose from {known}")
+
+    def value(name: str, neutral: float) -> str:
+        return name if name in wanted else f"{neutral}"
+
+    def less(name: str, bias: str) -> str:
+        return f"({name} - {bias})" if bias in wanted else name
+
+    p, q, r = (less(n, f"d{n}") for n in "pqr")
+    lever = tuple(n for n in ("x_imu", "y_imu", "z_imu") if n in wanted)
+    ax, ay, az = (less(f"a{x}", f"da{x}") for x in "xyz")
+    if lever:
+        X, Y, Z = (value(n, 0.0) for n in ("x_imu", "y_imu", "z_imu"))
+        # specific force at the centre of gravity: less omega_dot x arm and omega x (omega x arm)
+        ax = f"({ax} - (q_dot*{Z} - r_dot*{Y} + {p}*({q}*{Y} + {r}*{Z}) - ({q}^2 + {r}^2)*{X}))"
+        ay = f"({ay} - (r_dot*{X} - p_dot*{Z} + {q}*({p}*{X} + {r}*{Z}) - ({p}^2 + {r}^2)*{Y}))"
+        az = f"({az} - (p_dot*{Y} - q_dot*{X} + {r}*({p}*{X} + {q}*{Y}) - ({p}^2 + {q}^2)*{Z}))"
+    vane = {n: value(n, 0.0) for n in ("x_vane", "y_vane", "z_vane")}
+    equations = (
+        f"u_dot = {r}*v - {q}*w - g*sin(theta) + {ax}",
+        f"v_dot = {p}*w - {r}*u + g*cos(theta)*sin(phi) + {ay}",
+        f"w_dot = {q}*u - {p}*v + g*cos(theta)*cos(phi) + {az}",
+        f"phi_dot = {p} + tan(theta)*({q}*sin(phi) + {r}*cos(phi))",
+        f"theta_dot = {q}*cos(phi) - {r}*sin(phi)",
+        f"psi_dot = ({q}*sin(phi) + {r}*cos(phi))/cos(theta)",
+        "speed = sqrt(u^2 + v^2 + w^2)",
+        f"u_vane = u - {r}*{vane['y_vane']} + {q}*{vane['z_vane']}",
+        f"v_vane = v + {r}*{vane['x_vane']} - {p}*{vane['z_vane']}",
+        f"w_vane = w - {q}*{vane['x_vane']} + {p}*{vane['y_vane']}",
+        f"V = {value('K_V', 1.0)}*speed + {value('dV', 0.0)}",
+        f"alpha = {value('K_alpha', 1.0)}*atan2(w_vane, u_vane) + {value('dalpha', 0.0)}",
+        f"beta = {value('K_beta', 1.0)}*atan2(v_vane, sqrt(u_vane^2 + w_vane^2)) + {value('dbeta', 0.0)}",
+        f"phi_measured = phi + {value('dphi', 0.0)}",
+        f"theta_measured = theta + {value('dtheta', 0.0)}",
+    )
+    delayed = {DELAYS[f]: f for f in wanted if f in DELAYS}
+    return Model(
+        name="compatibility",
+        title="flight-path kinematics",
+        states=(
+            Signal("u", "m/s", "velocity forward"),
+            Signal("v", "m/s", "velocity right"),
+            Signal("w", "m/s", "velocity down"),
+            MEASUREMENTS["phi"],
+            MEASUREMENTS["theta"],
+            MEASUREMENTS["psi"],
+        ),
+        inputs=(
+            *(Signal(n, "m/s2") for n in ("ax", "ay", "az")),
+            *(Signal(n, "rad/s") for n in "pqr"),
+            *(Signal(f"{n}_dot", "rad/s2") for n in "pqr" if lever),
+        ),
+        outputs=tuple(MEASUREMENTS[n] for n in measured),
+        parameters=tuple(FACTORS[f] if f in FACTORS else Parameter(f, "s", lower=-0.3, upper=0.3) for f in wanted),
+        equations=equations,
+        constants={"g": GRAVITY},
+        output_delays=delayed,
+    )
