@@ -9,8 +9,9 @@ The filter itself runs in its north-west-up convention, whose accelerometer sign
 same in all releases of imufusion; that of its north-east-down one changed. Half a turn about x leads from one to the other.
 
 Two things are added for aircraft. The gyro is integrated by the trapezoidal rule, because at 20 Hz the end value alone
-would lead by 25 ms. And in a turn the accelerometer's plumb line leans into the turn, for as long as the turn lasts; the
-centripetal part, rates times airspeed, is therefore taken off when an airspeed is known.
+would lead by 25 ms. And in a turn the accelerometer's plumb line leans into the turn, for as long as the turn lasts, and
+in a launch backwards; the acceleration of the aircraft along its path, rates times airspeed and the airspeed's own
+change, is therefore taken off when an airspeed is known.
 """
 
 import math
@@ -65,6 +66,7 @@ class AttitudeFilter:
     """
 
     SLOWEST_FLIGHT = 8.0  # [m/s]
+    AIRSPEED_SMOOTHING_S = 0.4
     LONGEST_STEP_S = 1.0  # after a longer gap the old attitude is worth nothing: start again
 
     def __init__(self, config: AttitudeConfig, rate_hz: float, gyro_range: float) -> None:
@@ -89,6 +91,8 @@ class AttitudeFilter:
         self._last_gyro = np.zeros(3)
         self._standing: list[tuple[float, np.ndarray]] = []
         self._bias_known = False
+        self._airspeed: float | None = None
+        self._speeding_up = 0.0  # [m/s2]
 
     @property
     def gyro_bias(self) -> tuple[float, float, float]:
@@ -107,7 +111,8 @@ class AttitudeFilter:
         self._last_gyro = rate_deg
         if step is not None:
             self._ahrs.set_sample_period(step)
-        down = self._plumb_line(np.array(accel, dtype=np.float64), np.radians(rate_deg), airspeed) / GRAVITY
+        self._follow_airspeed(airspeed, step)
+        down = self._plumb_line(np.array(accel, dtype=np.float64), np.radians(rate_deg)) / GRAVITY
         magnetic = mag is not None and self._config.use_magnetometer
         if magnetic:
             field = (np.array(mag, dtype=np.float64) - self._magnetic_offset) * 1e6
@@ -148,11 +153,22 @@ class AttitudeFilter:
         """Whether the aircraft may stand still; a trimmed flight is as quiet to the gyro as the ground is."""
         return airspeed is None or airspeed < self.SLOWEST_FLIGHT
 
-    def _plumb_line(self, accel: np.ndarray, rate: np.ndarray, airspeed: float | None) -> np.ndarray:
-        """Specific force less the centripetal part omega x V, V along body x [m/s2]."""
-        if airspeed is None or not self._config.airspeed_correction:
+    def _follow_airspeed(self, airspeed: float | None, step: float | None) -> None:
+        """Smooth the airspeed (first order) and find its rate of change."""
+        smooth = self._airspeed
+        if airspeed is None or step is None or smooth is None:
+            self._airspeed, self._speeding_up = airspeed, 0.0
+            return
+        share = step / (self.AIRSPEED_SMOOTHING_S + step)
+        self._airspeed = smooth + share * (airspeed - smooth)
+        self._speeding_up = (self._airspeed - smooth) / step
+
+    def _plumb_line(self, accel: np.ndarray, rate: np.ndarray) -> np.ndarray:
+        """Specific force less the path's acceleration, dV/dt + omega x V with V along body x [m/s2]."""
+        speed = self._airspeed
+        if speed is None or not self._config.airspeed_correction:
             return accel
-        return accel - airspeed * np.array((0.0, rate[2], -rate[1]))
+        return accel - np.array((self._speeding_up, speed * rate[2], -speed * rate[1]))
 
     def _quaternion(self) -> tuple[float, float, float, float]:
         w, x, left, up = (float(v) for v in self._ahrs.get_quaternion())

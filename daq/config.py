@@ -40,7 +40,7 @@ class ScanConfig(Section):
     rate_hz: Annotated[float, Field(gt=0, le=2000)] = 20.0
     realtime_priority: Annotated[int, Field(ge=0, le=99)] = 0  # SCHED_FIFO priority; 0 keeps the ordinary scheduler
     lock_memory: bool = False  # mlockall: pages of the process are never swapped out
-    collect_garbage: bool = True  # False: the collector runs once a second, outside the scan
+    garbage_in_slack: bool = True  # collect garbage after scans only, instead of whenever Python would
 
     @property
     def period_ns(self) -> int:

@@ -32,6 +32,7 @@ _RECOVER_NS = 5 * NS  # without reports for so long, the rate is raised again st
 _RECENT_SCANS = 40
 _MAP_REPEATS = 3
 _MAP_DELAY = 64  # scans to wait after a block ends, so that what is queued has been sent or dropped
+_PAUSE_NS = NS
 _TEXT_CHARS = 50
 
 
@@ -82,7 +83,7 @@ class Downlink:
         self.refusals = UplinkCounts()
         self.recent: deque[Scan] = deque(maxlen=_RECENT_SCANS)
         self._clock = clock
-        self._status = status
+        self.status = status
         encoder = FrameEncoder(config.system_id, config.component_id, signer)
         self.outbox = Outbox(port, encoder, config.budget_bytes_per_s, config.scan_queue)
         self._wanted_rate = config.rate_hz
@@ -106,6 +107,10 @@ class Downlink:
             }
         )
         self._gnss: Scan | None = None
+        self._offered_at_pause = 0
+        self._pauses_told = 0
+        self._pause_ns = 0
+        self._open: list[int] = []  # numbers of scans queued and not gone yet
 
     # -------------------------------------------------------------------------------------------------- scans
 
@@ -152,11 +157,19 @@ class Downlink:
         items = [Item(i, pack_scan(table[i], scan, self.boot)) for i in parts]
         fast = pack_scan(table[SCAN_FAST_ID], scan, self.boot)
         number = scan.number
-        items.append(Item(SCAN_FAST_ID, fast, lambda: self._mark_sent(number)))
+        items.append(Item(SCAN_FAST_ID, fast, lambda: self._settle(number, True), lambda: self._settle(number, False)))
+        self._open.append(number)
         self.outbox.put_scan(items)
 
-    def _mark_sent(self, number: int) -> None:
-        self.sent.add(number)
+    def _settle(self, number: int, sent: bool) -> None:
+        self._open.remove(number)
+        if sent:
+            self.sent.add(number)
+
+    @property
+    def settled(self) -> int:
+        """Last scan of which, and of all before it, it is known whether it was sent."""
+        return min(self._open) - 1 if self._open else self._last
 
     def _report_maps(self, block: int) -> None:
         for i in range(max(0, block - _MAP_REPEATS), block):
@@ -169,7 +182,7 @@ class Downlink:
         return item(
             "SENT_MAP",
             first_number=block * BLOCK,
-            last_number=self._last,
+            last_number=max(0, self.settled),
             boot=self.boot,
             sent=self.sent.to_bytes(block),
             absent=absent,
@@ -184,9 +197,22 @@ class Downlink:
             self._next_heartbeat = (now_ns if late else self._next_heartbeat or now_ns) + NS
             self.outbox.put_urgent(self._heartbeat())
         self._recover(now_ns)
+        self._report_pause(now_ns)
         if not self.outbox.has_low:
             self._queue_due(now_ns)
         self.outbox.service(now_ns)
+
+    def _report_pause(self, now_ns: int) -> None:
+        """When scans stop coming, say a few times what was sent, so that the ground's books close."""
+        if self._offered_at_pause != len(self.offered):
+            self._offered_at_pause, self._pauses_told, self._pause_ns = len(self.offered), 0, now_ns
+        due = self._pause_ns + (_PAUSE_NS << self._pauses_told)
+        if self.recent and self._pauses_told < _MAP_REPEATS and now_ns >= due:
+            self._pauses_told += 1
+            block = self._last // BLOCK
+            self.outbox.put_low(self.sent_map(block))
+            self._report_maps(block)
+            self.outbox.put_low(self.statistics())
 
     def _queue_due(self, now_ns: int) -> None:
         name = self._timers.due(now_ns, self._factor)
@@ -202,7 +228,7 @@ class Downlink:
             case "GPS_RAW_INT":
                 return gps_raw(self._gnss)
             case "SYS_STATUS":
-                return sys_status(last, self._status().recording, self.config.supply_volts_per_count)
+                return sys_status(last, self.status().recording, self.config.supply_volts_per_count)
             case "LINK_STATISTICS":
                 return self.statistics()
             case _:
@@ -210,7 +236,7 @@ class Downlink:
 
     def _heartbeat(self) -> Item:
         fixed_wing, generic, active, standby = 1, 0, 4, 3
-        state = active if self._status().recording else standby
+        state = active if self.status().recording else standby
         return item("HEARTBEAT", type=fixed_wing, autopilot=generic, system_status=state, mavlink_version=3)
 
     def statistics(self) -> Item:
@@ -232,7 +258,7 @@ class Downlink:
         )
 
     def _logger_status(self) -> Item:
-        s = self._status()
+        s = self.status()
         return item(
             "LOGGER_STATUS",
             free_bytes=2**64 - 1 if s.free_bytes is None else s.free_bytes,

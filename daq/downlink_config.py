@@ -40,7 +40,9 @@ class DownlinkConfig(BaseModel):
     key_file: Path | None = None  # 32 bytes or 64 hexadecimal digits, mode 0600; with it unsigned commands do nothing
     signing_state: Path | None = None  # where the signing timestamps survive a restart; default beside the key
     backfill_memory_mb: Annotated[float, Field(gt=0)] = 64.0  # scans kept compressed in memory for late requests
-    scan_queue: Annotated[int, Field(ge=1, le=1000)] = 4  # scan frames waiting for the port before the oldest is dropped
+    scan_queue: Annotated[int, Field(ge=1, le=1000)] = (
+        4  # scan frames waiting for the port before the oldest is dropped
+    )
 
     @model_validator(mode="after")
     def _fits_budget(self) -> "DownlinkConfig":

@@ -68,7 +68,7 @@ class Downlink(Protocol):
 
 
 class Control(Protocol):
-    """What a command from the ground may do to the logger."""
+    """What a command from the ground may do to the logger. Everything returns at once."""
 
     @property
     def recording(self) -> bool:
@@ -76,7 +76,7 @@ class Control(Protocol):
         ...
 
     def start_recording(self) -> bool:
-        """Begin a new recording; False when one is under way."""
+        """Begin a new recording; False when one is under way or none can be made."""
         ...
 
     def stop_recording(self) -> bool:
@@ -84,11 +84,11 @@ class Control(Protocol):
         ...
 
     def mark_event(self, text: str, origin: str) -> Event:
-        """Record an event marker."""
+        """Record an event marker at the present scan."""
         ...
 
     def say(self, level: LogLevel, name: str, text: str) -> None:
-        """A line for the recording's log, the journal and the ground."""
+        """A line for the recording's log, the journal and, from warnings up, the ground."""
         ...
 
 
@@ -117,6 +117,7 @@ class Logger:
     """Runs the scan loop.
 
     rate_hz: scans a second. recorder: takes the first recording; `new_recorder` makes the ones begun by command.
+    `connect` adds a link that itself needs the logger.
     timing: the histograms that the recorder reports; give the recorder the same object.
     housekeeping: called about once a second in the slack after a scan (watchdog, garbage collection).
     """
@@ -157,6 +158,10 @@ class Logger:
         self._closers: list[threading.Thread] = []
         self._last_books: Statistics | None = None
         sampler.on_event = self._switch
+
+    def connect(self, downlink: Downlink, uplink: Uplink | None) -> None:
+        """Give the logger its link, before it runs."""
+        self._downlink, self._uplink = downlink, uplink
 
     # ------------------------------------------------------------------------------------------ the loop
 
@@ -286,7 +291,7 @@ class Logger:
         return self._recorder.statistics() if self._recorder is not None else self._last_books
 
     def mark_event(self, text: str, origin: str) -> Event:
-        """Record an event marker now and tell the ground."""
+        """Record an event marker at the present scan and tell the ground."""
         return self._mark(self._clock.monotonic_ns(), self._number, text, origin)
 
     def say(self, level: LogLevel, name: str, text: str) -> None:
@@ -301,16 +306,17 @@ class Logger:
         self._mark(mark.time_monotonic_ns, mark.scan_number, "event switch", mark.source)
 
     def _mark(self, time_ns: int, number: int, text: str, origin: str) -> Event:
-        utc = self._scan.time_utc_ns + time_ns - self._scan.time_monotonic_ns if self._knows_utc() and self._scan else 0
-        event = Event(time_ns, utc, number, origin, text)
+        event = Event(time_ns, self._utc(time_ns), number, origin, text)
         if self._recorder is not None:
             self._recorder.event(event)
         if self._downlink is not None:
             self._downlink.event(event)
         return event
 
-    def _knows_utc(self) -> bool:
-        return self._scan is not None and self._scan.time_utc_ns > 0
+    def _utc(self, time_ns: int) -> int:
+        """UTC of a monotonic time by the newest scan; 0 while unknown."""
+        scan = self._scan
+        return scan.time_utc_ns + time_ns - scan.time_monotonic_ns if scan is not None and scan.time_utc_ns else 0
 
     # ------------------------------------------------------------------------------------------ the end
 

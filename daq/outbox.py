@@ -25,6 +25,7 @@ class Item:
     msg_id: int
     payload: bytes
     on_sent: Callable[[], None] | None = None
+    on_dropped: Callable[[], None] | None = None
 
 
 def item(name: str, **values: object) -> Item:
@@ -75,8 +76,10 @@ class Outbox:
         """Send the messages of one scan together; the oldest waiting scan is dropped and counted when there is no room."""
         self._scans.append(messages)
         while len(self._scans) > self._scan_room:
-            self._scans.popleft()
             self.scans_dropped += 1
+            for message in self._scans.popleft():
+                if message.on_dropped is not None:
+                    message.on_dropped()
 
     def put_low(self, message: Item) -> None:
         """Send when nothing more important waits."""

@@ -85,6 +85,7 @@ class Recorder:
         self._details: dict[str, str] = {}
         self._new_details: dict[str, str] = {}
         self._abandoned: list[int] = []
+        self._free: dict[str, int] = {}  # free_bytes of the card, as far as it is known
         self._segment: Segment | None = None
         self._next_segment = 0
         self._reported_ns: int | None = None
@@ -177,7 +178,7 @@ class Recorder:
             write_latency=tuple(self._write_latency.counts),
             sync_latency=tuple(self._syncer.latency.counts),
             final=final,
-            extra={f"abandoned_{n}": 1 for n in self._abandoned},
+            extra={f"abandoned_{n}": 1 for n in self._abandoned} | self._free,
         )
 
     @property
@@ -288,6 +289,7 @@ class Recorder:
         now = self._clock.monotonic_ns()
         if self._reported_ns is None or now - self._reported_ns >= self._config.statistics_s * NS:
             self._reported_ns = now
+            self._free = {"free_bytes": self._storage.free_bytes(segment.path.parent)}
             segment.writer.write_message(self.statistics())
         ended = (segment.chunk_started_ns or 0) + self._chunk_ns
         segment.writer.flush()

@@ -35,11 +35,12 @@ BUS_HELD_AFTER = 2
 BUS_RETRY_NS = 100_000_000
 BUS_RETRY_LIMIT_NS = 1_000_000_000
 START_LIMIT_NS = 6_000_000_000
-SHARED_RATE_HZ = 100.0
-"""Above this scan rate all groups but the IMU are read at most this often, unless the configuration says `every`."""
+SHARED_RATE_HZ = 50.0
+"""At scan rates above twice this all groups but the IMU are read so often only, unless the configuration says `every`."""
 
 # Order of precedence on the bus. Converters first: they work while the others are read.
 _ORDER = ("analog_a", "analog_b", "analog_c", "imu", "pitot", "capture", "mag", "static", "thrust")
+_BEGUN_FIRST = frozenset(_ORDER[:5])  # these are begun before any converter is served again
 _ATTITUDE_INPUT = frozenset({SensorState.OK, SensorState.RECOVERING, SensorState.OUT_OF_RANGE})
 _SEA_LEVEL_DENSITY = 1.225
 
@@ -108,7 +109,7 @@ class Sampler:
         if chosen is not None:
             return chosen
         highest = getattr(driver, "max_rate_hz", rate_hz)
-        if group != "imu" and getattr(driver, "uses_i2c", False) and rate_hz > SHARED_RATE_HZ:
+        if group != "imu" and getattr(driver, "uses_i2c", False) and rate_hz > 2 * SHARED_RATE_HZ:
             highest = min(highest, SHARED_RATE_HZ)
         return max(1, math.ceil(rate_hz / highest - 1e-9))
 
@@ -120,14 +121,25 @@ class Sampler:
     def start(self) -> HealthSummary:
         """Set all sensors up, once each, waiting for them (a few seconds); those that fail are tried again later."""
         limit = self._clock.monotonic_ns() + START_LIMIT_NS
-        waiting = list(self._supervisors.values())
+        waiting = [s for s in self._supervisors.values() if not s.up]
         while waiting and self._clock.monotonic_ns() < limit:
             supervisor = min((s for s in waiting if not self._waits_for(s, waiting)), key=lambda s: s.next_try_ns)
             self._clock.sleep_until(supervisor.next_try_ns)
             supervisor.setup_step(self._clock.monotonic_ns(), trusted=True)
             if supervisor.up or not supervisor.setting_up:
                 waiting.remove(supervisor)
+        self._rehearse()
         return self.health()
+
+    def _rehearse(self) -> None:
+        """Two rounds over all sensors, thrown away: what they say about their timing is then as in flight."""
+        up = [s for s in self._on_bus if s.up]
+        for _ in range(2):
+            now = self._clock.monotonic_ns()
+            self._run(up, now, {})
+            self._clock.sleep_until(now + self._period_ns)
+        for supervisor in up:
+            supervisor.rehearsed()
 
     def _waits_for(self, supervisor: Supervisor, others: list[Supervisor]) -> bool:
         """Whether a sensor's turn comes only after another one that is still to be set up."""
@@ -166,7 +178,7 @@ class Sampler:
             self.on_event(EventMark(time_ns, number, "switch"))
 
     def _due(self, supervisor: Supervisor, number: int) -> bool:
-        return supervisor.every == 1 or (number + self._phase(supervisor)) % supervisor.every == 0
+        return supervisor.every == 1 or supervisor.starved or (number + self._phase(supervisor)) % supervisor.every == 0
 
     def _phase(self, supervisor: Supervisor) -> int:
         """Sensors read less often take turns instead of all falling into the same scan."""
@@ -188,24 +200,21 @@ class Sampler:
         self._run(due, start, outcomes)
 
     def _run(self, due: list[Supervisor], start: int, outcomes: dict[str, Outcome]) -> None:
-        """Take all due samples as far as the budget allows, whoever is ready first in order of precedence."""
+        """Take all due samples as far as the budget allows; a sample begun but not finished goes on in the next scan."""
         clock, limit = self._clock, start + self._budget_ns
         waiting = list(due)
         timeouts = 0
         now = start
-        while waiting:
+        while waiting and now <= limit:
             supervisor = self._next(waiting, now)
-            if supervisor.sampling and supervisor.ready_ns > now:
+            if not supervisor.sampling:
+                supervisor.starved = False
+                supervisor.begin(now)
+            elif supervisor.ready_ns > now:
                 if supervisor.ready_ns > limit:
-                    break
+                    return
                 clock.sleep_until(supervisor.ready_ns)
                 now = clock.monotonic_ns()
-            if not supervisor.sampling:
-                if now > limit:
-                    waiting.remove(supervisor)
-                    outcomes[supervisor.group] = supervisor.passed_over("scan ran out of time", SensorState.STALE, now)
-                    continue
-                supervisor.begin(now)
             outcome = supervisor.advance(now, may_retry=now < limit)
             now = clock.monotonic_ns()
             if outcome is not None:
@@ -213,16 +222,24 @@ class Sampler:
                 waiting.remove(supervisor)
             if supervisor.timed_out:
                 timeouts += 1
+                supervisor.excuse()
                 if timeouts >= BUS_HELD_AFTER or self._bus_held:
                     self._hold_bus(now)
                     self._pass_over(waiting, now, outcomes)
                     return
             elif self._bus_held:
                 self._bus_held, self._bus_pause_ns = "", BUS_RETRY_NS
+        for supervisor in waiting:
+            if not supervisor.sampling:
+                supervisor.starved = True
+                outcomes[supervisor.group] = supervisor.passed_over("scan ran out of time", SensorState.STALE, now)
 
     @staticmethod
     def _next(waiting: list[Supervisor], now: int) -> Supervisor:
-        """The first that can go on now, else the one that can go on soonest."""
+        """Who has the bus next: the urgent and the starved if not begun, then whoever can go on, else waits least."""
+        for supervisor in waiting:
+            if not supervisor.sampling and (supervisor.starved or supervisor.group in _BEGUN_FIRST):
+                return supervisor
         for supervisor in waiting:
             if not supervisor.sampling or supervisor.ready_ns <= now:
                 return supervisor

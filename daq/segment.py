@@ -118,7 +118,8 @@ class Syncer:
         with self._news:
             self._stopping = True
             self._news.notify_all()
-        self._thread.join(1.0)
+        if self._thread.ident is not None:
+            self._thread.join(1.0)
 
     def _add(self, job: _Job) -> None:
         with self._news:

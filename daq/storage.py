@@ -5,6 +5,7 @@ slow, whose space ends, or whose mount is gone.
 """
 
 import contextlib
+import errno
 import os
 from pathlib import Path
 from typing import Protocol
@@ -60,6 +61,7 @@ class RealFile:
     def __init__(self, path: Path) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
+        self._path = path
         self._at = 0
         self._directory: Path | None = path.parent  # to be synced once, so that the name survives a power cut too
 
@@ -86,6 +88,13 @@ class RealFile:
             finally:
                 os.close(directory)
             self._directory = None
+        self._must_be_there()
+
+    def _must_be_there(self) -> None:
+        """A file system unmounted under an open file, or a file removed, swallows writes without an error."""
+        here, named = os.fstat(self._descriptor), os.stat(self._path)
+        if (here.st_dev, here.st_ino) != (named.st_dev, named.st_ino):
+            raise OSError(errno.ESTALE, "another file has taken its place", str(self._path))
 
     def close(self) -> None:
         os.close(self._descriptor)

@@ -18,6 +18,9 @@ from daq.sensors.config import HealthConfig, SensorSection
 GIVE_UP_AFTER = 2
 """Failed scans in a row after which a sensor is no longer read but tried anew."""
 
+EXCUSES = 20
+"""Time-outs in a row that are put down to the bus before a sensor is given up for holding it."""
+
 # A value of these states is what the chip said and is recorded; of the others there is none, or only an old one.
 VALUES_RECORDED = frozenset({SensorState.OK, SensorState.OUT_OF_RANGE, SensorState.STUCK, SensorState.RECOVERING})
 
@@ -45,6 +48,7 @@ class Supervisor:
         self.group = driver.group
         self.every = every
         self.record = Record(self.group, SensorState.ABSENT, now_ns, section.required)
+        self.starved = False  # a scan ran out of time before this sensor's turn: it goes first in the next
         self.timed_out = False  # the last transfer ended in a time-out: the bus itself may be held
         self._config = config
         self._watch = Watch(tuple(c.name for c in channels_of(self.group)), config)
@@ -55,6 +59,7 @@ class Supervisor:
         self._ready_ns = 0
         self._retried = False
         self._failures = 0
+        self._excused = 0
         self._next_try_ns = now_ns
         self._pause_ns = round(config.retry_s * SECOND)
         self._untrusted = 0
@@ -117,6 +122,13 @@ class Supervisor:
         self._lost_state, self._lost_detail = state, detail
         self._next_try_ns = now_ns
 
+    def rehearsed(self) -> None:
+        """What was read so far was a rehearsal: keep its timing, forget its samples."""
+        self.driver.keep_timing()
+        self._watch.forget()
+        self.starved = False
+        self.record.scans.clear()
+
     # -- reading ----------------------------------------------------------------------------------------------
 
     @property
@@ -163,12 +175,12 @@ class Supervisor:
             return None
         detail = f"does not answer: {error.strerror or error}"
         self._failures += 1
-        if self._failures >= GIVE_UP_AFTER:
+        if self._failures >= GIVE_UP_AFTER or (self.timed_out and self._excused >= EXCUSES):
             self._go_down(SensorState.ABSENT, detail, now_ns)
         return self._outcome(SensorState.ABSENT, detail, now_ns)
 
     def _finished(self, reading: Reading, started_ns: int) -> Outcome:
-        self._failures = 0
+        self._failures = self._excused = 0
         time_ns = started_ns if reading.time_ns is None else reading.time_ns
         if reading.state is SensorState.FAULT:
             self._go_down(SensorState.FAULT, reading.detail, started_ns)
@@ -203,10 +215,17 @@ class Supervisor:
             self._go_down(SensorState.FAULT, "no new samples; being set up again", now_ns)
 
     def _intact(self) -> bool:
+        """Whether the chip does not say that it lost its settings; silence is for the next reading to judge."""
         try:
             return self.driver.intact()
         except OSError:
-            return False
+            return True
+
+    def excuse(self) -> None:
+        """The last failure was perhaps the bus's, not the sensor's: a few of them are not counted."""
+        if self._excused < EXCUSES:
+            self._excused += 1
+            self._failures = 0
 
     def audit(self, now_ns: int) -> None:
         """Look whether the chip still has its settings; a brown-out can reset one without silencing it."""

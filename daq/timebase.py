@@ -70,7 +70,7 @@ class _Line:
 
     def _contradict(self, monotonic_ns: int, offset_ns: int) -> None:
         others = self._contradictions
-        if others and abs(others[-1][1] - offset_ns) > self._jump_ns:
+        if others and abs(others[0][1] - offset_ns) > self._jump_ns // 4:
             others.clear()
         others.append((monotonic_ns, offset_ns))
         if len(others) >= self._AGREED:

@@ -80,7 +80,9 @@ class Session:
         bad += [f"joint ({m})" for m, r in self.joint.items() if not r.converged]
         if bad:
             return f"not converged: {', '.join(bad)}"
-        blind = sorted({n for f in self.flights for r in f.results.values() for n, e in r.parameters.items() if not e.identifiable})
+        blind = sorted(
+            {n for f in self.flights for r in f.results.values() for n, e in r.parameters.items() if not e.identifiable}
+        )
         said = f"{len(self.flights)} flight{'s' if len(self.flights) > 1 else ''} estimated"
         return f"{said}; in some flights the data cannot tell {', '.join(blind)}" if blind else said
 

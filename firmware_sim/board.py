@@ -5,10 +5,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from firmware_sim.bus import Chip
 from firmware_sim.faults import ADDRESSES, FaultSet
-from firmware_sim.instruments import AT, Instruments
+from firmware_sim.instruments import Instruments
 from firmware_sim.registers.ads1115 import Ads1115
 from firmware_sim.registers.ak09916 import Ak09916
 from firmware_sim.registers.bmp390 import Bmp390
@@ -18,6 +19,7 @@ from firmware_sim.registers.icm20948 import Icm20948
 from firmware_sim.registers.ms4525do import Ms4525do
 from firmware_sim.registers.nau7802 import Nau7802
 from firmware_sim.sensor_models import NAU7802_GAIN, SensorModels
+from firmware_sim.signals import AT
 
 ADC_WIRING: dict[str, tuple[str, str, str, str]] = {
     "analog_a": ("alpha_vane", "beta_vane", "elevon_left_pot", "elevon_right_pot"),
@@ -115,10 +117,10 @@ def _capture(instruments: Instruments, faults: FaultSet) -> Inputs:
     raw, rng = instruments.inputs(*names), instruments.generator("capture")
     sigma = instruments.models.capture.jitter_us * 1e-6
 
-    def inputs(time_ns: int) -> list[float]:
-        values = raw(time_ns)
-        jitter = sigma * rng.standard_normal()
-        return [v + jitter if v > 0.0 and i < 6 else v for i, v in enumerate(values)]
+    def inputs(time_ns: int) -> NDArray[np.float64]:
+        values = np.array(raw(time_ns))
+        values[:6] += (values[:6] > 0.0) * (sigma * rng.standard_normal())
+        return values
 
     return faults.bend("capture", inputs)
 

@@ -11,7 +11,7 @@ import errno
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, NoReturn, Protocol
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -98,11 +98,11 @@ class SimulatedBus:
         self.chips = dict(chips)
         self.transfers = 0
         self.busy_ns = 0
-        self._clock = clock
-        self._disturb = disturb
-        self._bit_ns = 1e9 / model.frequency_hz
-        self._overhead_ns = model.overhead_us * 1e3
-        self._timeout_ns = round(model.timeout_ms * 1e6)
+        self.clock = clock
+        self.disturb = disturb
+        self.bit_ns = 1e9 / model.frequency_hz
+        self.overhead_ns = model.overhead_us * 1e3
+        self.timeout_ns = round(model.timeout_ms * 1e6)
         self._closed = False
 
     def read_byte(self, i2c_addr: int, force: bool | None = None) -> int:
@@ -145,12 +145,12 @@ class SimulatedBus:
 
     def i2c_rdwr(self, *i2c_msgs: Message) -> None:
         """Messages in one transaction with repeated starts; read messages are filled in place."""
-        self._begin()
-        for message in i2c_msgs:
-            if message.flags & READ_FLAG:
-                _fill(message, self._segment(message.addr, None, message.len))
-            else:
-                self._segment(message.addr, bytes(list(message)), 0)
+        with self._transaction() as transaction:
+            for message in i2c_msgs:
+                if message.flags & READ_FLAG:
+                    _fill(message, transaction.segment(message.addr, None, message.len))
+                else:
+                    transaction.segment(message.addr, bytes(list(message)), 0)
 
     def close(self) -> None:
         """Close the bus; later transfers raise as on a closed file."""
@@ -165,65 +165,80 @@ class SimulatedBus:
     def set_power(self, on: bool) -> None:
         """Power all chips on or off at once, as a dip of the sensor supply does."""
         for chip in self.chips.values():
-            chip.set_power(on, self._clock.monotonic_ns())
-
-    def _begin(self) -> None:
-        if self._closed:
-            raise OSError(errno.EBADF, os.strerror(errno.EBADF))
-        self._take(self._overhead_ns)
+            chip.set_power(on, self.clock.monotonic_ns())
 
     def _transfer(self, address: int, data: bytes | None, count: int) -> bytes:
-        self._begin()
-        return self._segment(address, data, count)
+        with self._transaction() as transaction:
+            return transaction.segment(address, data, count)
 
-    def _segment(self, address: int, data: bytes | None, count: int) -> bytes:
+    def _transaction(self) -> "_Transaction":
+        if self._closed:
+            raise OSError(errno.EBADF, os.strerror(errno.EBADF))
+        return _Transaction(self)
+
+
+class _Transaction:
+    """One conversation on the wire: chips are told the time within it, the clock is moved on by its whole length."""
+
+    def __init__(self, bus: SimulatedBus) -> None:
+        self._bus = bus
+        self._start_ns = bus.clock.monotonic_ns()
+        self._elapsed_ns = bus.overhead_ns
+
+    def __enter__(self) -> "_Transaction":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        whole = round(self._elapsed_ns)
+        self._bus.busy_ns += whole
+        self._bus.clock.advance(whole)
+
+    @property
+    def _now_ns(self) -> int:
+        return self._start_ns + round(self._elapsed_ns)
+
+    def segment(self, address: int, data: bytes | None, count: int) -> bytes:
         """One addressed write, one read, or a write and a read joined by a repeated start."""
-        now = self._clock.monotonic_ns()
-        self.transfers += 1
-        trouble = self._disturb(address, now)
-        stretch = 1.0
+        bus = self._bus
+        bus.transfers += 1
+        bit_ns = bus.bit_ns
+        trouble = bus.disturb(address, self._now_ns)
         if trouble is not None:
             if trouble.held:
-                self._take(self._timeout_ns)
+                self._elapsed_ns += bus.timeout_ns
                 raise OSError(errno.ETIMEDOUT, os.strerror(errno.ETIMEDOUT))
             if trouble.refused:
                 self._refuse()
-            stretch = trouble.stretch
+            bit_ns *= trouble.stretch
         if address == GENERAL_CALL:
-            return self._call_everybody(data or b"", now)
-        chip = self.chips.get(address)
-        if chip is None or not chip.answers(now):
+            return self._call_everybody(data or b"")
+        chip = bus.chips.get(address)
+        if chip is None or not chip.answers(self._now_ns):
             self._refuse()
-            raise AssertionError  # unreachable: _refuse raises
         if data is not None:
-            self._take(self._bits(len(data)) * self._bit_ns * stretch)
-            chip.write(data, self._clock.monotonic_ns())
+            self._elapsed_ns += _bits(len(data)) * bit_ns
+            chip.write(data, self._now_ns)
         if count == 0:
             return b""
-        self._take(10.0 * self._bit_ns * stretch)  # start and address; the chip latches its data here
-        answer = chip.read(count, self._clock.monotonic_ns())
-        self._take((self._bits(count) - 10.0) * self._bit_ns * stretch)
+        self._elapsed_ns += 10.0 * bit_ns  # start and address; the chip latches its data here
+        answer = chip.read(count, self._now_ns)
+        self._elapsed_ns += (_bits(count) - 10.0) * bit_ns
         return answer
 
-    def _call_everybody(self, data: bytes, now_ns: int) -> bytes:
-        self._take(self._bits(len(data)) * self._bit_ns)
-        for chip in self.chips.values():
-            if chip.answers(now_ns):
-                chip.general_call(data, now_ns)
+    def _call_everybody(self, data: bytes) -> bytes:
+        self._elapsed_ns += _bits(len(data)) * self._bus.bit_ns
+        for chip in self._bus.chips.values():
+            if chip.answers(self._now_ns):
+                chip.general_call(data, self._now_ns)
         return b""
 
-    def _refuse(self) -> None:
-        self._take(11.0 * self._bit_ns)
+    def _refuse(self) -> NoReturn:
+        self._elapsed_ns += 11.0 * self._bus.bit_ns
         raise OSError(errno.EREMOTEIO, os.strerror(errno.EREMOTEIO))
 
-    @staticmethod
-    def _bits(byte_count: int) -> float:
-        return 9.0 * (byte_count + 1) + 2.0
 
-    def _take(self, duration_ns: float) -> None:
-        whole = round(duration_ns)
-        self.busy_ns += whole
-        self._clock.advance(whole)
+def _bits(byte_count: int) -> float:
+    return 9.0 * (byte_count + 1) + 2.0
 
 
 def _fill(message: Message, data: bytes) -> None:

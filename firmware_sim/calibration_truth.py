@@ -56,6 +56,8 @@ def calibration_truth(models: SensorModels) -> dict[str, Mapping[str, Any]]:
         "sensor_supply": {"volts_per_volt": m.supply.sensor_divider},
         "attitude": {"declination": 0.0},
     }
+    for name, signal in (("alpha_vane", "alpha_vane"), ("beta_vane", "beta_vane"), ("pitot", "pitot_pressure")):
+        truth[name] = {**truth[name], "delay": truth[name]["delay"] + m.delays.get(signal, 0.0)}
     for i in (1, 2, 3):
         truth[f"pwm_{i}"] = {"centre_s": PULSE_CENTRE_US * 1e-6, "rad_per_s": 1e6 / PULSE_PER_RAD_US}
     return truth

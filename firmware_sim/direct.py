@@ -43,13 +43,15 @@ class DirectNoise:
     scale: float = 1.0
 
 
+ORDINARY_NOISE = DirectNoise()
+
 DIRECT_COLUMNS = (
     "time", "ax", "ay", "az", "p", "q", "r", "phi", "theta", "psi", "alpha", "beta", "V",
     "delta_e", "delta_a", "delta_r", "cmd_e", "cmd_a", "cmd_r", "thrust", "altitude", "rho",
 )  # fmt: skip
 
 
-def measured(truth: Mapping[str, Array], seed: int, noise: DirectNoise = DirectNoise()) -> dict[str, Array]:
+def measured(truth: Mapping[str, Array], seed: int, noise: DirectNoise = ORDINARY_NOISE) -> dict[str, Array]:
     """Flight columns (samples,) as calibrated instruments would deliver them, from one flight of `simulate_many`."""
     rng = np.random.default_rng([seed, _NOISE_STREAM])
     samples = len(truth["time"])
@@ -73,7 +75,7 @@ def measured(truth: Mapping[str, Array], seed: int, noise: DirectNoise = DirectN
 
 
 def direct_flights(
-    scenarios: Sequence[Scenario], seeds: Sequence[int], noise: DirectNoise = DirectNoise(), rate_hz: float = 20.0
+    scenarios: Sequence[Scenario], seeds: Sequence[int], noise: DirectNoise = ORDINARY_NOISE, rate_hz: float = 20.0
 ) -> list[dict[str, Array]]:
     """Fly many scenarios side by side and look at them through the direct sensor model; columns DIRECT_COLUMNS."""
     flown = simulate_many(scenarios, seeds, rate_hz)

@@ -27,8 +27,9 @@ ADDRESSES: Mapping[str, int] = {
 }  # fmt: skip
 """Where each chip of the simulated aircraft sits on the bus."""
 
-_ON_BUS = frozenset({"absent", "nack", "slow_bus"})
+_ON_BUS = frozenset({"nack", "slow_bus"})
 _NEEDS_DEVICE = frozenset({"absent", "nack", "stuck_value", "spikes"})
+_TOGETHER: Mapping[str, tuple[str, ...]] = {"imu": ("mag",)}  # one package
 FILE_KINDS = frozenset({"sd_stall", "sd_slow", "disk_full", "card_gone"})
 VALUE_DEVICES = frozenset(
     {"imu", "mag", "pitot", "static", "thrust", "capture", "alpha_vane", "beta_vane", "elevon_left_pot",
@@ -40,8 +41,9 @@ VALUE_DEVICES = frozenset(
 class Fault(BaseModel):
     """One line of `[[faults]]`.
 
-    absent, nack: `device` does not acknowledge, always or with `probability`. stuck_bus: data line held low. slow_bus:
-    transfers (to `device`, or all) take `size` times as long. stuck_value: `device` repeats its value. spikes: with
+    absent: `device` is unplugged, and comes back with its settings lost (the magnetometer goes with the imu). nack: it does
+    not acknowledge with `probability`. stuck_bus: data line held low. slow_bus: transfers (to `device`, or all) take
+    `size` times as long. stuck_value: `device` repeats its value. spikes: with
     `probability` a sample is off by `size` (units of the chip's input: V, Pa, m/s2 and rad/s, T). torn_gnss: a GPS
     message loses bytes with `probability`. power_dip: the 5 V supply drops out. sd_stall: a write that falls in the window
     returns at its end. sd_slow: each write takes `size` seconds. disk_full, card_gone: writes fail with ENOSPC, EIO.
@@ -65,7 +67,7 @@ class Fault(BaseModel):
             raise ValueError(f"kind {self.kind!r} needs a device")
         if self.kind in ("slow_bus", "spikes", "clock_step", "sd_slow") and self.size is None:
             raise ValueError(f"kind {self.kind!r} needs a size")
-        known = VALUE_DEVICES if self.kind in ("stuck_value", "spikes") else {*ADDRESSES, "gnss"}
+        known = VALUE_DEVICES if self.kind in ("stuck_value", "spikes") else {*ADDRESSES, "gnss", "autopilot"}
         if self.device is not None and self.device not in known:
             raise ValueError(f"device {self.device!r} is none of {', '.join(sorted(known))}")
         return self
@@ -127,11 +129,6 @@ class FaultSet:
                 return Disturbance(refused=True)
         return Disturbance(stretch=stretch) if stretch != 1.0 else None
 
-    def gnss_mute(self, now_ns: int) -> bool:
-        """Whether the GPS is unplugged."""
-        time_s = self.seconds(now_ns)
-        return any(f.device == "gnss" and f.active(time_s) for f in self.of("absent", "nack"))
-
     def gnss_corrupt(self, message: bytes, now_ns: int) -> bytes:
         """A GPS message as it comes through a bad line: a piece is missing from the middle, or its end."""
         time_s = self.seconds(now_ns)
@@ -179,24 +176,27 @@ class PowerTaker(Protocol):
 
 
 class Events:
-    """Faults that happen at an instant (power dips, clock steps), brought about as the clock advances.
+    """Faults that happen at an instant (plugs, power dips, clock steps), brought about as the clock advances.
 
-    Register `at` with `SimulatedClock.on_advance`. step_utc: called with nanoseconds for a clock step.
+    Register `at` with `SimulatedClock.on_advance`. powered: what hangs on the supply, by device. step_utc: called with
+    nanoseconds for a clock step.
     """
 
     def __init__(
-        self, faults: FaultSet, powered: Sequence[PowerTaker], step_utc: Callable[[int], None], origin_ns: int = 0
+        self,
+        faults: FaultSet,
+        powered: Mapping[str, PowerTaker],
+        step_utc: Callable[[int], None],
+        origin_ns: int = 0,
     ) -> None:
-        self._powered = tuple(powered)
-        self._step_utc = step_utc
         pending: list[tuple[int, Callable[[int], None]]] = []
-        for dip in faults.of("power_dip"):
-            pending.append((origin_ns + round(dip.start_s * 1e9), lambda at: self._power(False, at)))
-            if math.isfinite(dip.stop_s):
-                pending.append((origin_ns + round(dip.stop_s * 1e9), lambda at: self._power(True, at)))
+        for fault in faults.of("power_dip", "absent"):
+            names = list(powered) if fault.device is None else [fault.device, *_TOGETHER.get(fault.device, ())]
+            for on, time_s in ((False, fault.start_s), (True, fault.stop_s)):
+                if math.isfinite(time_s):
+                    pending.append((origin_ns + round(time_s * 1e9), _switch([powered[n] for n in names], on)))
         for step in faults.of("clock_step"):
-            by_ns = round((step.size or 0.0) * 1e9)
-            pending.append((origin_ns + round(step.start_s * 1e9), self._stepper(by_ns)))
+            pending.append((origin_ns + round(step.start_s * 1e9), _stepper(step_utc, round((step.size or 0.0) * 1e9))))
         self._pending = sorted(pending, key=lambda item: item[0])
 
     @property
@@ -210,9 +210,14 @@ class Events:
             due_ns, happen = self._pending.pop(0)
             happen(due_ns)
 
-    def _stepper(self, by_ns: int) -> Callable[[int], None]:
-        return lambda at: self._step_utc(by_ns)
 
-    def _power(self, on: bool, now_ns: int) -> None:
-        for taker in self._powered:
+def _switch(takers: Sequence[PowerTaker], on: bool) -> Callable[[int], None]:
+    def happen(now_ns: int) -> None:
+        for taker in takers:
             taker.set_power(on, now_ns)
+
+    return happen
+
+
+def _stepper(step_utc: Callable[[int], None], by_ns: int) -> Callable[[int], None]:
+    return lambda now_ns: step_utc(by_ns)

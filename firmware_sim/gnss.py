@@ -12,36 +12,30 @@ from firmware_sim.instruments import Instruments
 from firmware_sim.registers.ublox import Fix, Ublox
 
 BAUD = 115_200
+_SECOND_NS = 1_000_000_000
 _RESTART_NS = 2_000_000_000  # hot start after a loss of power
-
-
-def true_utc_ns(now_ns: int, origin_ns: int, start_utc_ns: int, drift_ppm: float) -> int:
-    """True UTC at a monotonic time of the logger, whose oscillator runs slow by `drift_ppm`."""
-    elapsed = now_ns - origin_ns
-    return start_utc_ns + elapsed + round(elapsed * drift_ppm * 1e-6)
 
 
 class GnssReceiver:
     """A Talker for the serial port of the GPS.
 
-    start_utc_ns: true UTC at the instruments' origin. mute: whether the receiver is unplugged at a time. corrupt: changes
-    the bytes of a message on their way.
+    start_utc_ns: true UTC at the instruments' origin. corrupt: changes the bytes of a message on their way.
     """
 
     def __init__(
         self,
         instruments: Instruments,
         start_utc_ns: int,
-        mute: Callable[[int], bool] = lambda now_ns: False,
         corrupt: Callable[[bytes, int], bytes] = lambda data, now_ns: data,
     ) -> None:
         self._instruments = instruments
         self._model = instruments.models.gnss
         self._start_utc_ns = start_utc_ns
-        self._mute = mute
         self._corrupt = corrupt
         self._ublox = Ublox(round(1000.0 / self._model.rate_hz) if self._model.configured else None)
         self._rng = instruments.generator("gnss")
+        self._pulse_rng = instruments.generator("gnss pulse")
+        self._pulse: tuple[int, int] | None = None  # edge, and when it was stamped
         self._wander = self._rng.standard_normal(3)
         self._epoch_ns = start_utc_ns  # UTC of the newest fix sent
         self._on_line: list[tuple[int, bytes]] = []  # (first byte leaves at, rest of the message)
@@ -56,7 +50,7 @@ class GnssReceiver:
         self._powered = on
 
     def hear(self, data: bytes, now_ns: int) -> None:
-        if not self._mute(now_ns) and self._powered:
+        if self._powered:
             answer = self._ublox.command(data)
             if answer:
                 self._on_line.append((now_ns + 2_000_000, answer))
@@ -73,6 +67,20 @@ class GnssReceiver:
         self._on_line = left
         return arrived
 
+    def newest_pulse(self, now_ns: int) -> int | None:
+        """Monotonic time of the last edge of the pulse-per-second line [ns], as the kernel stamps it; None without one.
+
+        Edges come at whole UTC seconds while there is a fix; the stamp is late by the interrupt's few microseconds.
+        """
+        elapsed = now_ns - self._instruments.origin_ns
+        utc_ns = self._start_utc_ns + elapsed + round(elapsed * self._model.clock_drift_ppm * 1e-6)
+        edge_ns = self._monotonic_ns(utc_ns // _SECOND_NS * _SECOND_NS)
+        if not self._powered or edge_ns < max(self._silent_until, self._instruments.origin_ns):
+            return None
+        if self._pulse is None or self._pulse[0] != edge_ns:
+            self._pulse = (edge_ns, edge_ns + round(2000.0 + 1500.0 * abs(self._pulse_rng.standard_normal())))
+        return self._pulse[1] if self._pulse[1] <= now_ns else None
+
     def _monotonic_ns(self, utc_ns: int) -> int:
         since = utc_ns - self._start_utc_ns
         return self._instruments.origin_ns + since - round(since * self._model.clock_drift_ppm * 1e-6)
@@ -87,7 +95,7 @@ class GnssReceiver:
             if at_ns + latency_ns > now_ns:
                 return
             self._epoch_ns = epoch_ns
-            if self._mute(at_ns) or not self._powered or now_ns - at_ns > 1_000_000_000:
+            if not self._powered or now_ns - at_ns > 1_000_000_000:
                 continue
             message = self._ublox.report(self._fix(epoch_ns, at_ns, period_ns))
             self._on_line.append((at_ns + latency_ns, self._corrupt(message, at_ns)))

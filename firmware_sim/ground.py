@@ -130,14 +130,16 @@ class ScriptedPath:
         thrust = share * joint.thrust
         left, right, rudder = share * joint.left_elevon, share * joint.right_elevon, share * joint.rudder
         phase: Phase = ("launch" if self.launch else "landing") if moving else "ground"
+        force_x, force_y, force_z = _triple(force)
+        p, q, r = rates
         sensed = Sensed(
-            *(float(f) for f in force), *rates, phi, theta, joint.psi, alpha, beta, speed, left, right, rudder
+            force_x, force_y, force_z, p, q, r, phi, theta, joint.psi, alpha, beta, speed, left, right, rudder
         )
         return replace(
             joint,
             time=time,
             phase=phase,
-            specific_force=tuple(float(f) for f in force),
+            specific_force=(force_x, force_y, force_z),
             rates=rates,
             rate_derivatives=rate_derivatives,
             quaternion=quaternion(phi, theta, joint.psi),
@@ -146,9 +148,9 @@ class ScriptedPath:
             alpha=alpha,
             beta=beta,
             V=speed,
-            air_velocity=tuple(float(a) for a in air),
-            velocity_ned=tuple(float(v) for v in velocity),
-            position_ned=tuple(float(p) for p in position),
+            air_velocity=_triple(air),
+            velocity_ned=_triple(velocity),
+            position_ned=_triple(position),
             latitude=latitude,
             longitude=longitude,
             altitude=self.site.elevation_m - float(position[2]),
@@ -167,11 +169,16 @@ class ScriptedPath:
             p_dynamic=0.5 * float(state.density) * speed**2,
             temperature=float(state.temperature),
             rho=float(state.density),
-            magnetic=tuple(float(b) for b in turn @ np.array(self.site.magnetic_ned_t)),
+            magnetic=_triple(turn @ np.array(self.site.magnetic_ned_t)),
             digital=(0.0, 0.0 if moving else 1.0, 0.0, 0.0, 0.0),
             supply_voltage=supply_voltage(time, thrust),
             sensed=sensed,
         )
+
+
+def _triple(vector: Vector) -> tuple[float, float, float]:
+    x, y, z = (float(component) for component in vector)
+    return x, y, z
 
 
 def direction_cosines(phi: float, theta: float, psi: float) -> Vector:

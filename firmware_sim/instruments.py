@@ -7,13 +7,15 @@ a chip takes its sample, each sensor from a random stream of its own.
 
 import math
 import zlib
+from collections import deque
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from firmware_sim.registers.chip import Inputs
-from firmware_sim.sensor_models import NAU7802_GAIN, SensorModels, TriadModel
+from firmware_sim.sensor_models import NAU7802_GAIN, SensorModels, TriadModel, VaneModel
+from firmware_sim.signals import AT, SIGNALS
 from firmware_sim.truth import Truth
 from firmware_sim.units import individual
 
@@ -26,18 +28,6 @@ REFERENCE_TEMPERATURE = 298.15
 SUPPLY_NOMINAL_V = 5.0
 HEAT_RATIO, GAS_CONSTANT = 1.4, 287.05287
 
-SIGNALS: tuple[str, ...] = (
-    "accel_x", "accel_y", "accel_z", "gyro_x", "gyro_y", "gyro_z", "imu_temperature",  # body axes, m/s2, rad/s, K
-    "mag_x", "mag_y", "mag_z",  # body axes, T
-    "alpha_vane", "beta_vane", "elevon_left_pot", "elevon_right_pot", "rudder_pot",  # V
-    "supply", "sensor_supply", "analog_1", "analog_2", "analog_3", "analog_4", "analog_5",  # V at the converter
-    "pitot_pressure", "pitot_temperature", "static_pressure", "static_temperature",  # Pa, K
-    "thrust_bridge",  # V/V
-    "latitude", "longitude", "altitude", "velocity_north", "velocity_east", "velocity_down",  # deg, deg, m, m/s
-    "pwm_1", "pwm_2", "pwm_3", "pwm_4", "pwm_5", "pwm_6",  # s
-    "digital_1", "digital_2", "digital_3", "digital_4", "digital_5",
-)  # fmt: skip
-AT = {name: i for i, name in enumerate(SIGNALS)}
 _HELD = AT["pwm_1"]  # from here on signals hold between grid points
 
 
@@ -67,6 +57,8 @@ class Instruments:
         self._beta = _VaneDynamics(models.beta_vane.frequency_hz, models.beta_vane.damping)
         self._pitot_line: float | None = None
         self._rows: list[Array] = []
+        self._late = [(AT[name], round(delay / GRID_S)) for name, delay in models.delays.items()]
+        self._prompt: deque[Array] = deque(maxlen=1 + max((steps for _, steps in self._late), default=0))
         self._first = 0  # grid index of the oldest row kept
         self._last_time_ns = -1
         self._last: Array = np.empty(0)
@@ -112,7 +104,13 @@ class Instruments:
 
     def _look(self) -> None:
         k = self._first + len(self._rows)
-        self._rows.append(self._signals(self._source.advance(k * GRID_S)))
+        row = self._signals(self._source.advance(k * GRID_S))
+        if self._late:
+            self._prompt.append(row)
+            row = row.copy()
+            for signal, steps in self._late:
+                row[signal] = self._prompt[max(len(self._prompt) - 1 - steps, 0)][signal]
+        self._rows.append(row)
         if len(self._rows) > 2 * HISTORY_S / GRID_S:
             drop = round(HISTORY_S / GRID_S)
             del self._rows[:drop]
@@ -169,7 +167,7 @@ class Instruments:
         x, y, z = self.models.beta_vane.position
         beta = math.atan2(v + r * x - p * z, u + q * z - r * y)
         a, b = self.models.alpha_vane, self.models.beta_vane
-        return a.wash_factor * alpha + a.wash_offset, b.wash_factor * beta + b.wash_offset
+        return _stopped(a.wash_factor * alpha + a.wash_offset, a), _stopped(b.wash_factor * beta + b.wash_offset, b)
 
     def _pitot(self, truth: Truth, supply: float) -> float:
         m = self.models.pitot
@@ -181,6 +179,10 @@ class Instruments:
             old = impact if self._pitot_line is None else self._pitot_line
             impact = self._pitot_line = impact + (old - impact) * math.exp(-GRID_S / m.lag_s)
         return impact + m.offset_pa + m.offset_pa_per_v * (supply - SUPPLY_NOMINAL_V)
+
+
+def _stopped(angle: float, vane: VaneModel) -> float:
+    return min(max(angle, -vane.stop_rad), vane.stop_rad)
 
 
 def _at_imu(truth: Truth, position: tuple[float, float, float]) -> Array:

@@ -4,7 +4,7 @@ Body axes x forward, y right, z down; SI and radians. `arm_*` are positions of t
 sit; `surface_*` are positions of the surfaces that the air feels, which differ when a linkage gives.
 """
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 
 class Motion:
@@ -29,3 +29,7 @@ class Motion:
 
     def __getattr__(self, name: str) -> Any:  # reached only for a quantity that has not been computed yet
         raise AttributeError(f"{name} is not known at this point of the evaluation")
+
+    if TYPE_CHECKING:
+
+        def __setattr__(self, name: str, value: Any) -> None: ...

@@ -48,13 +48,13 @@ class StickPlan:
 def plan_sticks(manoeuvres: Sequence[Manoeuvre], duration: float, hand: float, rng: np.random.Generator) -> StickPlan:
     """Lay manoeuvres out on frames. `hand` > 0 [deg]: wavering of that standard deviation, and rounded steps."""
     frames = round(duration / FRAME)
-    time = np.arange(frames) * FRAME
+    time: NDArray[np.float64] = np.arange(frames, dtype=np.float64) * FRAME
     inputs = np.zeros((frames, len(AXES)))
     busy = np.zeros((frames, len(AXES)))
     for m in manoeuvres:
         axis = AXES.index(m.axis)
         scale = 1.0 if m.axis == "throttle" else math.radians(1.0)
-        inputs[:, axis] += scale * m.values(time + 1e-9)
+        inputs[:, axis] += scale * m.values(np.add(time, 1e-9))
         if m.shape != "staircase":  # in a long steady sideslip the pilot keeps levelling the wings
             busy[(time >= m.start - 1e-9) & (time < m.start + m.length), axis] = 1.0
     if hand > 0.0:

@@ -27,6 +27,7 @@ HEARTBEAT_ID, RADIO_STATUS_ID, RADIO_STATUS_CRC = 0, 109, 185
 RADIO_SYSTEM, RADIO_COMPONENT = ord("3"), ord("D")
 LONGEST_FRAME = 280
 PIECE = 64  # bytes of a packet made of bytes that are no MAVLink frame
+TTY_BYTES = 4096  # what the operating system holds for the serial line
 FLUSH_NS = 50_000_000  # an unfinished frame is sent on after this
 
 
@@ -80,7 +81,7 @@ class Counts:
 
 
 class RadioPort:
-    """One end of the link, as the program there sees its serial port (non-blocking `serial.Serial` calls)."""
+    """One end of the link, as the program there sees its serial port: reads and writes never wait."""
 
     def __init__(self, link: "RadioLink", side: int) -> None:
         self._link = link
@@ -93,14 +94,13 @@ class RadioPort:
         """Bytes that can be read at once."""
         return self._link.waiting(self._side)
 
-    def read(self, size: int = 1) -> bytes:
-        """At most `size` bytes; never waits."""
-        return self._link.take(self._side, size)
+    def read(self, limit: int = 65536) -> bytes:
+        """At most `limit` bytes that have arrived."""
+        return self._link.take(self._side, limit)
 
     def write(self, data: bytes) -> int:
-        """Send bytes; what the radio's buffer cannot hold is lost, as without flow control."""
-        self._link.put(self._side, bytes(data))
-        return len(data)
+        """Send bytes; returns how many the serial line's buffer had room for."""
+        return self._link.put(self._side, bytes(data))
 
     def flush(self) -> None:
         """Nothing waits on this side of the radio."""
@@ -144,14 +144,16 @@ class RadioLink:
         """Counts of the direction from the ground to the aircraft."""
         return self._ways[1].counts
 
-    def put(self, side: int, data: bytes) -> None:
-        """Bytes from the program at one side."""
+    def put(self, side: int, data: bytes) -> int:
+        """Bytes from the program at one side; returns how many were taken."""
         with self._lock:
             now = self._now()
             way = self._ways[side]
-            for packet in way.accept(data, now):
+            room = way.room(now)
+            for packet in way.accept(data[:room], now):
                 if _message_id(packet) == HEARTBEAT_ID:
                     self._heartbeat_ns = now
+            return min(room, len(data))
 
     def waiting(self, side: int) -> int:
         """Bytes that a side can read now."""
@@ -200,15 +202,22 @@ class _Way:
         self._outage = lost
         self._pending = bytearray()  # an unfinished frame
         self._pending_ns = 0
+        self._line_until = 0  # the serial line is busy until then
         self._sent_until = 0  # the air is busy until then
         self._last_arrival = 0
         self._under_way: deque[tuple[int, bytes]] = deque()
         self._burst = (0, 0)
 
+    def room(self, now: int) -> int:
+        """Bytes that the serial line's buffer takes now."""
+        waiting = max(0, self._line_until - now) * 1e-9 * self._model.serial_baud / 10.0
+        return max(0, TTY_BYTES - math.ceil(waiting))
+
     def accept(self, data: bytes, now: int) -> list[bytes]:
         """Take bytes from the serial line and send what makes whole packets; returns these."""
         if not self._pending:
             self._pending_ns = now
+        self._line_until = max(self._line_until, now) + round(len(data) * 10e9 / self._model.serial_baud)
         self._pending += data
         packets = _packets(self._pending, flush=False)
         for packet in packets:
@@ -234,12 +243,12 @@ class _Way:
 
     def _send(self, packet: bytes, now: int) -> None:
         m = self._model
-        backlog = max(0, self._sent_until - now) * 1e-9 * m.air_bytes_per_s
+        ready = max(self._line_until, now)  # the packet has come in over the serial line
+        backlog = max(0, self._sent_until - ready) * 1e-9 * m.air_bytes_per_s
         if backlog + len(packet) > m.buffer_bytes:
             self.counts.refused_bytes += len(packet)
             return
         self.counts.sent += 1
-        ready = now + round(len(packet) * 10e9 / m.serial_baud)
         self._sent_until = max(self._sent_until, ready) + round(len(packet) * 1e9 / m.air_bytes_per_s)
         if self._outage(now) or self._in_burst(now) or self._rng.random() < m.drop:
             self.counts.lost += 1
@@ -352,12 +361,7 @@ def x25(data: bytes) -> int:
     return crc
 
 
-def signal_margin_db(model: RadioModel) -> float:
-    """Signal above noise [dB]: SiK reports dBm = value / 1.9 - 127."""
-    return (model.rssi - model.noise) / 1.9
-
-
 def expected_loss(model: RadioModel, packet_bytes: int) -> float:
     """Share of packets of this size that do not arrive whole, bursts apart."""
     whole = (1.0 - model.bit_error_rate) ** (8 * packet_bytes) * (1.0 - model.byte_drop_rate) ** packet_bytes
-    return 1.0 - (1.0 - model.drop) * whole if math.isfinite(whole) else 1.0
+    return 1.0 - (1.0 - model.drop) * whole

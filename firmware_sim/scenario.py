@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 
 from firmware_sim.errors import ScenarioError
 from firmware_sim.manoeuvres import AXES, MANOEUVRE_SETS, SHAPES, Axis, Manoeuvre, Shape
+from firmware_sim.toml_text import toml_text
 
 BUILT_IN_FOLDER = Path(__file__).parent / "scenarios"
 
@@ -25,19 +26,21 @@ class FlightTable(_Table):
     """[flight]: how long, how fast, how high, which plan."""
 
     aircraft: str = "cdfp"
-    duration_s: float = Field(30.0, gt=0.0, le=7200.0)
-    speed_m_s: float = Field(17.0, ge=11.0, le=28.0)
-    height_m: float = Field(60.0, ge=5.0, le=3000.0)
+    duration_s: float = Field(default=30.0, gt=0.0, le=7200.0)
+    speed_m_s: float = Field(default=17.0, ge=11.0, le=28.0)
+    height_m: float = Field(default=60.0, ge=5.0, le=3000.0)
     heading_deg: float = 40.0
-    seed: int = Field(1, ge=0)
+    seed: int = Field(default=1, ge=0)
     manoeuvres: str = "rich"
-    repeat_every_s: float = Field(30.0, gt=0.0)
-    hand_deg: float = Field(0.0, ge=0.0, le=2.0, description="unsteadiness of the pilot's hand, 1 sigma")
-    derivative_scatter: float = Field(0.0, ge=0.0, le=0.5, description="true derivatives off by up to this fraction")
-    derivative_seed: int | None = Field(
-        None, ge=0, description="same number, same aircraft; the flight's seed by default"
+    repeat_every_s: float = Field(default=30.0, gt=0.0)
+    hand_deg: float = Field(default=0.0, ge=0.0, le=2.0, description="unsteadiness of the pilot's hand, 1 sigma")
+    derivative_scatter: float = Field(
+        default=0.0, ge=0.0, le=0.5, description="true derivatives off by up to this fraction"
     )
-    integration_hz: int = Field(200, ge=200, le=2000, multiple_of=50)
+    derivative_seed: int | None = Field(
+        default=None, ge=0, description="same number, same aircraft; the flight's seed by default"
+    )
+    integration_hz: int = Field(default=200, ge=200, le=2000, multiple_of=50)
 
     @field_validator("manoeuvres")
     @classmethod
@@ -50,27 +53,27 @@ class FlightTable(_Table):
 class WindTable(_Table):
     """[wind]: steady wind and gusts. gust_deg is the sideslip angle of the lateral gust at trim speed, 1 sigma."""
 
-    speed_m_s: float = Field(0.0, ge=0.0, le=15.0)
+    speed_m_s: float = Field(default=0.0, ge=0.0, le=15.0)
     from_deg: float = 0.0
-    gust_deg: float = Field(0.0, ge=0.0, le=3.0)
+    gust_deg: float = Field(default=0.0, ge=0.0, le=3.0)
 
 
 class GroundTable(_Table):
     """[ground]: stillness before and after the flight; launch and landing are scripted, not flown."""
 
-    before_s: float = Field(0.0, ge=0.0)
-    after_s: float = Field(0.0, ge=0.0)
-    launch_s: float = Field(25.0, ge=8.0)
-    landing_s: float = Field(25.0, ge=8.0)
+    before_s: float = Field(default=0.0, ge=0.0)
+    after_s: float = Field(default=0.0, ge=0.0)
+    launch_s: float = Field(default=25.0, ge=8.0)
+    landing_s: float = Field(default=25.0, ge=8.0)
 
 
 class SiteTable(_Table):
     """[site]: place and weather of the field; see atmosphere.Site."""
 
-    latitude_deg: float = Field(26.51, ge=-85.0, le=85.0)
-    longitude_deg: float = Field(80.23, ge=-180.0, le=180.0)
-    elevation_m: float = Field(0.0, ge=-300.0, le=4000.0)
-    temperature_offset_k: float = Field(11.8, ge=-60.0, le=40.0)
+    latitude_deg: float = Field(default=26.51, ge=-85.0, le=85.0)
+    longitude_deg: float = Field(default=80.23, ge=-180.0, le=180.0)
+    elevation_m: float = Field(default=0.0, ge=-300.0, le=4000.0)
+    temperature_offset_k: float = Field(default=11.8, ge=-60.0, le=40.0)
 
 
 class ManoeuvreTable(_Table):
@@ -155,8 +158,7 @@ class Scenario(_Table):
 
     def toml(self) -> str:
         """The scenario as a TOML text that load_scenario reads back to the same scenario."""
-        data = self.model_dump(exclude_defaults=True, mode="json")
-        return "\n".join(_toml_lines(data, ())) + "\n"
+        return toml_text(self.model_dump(exclude_defaults=True, mode="json"))
 
 
 def scenario_from(data: Mapping[str, Any], where: str) -> Scenario:
@@ -204,30 +206,3 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
         raise ScenarioError(f"scenario {path}: not a TOML file: {error}") from error
     data.setdefault("name", path.stem)
     return scenario_from(data, str(path))
-
-
-def _toml_lines(data: Mapping[str, Any], path: tuple[str, ...]) -> list[str]:
-    tables = {k: v for k, v in data.items() if isinstance(v, Mapping)}
-    arrays = {k: v for k, v in data.items() if isinstance(v, list) and v and all(isinstance(i, Mapping) for i in v)}
-    lines = [
-        f"{k} = {_toml_value(v)}" for k, v in data.items() if k not in tables and k not in arrays and v is not None
-    ]
-    for key, table in tables.items():
-        lines += ["", f"[{'.'.join((*path, key))}]", *_toml_lines(table, (*path, key))]
-    for key, items in arrays.items():
-        for item in items:
-            lines += ["", f"[[{'.'.join((*path, key))}]]", *_toml_lines(item, (*path, key))]
-    return lines
-
-
-def _toml_value(value: Any) -> str:
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, str):
-        escaped = value.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
-        return f'"{escaped}"'
-    if isinstance(value, list | tuple):
-        return "[" + ", ".join(_toml_value(v) for v in value) + "]"
-    if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{k} = {_toml_value(v)}" for k, v in value.items()) + "}"
-    return repr(value)

@@ -9,10 +9,11 @@ then has to be calibrated on the bench.
 from collections.abc import Mapping
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from firmware_sim.bus import BusModel
 from firmware_sim.errors import ScenarioError
+from firmware_sim.signals import SIGNALS
 
 Vector = tuple[float, float, float]
 Matrix = tuple[Vector, Vector, Vector]
@@ -68,6 +69,7 @@ class VaneModel(_Table):
     wash_offset: float = Field(default=0.0, description="[rad]")
     frequency_hz: Positive = 20.0
     damping: Positive = 0.5
+    stop_rad: Positive = Field(default=1.2, description="mechanical stops at plus and minus this angle")
     centre_v: float = 2.5
     volts_per_rad: float = 1.25
     noise_rad: Sigma = 0.0044
@@ -135,6 +137,7 @@ class GnssModel(_Table):
 
     position: Vector = (0.10, 0.0, -0.03)
     configured: bool = Field(default=False, description="NAV-PVT at rate_hz is saved in it; else it waits to be told")
+    pulse: bool = Field(default=False, description="its pulse-per-second line is wired")
     rate_hz: Annotated[float, Field(gt=0.0, le=20.0)] = 10.0
     latency_ms: Annotated[float, Field(ge=0.0, le=500.0)] = 50.0
     first_fix_s: Sigma = 0.0
@@ -149,7 +152,7 @@ class GnssModel(_Table):
 
 
 class SensorModels(_Table):
-    """The whole table `[sensors]`, and `[sensors.bus]`."""
+    """The whole table `[sensors]`, with `[sensors.bus]` and `[sensors.delays]`."""
 
     unit: Annotated[int, Field(ge=0)] = 0
     imu: ImuModel = ImuModel()
@@ -168,10 +171,21 @@ class SensorModels(_Table):
     capture: CaptureModel = CaptureModel()
     gnss: GnssModel = GnssModel()
     bus: BusModel = BusModel()
+    delays: Mapping[str, Annotated[float, Field(ge=0.0, le=2.0)]] = Field(
+        default_factory=dict, description="transport delay of single signals, to the nearest 5 ms [s]"
+    )
+
+    @field_validator("delays")
+    @classmethod
+    def _known_signals(cls, delays: Mapping[str, float]) -> Mapping[str, float]:
+        for name in delays:
+            if name not in SIGNALS:
+                raise ValueError(f"no signal named {name!r}; known are {', '.join(SIGNALS)}")
+        return delays
 
     def altered(self, **tables: Any) -> "SensorModels":
         """A copy with some keys of some tables replaced, e.g. altered(imu={"position": (0.1, 0, 0)}); checked."""
-        return SensorModels.model_validate(_merged(self.model_dump(), tables))
+        return SensorModels.model_validate(merged(self.model_dump(), tables))
 
 
 def parse_sensors(table: Mapping[str, Any], where: str) -> SensorModels:
@@ -180,16 +194,17 @@ def parse_sensors(table: Mapping[str, Any], where: str) -> SensorModels:
     A table given in part keeps the defaults of its instrument for the rest.
     """
     try:
-        return SensorModels.model_validate(_merged(SensorModels().model_dump(), table))
+        return SensorModels.model_validate(merged(SensorModels().model_dump(), table))
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(["sensors", *(str(part) for part in first["loc"])])
         raise ScenarioError(f"scenario {where}: {key}: {first['msg'].removeprefix('Value error, ')}") from error
 
 
-def _merged(defaults: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
-    merged = dict(defaults)
+def merged(defaults: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
+    """Tables with the given keys replaced, key by key at every depth."""
+    result = dict(defaults)
     for key, value in given.items():
-        old = merged.get(key)
-        merged[key] = _merged(old, value) if isinstance(old, Mapping) and isinstance(value, Mapping) else value
-    return merged
+        old = result.get(key)
+        result[key] = merged(old, value) if isinstance(old, Mapping) and isinstance(value, Mapping) else value
+    return result

@@ -15,7 +15,7 @@ from estimation.aircraft import Aircraft
 from firmware_sim.effects.base import Sensed
 from firmware_sim.ground import ScriptedPath
 from firmware_sim.motion import Motion
-from firmware_sim.scenario import Scenario
+from firmware_sim.scenario import GroundTable, Scenario
 from firmware_sim.simulation import SENSED_NAMES, Simulation, derivatives_of
 from firmware_sim.truth import TRUTH_COLUMNS, Truth, truth_of
 
@@ -95,19 +95,23 @@ def simulate_truth(scenario: Scenario, seed: int | None = None, rate_hz: float =
     rows, sensed = [], []
     for k in range(samples):
         truth = world.advance(k / rate_hz)
-        rows.append([truth.columns()[name] for name in TRUTH_COLUMNS])
+        rows.append(list(truth.columns().values()))
         sensed.append([getattr(truth.sensed, name) for name in SENSED_NAMES])
     columns = dict(zip(TRUTH_COLUMNS, np.array(rows, float).T, strict=True))
     return columns | {f"sensed_{n}": v for n, v in zip(SENSED_NAMES, np.array(sensed, float).T, strict=True)}
 
 
 def simulate_many(
-    scenarios: Sequence[Scenario], seeds: Sequence[int], rate_hz: float = 20.0, batch: int = 256
+    scenarios: Sequence[Scenario],
+    seeds: Sequence[int],
+    rate_hz: float = 20.0,
+    batch: int = 256,
+    crowd_from: int = 7,
 ) -> list[dict[str, Array]]:
     """Many flights without ground phases, side by side where they can be; per flight as `simulate_truth`.
 
-    Flights that share aircraft, site, duration and the names of what is hidden are flown together on arrays; the order
-    of the result is the order asked for.
+    Flights that share aircraft, site, duration and the names of what is hidden are flown together on arrays, up to
+    `batch` at once; fewer than `crowd_from` are quicker one by one. The order of the result is the order asked for.
     """
     groups: dict[object, list[int]] = {}
     for i, s in enumerate(scenarios):
@@ -118,6 +122,11 @@ def simulate_many(
     for members in groups.values():
         for first in range(0, len(members), batch):
             chosen = members[first : first + batch]
+            if len(chosen) < crowd_from:
+                for i in chosen:
+                    airborne = scenarios[i].model_copy(update={"ground": GroundTable()})
+                    flights[i] = simulate_truth(airborne, seeds[i], rate_hz)
+                continue
             together = _fly_together([scenarios[i] for i in chosen], [seeds[i] for i in chosen], rate_hz)
             for place, i in enumerate(chosen):
                 flights[i] = {name: np.ascontiguousarray(values[:, place]) for name, values in together.items()}

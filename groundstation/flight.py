@@ -104,7 +104,8 @@ class Flight:
         arrays = {k: v[keep] for k, v in arrays.items()}
         segments, words = _split(time, labels, gap_factor)
         said += words
-        return cls(name, time, MappingProxyType(arrays), segments, provenance or Provenance(), tuple(said))
+        notes_once = tuple(dict.fromkeys(said))  # a flight read again finds the gaps it was written with
+        return cls(name, time, MappingProxyType(arrays), segments, provenance or Provenance(), notes_once)
 
     def __getitem__(self, column: str) -> Array:
         try:
@@ -211,10 +212,17 @@ def read_flight(path: str | Path, *, gap_factor: float = GAP_FACTOR) -> Flight:
         raise FlightError(f"{path}: no column 'time' [s]; found {', '.join(columns) or 'nothing'}")
     time = columns.pop("time")
     segment = columns.pop("segment", None)
-    if segment is not None and not np.all(np.isfinite(segment)):
+    if segment is not None and not (np.all(np.isfinite(segment)) and np.all(segment == np.round(segment))):
         raise FlightError(
-            f"{path}: column segment has empty cells; give an integer in each row or leave the column out"
+            f"{path}: column segment has empty cells or fractions; give an integer in each row or leave the column out"
         )
+    if segment is not None and np.any(np.abs(segment) > 2**31):
+        raise FlightError(f"{path}: column segment holds {np.max(np.abs(segment)):g}; number segments from 0")
+    for name, values in columns.items():
+        endless = int(np.isinf(values).sum())
+        if endless:
+            columns[name] = np.where(np.isinf(values), np.nan, values)
+            notes.append(f"column {name}: {endless} infinite values taken as not measured")
     unknown = [c for c in columns if c not in COLUMN_BY_NAME]
     if unknown:
         notes.append(f"columns not known to Sideslip, kept as they are: {', '.join(unknown)}")
@@ -230,8 +238,11 @@ def write_flight(flight: Flight, path: str | Path) -> None:
     writers = {".mcap": _write_mcap, ".csv": _write_csv, ".parquet": _write_parquet}
     if path.suffix.lower() not in writers:
         raise FlightError(f"{path}: cannot write this kind of file; name it .mcap, .csv or .parquet")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    writers[path.suffix.lower()](flight, path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        writers[path.suffix.lower()](flight, path)
+    except OSError as error:
+        raise FlightError(f"{path}: cannot be written ({error.strerror or error}); choose another place") from error
 
 
 _Read = tuple[dict[str, Array], Provenance, list[str]]
@@ -252,6 +263,8 @@ def _read_csv(path: Path) -> _Read:
         raise FlightError(
             f"{path}: not a text file ({error.reason} at byte {error.start}); a CSV is expected"
         ) from error
+    except csv.Error as error:
+        raise FlightError(f"{path}: not a readable CSV ({error})") from error
     values = np.array(table, float).reshape(-1, len(header))
     return {h: values[:, i] for i, h in enumerate(header) if h}, Provenance(), []
 
@@ -373,7 +386,8 @@ def _write_mcap(flight: Flight, path: Path) -> None:
     with path.open("wb") as handle:
         writer = Writer(handle, compression=CompressionType.ZSTD)
         writer.start(profile="sideslip", library=f"sideslip {flight.provenance.software}".strip())
-        writer.add_metadata(METADATA_NAME, {"json": json.dumps(_provenance_to(flight))})
+        text = json.dumps(_provenance_to(flight))
+        writer.add_metadata(METADATA_NAME, {"json": text, "sha256": _digest(text, names, table)})
         schema_id = writer.register_schema(FLIGHT_SCHEMA, "protobuf", schema)
         channel = writer.register_channel(FLIGHT_TOPIC, "protobuf", schema_id)
         for i, row in enumerate(table.tolist()):
@@ -393,13 +407,11 @@ def _read_mcap(path: Path) -> _Read:
 
     rows: list[Any] = []
     names: list[str] = []
-    provenance = Provenance()
+    about: Mapping[str, str] = {}
     try:
         with path.open("rb") as handle:
             reader = make_reader(handle, validate_crcs=True)
-            for meta in reader.iter_metadata():
-                if meta.name == METADATA_NAME:
-                    provenance = _provenance_from(json.loads(meta.metadata["json"]))
+            about = next((m.metadata for m in reader.iter_metadata() if m.name == METADATA_NAME), {})
             cls: Any = None
             for schema, _, message in reader.iter_messages(topics=[FLIGHT_TOPIC], log_time_order=False):
                 if cls is None and schema is not None:
@@ -407,7 +419,7 @@ def _read_mcap(path: Path) -> _Read:
                 row = cls()
                 row.ParseFromString(message.data)
                 rows.append([getattr(row, n) if row.HasField(n) else np.nan for n in names])
-    except (McapError, DecodeError, ZstdError, struct.error, OSError, EOFError, ValueError, KeyError) as error:
+    except (McapError, DecodeError, ZstdError, struct.error, OSError, EOFError, ValueError, *_WRONG_BYTES) as error:
         raise FlightError(
             f"{path}: damaged or not an MCAP file ({type(error).__name__}: {error}); try 'sideslip recover' on the raw recording"
         ) from error
@@ -416,7 +428,27 @@ def _read_mcap(path: Path) -> _Read:
             f"{path}: no calibrated flight in this file; a raw recording must pass 'sideslip calibrate' first"
         )
     values = np.array(rows, float)
-    return {n: values[:, i] for i, n in enumerate(names)}, provenance, []
+    if about.get("sha256") != _digest(about.get("json", ""), names, values):
+        raise FlightError(
+            f"{path}: damaged: the values are not those that were written; calibrate the raw recording again"
+        )
+    meta = json.loads(about["json"])
+    return (
+        {n: values[:, i] for i, n in enumerate(names)},
+        _provenance_from(meta),
+        [str(n) for n in meta.get("notes", [])],
+    )
+
+
+def _digest(provenance: str, names: Sequence[str], table: Array) -> str:
+    """SHA-256 over provenance, names and values: MCAP's checksums cover neither schemas nor metadata."""
+    digest = hashlib.sha256(json.dumps([provenance, *names]).encode())
+    digest.update(np.ascontiguousarray(np.where(np.isnan(table), np.nan, table), "<f8").tobytes())
+    return digest.hexdigest()
+
+
+_WRONG_BYTES = (KeyError, TypeError, OverflowError, MemoryError)
+"""What protobuf and the MCAP reader raise on names, schemas and lengths that are not what was written."""
 
 
 def _class_from_schema(path: Path, data: bytes) -> tuple[list[str], Any]:

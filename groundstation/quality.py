@@ -114,19 +114,33 @@ def sample_interval(flight: Flight) -> Finding:
 
 
 def dropouts(flight: Flight) -> Finding:
-    """Stretches without a value in columns that are otherwise measured; fail when a third of a moving column is gone."""
-    words, verdict = [], "warn"
+    """Stretches without a value in columns that are otherwise measured; fail when a third of a moving column is gone.
+
+    Values that begin late or end early (sensors starting up) are told, but are no dropout.
+    """
+    words: list[str] = []
+    verdict: Verdict = "warn"
+    outside = 0.0
     for name, values in _measured(flight):
         if name in SLOW:
             continue
         gone = ~np.isfinite(values)
-        share = float(gone.mean())
-        if share:
+        present = np.flatnonzero(~gone)
+        first, last = present[0], present[-1]
+        inside = gone[first : last + 1]
+        outside = max(outside, float(flight.time[first] - flight.time[0]), float(flight.time[-1] - flight.time[last]))
+        count = int(inside.sum())
+        if count:
             words.append(
-                f"{name} has no value in {int(gone.sum())} samples ({share:.1%}), up to {_longest(gone)} in a row"
+                f"{name} has no value in {count} samples ({inside.mean():.1%}), up to {_longest(inside)} in a row"
             )
-            verdict = "fail" if share > 1 / 3 and name in MOVING else verdict
-    return _finding("dropouts", _first(words), "every measured column has a value in every row", _verdict(verdict))
+        if name in MOVING and float(gone.mean()) > 1 / 3:
+            verdict = "fail"
+            words.append(f"{name} has no value in {gone.mean():.0%} of the flight")
+    good = "every measured column has a value in every row"
+    if outside:
+        good += f", but for up to {outside:.2f} s at the start or end of the flight"
+    return _finding("dropouts", _first(words), good, verdict)
 
 
 def stale_samples(flight: Flight) -> Finding:
@@ -161,10 +175,12 @@ def clipping(flight: Flight) -> Finding:
         finite = values[np.isfinite(values)]
         if finite.size < 20 or np.ptp(finite) == 0:
             continue
+        inner = finite[(finite > finite.min()) & (finite < finite.max())]
+        # a coarse or resting channel repeats itself everywhere; a clipped one only at the end of its range
+        usual = _longest(np.diff(inner) == 0) + 1
         for extreme, side in ((finite.max(), "largest"), (finite.min(), "smallest")):
             at = finite == extreme
-            # a quantised channel at rest also repeats itself; clipping is a plateau with a slope leading to it
-            if _longest(at) >= 3 and _steep(finite, at):
+            if _longest(at) >= max(3, 2 * usual + 1):
                 words.append(
                     f"{name} stays at its {side} value {extreme:.4g} for {int(at.sum())} samples: clipped or at a stop"
                 )
@@ -303,10 +319,6 @@ def _unit(name: str) -> str:
     return COLUMN_BY_NAME[name].unit if name in COLUMN_BY_NAME else ""
 
 
-def _verdict(word: str) -> Verdict:
-    return "fail" if word == "fail" else "warn"
-
-
 def _first(words: list[str], most: int = 6) -> list[str]:
     return words if len(words) <= most else [*words[:most], f"{len(words) - most} more"]
 
@@ -315,13 +327,6 @@ def _longest(mask: NDArray[np.bool_]) -> int:
     """Length of the longest run of True."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
     return int(np.max(edges[1::2] - edges[::2])) if edges.size else 0
-
-
-def _steep(values: Array, at: NDArray[np.bool_]) -> bool:
-    """Whether the way onto the plateau is much steeper than the usual step: the signal would have gone on."""
-    steps = np.abs(np.diff(values))
-    entering = steps[np.flatnonzero(np.diff(at.astype(np.int8)) != 0)]
-    return bool(entering.size and np.max(entering) > 2 * np.median(steps[steps > 0]))
 
 
 def _spikes(values: Array) -> NDArray[np.int64]:

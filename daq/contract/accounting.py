@@ -90,14 +90,16 @@ def verify_recording(recording: Recording) -> Verification:
     whole_session = _is_whole(recording)
     first, end = _span(numbers, books, whole_session)
     missing = ranges(sorted(set(range(first, end)) - set(numbers)))
-    told = [*(books.absent if books else ()), *json.loads(recording.info.details.get(_LOST_TO_DAMAGE, "[]"))]
-    unexplained = subtract(missing, told)
+    not_told = subtract(missing, books.absent if books else ())
+    unexplained = subtract(not_told, json.loads(recording.info.details.get(_LOST_TO_DAMAGE, "[]")))
     given_up = _given_up(recording, books)
     damages = tuple((s.path, d) for s in recording.segments if s not in given_up for d in s.damages)
     closed = all(s.closed for s in recording.segments if s not in given_up)
     gaps_expected = recording.info.role == "received"
     ok = closed and not damages and bool(numbers) and (gaps_expected or not unexplained)
-    counts = _counts(numbers, books, missing, unexplained)
+    dropped, lost, missed = _counts(books, count(missing) - count(not_told))
+    written = len(numbers) + count(unexplained)
+    lost += count(not_told) - count(unexplained)
     text = _sentence(recording, ok, numbers, missing, unexplained, damages, closed)
     if given_up:
         names = ", ".join(s.path.name for s in given_up)
@@ -106,7 +108,10 @@ def verify_recording(recording: Recording) -> Verification:
         ok,
         len(numbers),
         end - first,
-        *counts,
+        written=written,
+        dropped=dropped,
+        lost=lost,
+        missed=missed,
         missing=missing,
         unexplained=unexplained,
         damages=damages,
@@ -142,19 +147,14 @@ def _span(numbers: Sequence[int], books: Statistics | None, whole_session: bool)
     return first, max(first, end)
 
 
-def _counts(
-    numbers: Sequence[int], books: Statistics | None, missing: Sequence[Range], unexplained: Sequence[Range]
-) -> tuple[int, int, int, int]:
-    """(written, dropped, lost, missed): what can be told for the span of this recording."""
-    written = len(numbers) + count(unexplained)
+def _counts(books: Statistics | None, absent: int) -> tuple[int, int, int]:
+    """(dropped, lost, missed) of the `absent` slots that the logger reported as such."""
     if books is None:
-        return written, 0, 0, 0
-    explained = count(missing) - count(unexplained)
-    told = books.dropped + books.lost + books.missed
-    if explained == told:
-        return written, books.dropped, books.lost, books.missed
-    # One segment of several: the session's absent slots lie partly elsewhere, their kind is not known slot by slot.
-    return written, explained, 0, 0
+        return 0, 0, 0
+    if absent == books.dropped + books.lost + books.missed:
+        return books.dropped, books.lost, books.missed
+    # One segment of several: the session's absent slots lie partly elsewhere, and their kind is not told slot by slot.
+    return absent, 0, 0
 
 
 def _sentence(
@@ -234,7 +234,7 @@ def recover(path: str | Path, out: str | Path) -> Recovery:
     recording = join(path, segments)
     verification = verify_recording(recording)
     if not recording.entries:
-        raise RecordingError(f"{path}: not a single message in it is intact; nothing to recover")
+        raise RecordingError(f"{path}: not a single message in it is intact; there is nothing to recover")
     info = _recovered_info(recording, segments, verification)
     out.parent.mkdir(parents=True, exist_ok=True)
     partial = out.with_suffix(".mcap.part")

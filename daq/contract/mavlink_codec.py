@@ -284,7 +284,9 @@ class FrameEncoder:
         """A frame of a packed payload."""
         payload = payload.rstrip(b"\0") or payload[:1]
         flags = SIGNED if self._signer else 0
-        head = bytes([len(payload), flags, 0, self._sequence, self.system, self.component]) + msg_id.to_bytes(3, "little")
+        head = bytes([len(payload), flags, 0, self._sequence, self.system, self.component]) + msg_id.to_bytes(
+            3, "little"
+        )
         self._sequence = (self._sequence + 1) & 255
         extra = _checks()[msg_id][0]
         body = head + payload

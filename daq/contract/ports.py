@@ -120,7 +120,7 @@ class UdpPort:
 
     def receive(self) -> list[tuple[str, bytes]]:
         """All datagrams that have arrived, with a name of their sender."""
-        out = []
+        out: list[tuple[str, bytes]] = []
         while True:
             try:
                 data, peer = self._socket.recvfrom(_READ_BYTES)

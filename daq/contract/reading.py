@@ -179,7 +179,9 @@ def join(path: Path, segments: list[Segment]) -> Recording:
         raise RecordingError(f"{path}: recordings of {len(sessions)} sessions ({', '.join(sessions)}); name one of the files")
     entries = unique(e for s in segments for e in s.entries)
     if not known and not entries:
-        raise RecordingError(f"{path}: not a raw recording of Sideslip")
+        damaged = any(s.damages for s in segments)
+        what = "nothing in it is intact; there is nothing to recover" if damaged else "not a raw recording of Sideslip"
+        raise RecordingError(f"{path}: {what}")
     info = known[0] if known else RecordingInfo(session=path.stem, source="unknown", role="recovered", software="unknown")
     details = {k: v for i in known for k, v in i.details.items()}
     attachments = {k: v for i in reversed(known) for k, v in i.attachments.items()}

@@ -10,7 +10,6 @@ import struct
 import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from itertools import islice
 
 import zstandard
 
@@ -22,14 +21,15 @@ MAGIC = b"\x89MCAP0\r\n"
 HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX = range(1, 9)
 ATTACHMENT, ATTACHMENT_INDEX, STATISTICS, METADATA, METADATA_INDEX, SUMMARY_OFFSET, DATA_END = range(9, 16)
 
-_MAX_SEALED = 1 << 16  # no message of ours is longer
+_MAX_HEADLESS = 1 << 12  # longer messages are found by their record heads only
 _MAX_CHUNK = 1 << 28  # uncompressed; larger is taken for damage
 _MESSAGE_HEAD = 9 + 22  # record head, channel, sequence, two times
-_CHUNK_HEAD = 9 + 8 + 8 + 8 + 4 + 4 + 8  # of an uncompressed chunk
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 _ZSTD_MARK = b"\x04\x00\x00\x00zstd"
 _MAYBE_RECORD = re.compile(rb"[\x01-\x0f](?=.{5}\x00{3})", re.DOTALL)
 _MAYBE_MESSAGE = re.compile(rb"\x05(?=..\x00{6})", re.DOTALL)
+_MAYBE_CONTENT = re.compile(rb"[\x08\x0a]")  # tag of field 1, a number or a timestamp: all our messages begin so
+_SEAL_TAG = re.compile(rb"\x7d")
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,7 +136,7 @@ class Walk:
         else:
             yield self._damage(0, min(len(MAGIC), len(self._raw)), "the file does not begin like an MCAP file")
             at = self._next_trusted(0)
-            yield from self._sealed(0, at, 0)
+            yield from self._sealed(0, at)
         while at < len(self._raw):
             if self._ended:
                 return
@@ -146,7 +146,7 @@ class Walk:
             except _Bad as error:
                 resume = self._resume(at)
                 yield self._damage(at, resume - at, f"{self._name(at)}: {error}")
-                yield from self._sealed(at, resume, self._inner_start(at))
+                yield from self._sealed(at, resume)
                 at = resume
                 continue
             yield from items
@@ -265,10 +265,6 @@ class Walk:
         names = {CHUNK: "chunk", METADATA: "metadata", ATTACHMENT: "attachment", DATA_END: "end of data"}
         return names.get(self._raw[at], "record")
 
-    def _inner_start(self, at: int) -> int:
-        """Where the first message of an uncompressed chunk begins, should this be one."""
-        return at + _CHUNK_HEAD
-
     def _resume(self, at: int) -> int:
         """Start of the next record to be trusted after a bad one."""
         if at + 9 <= len(self._raw):
@@ -304,51 +300,52 @@ class Walk:
             return False
         return True
 
-    def _sealed(self, start: int, end: int, first: int) -> Iterator[Entry]:
+    def _sealed(self, start: int, end: int) -> Iterator[Entry]:
         """Messages whose seals hold within a damaged stretch, compressed parts included."""
         region = self._raw[start:end]
-        yield from find_sealed(region, max(0, first - start))
+        yield from find_sealed(region)
         for match in re.finditer(re.escape(_ZSTD_MAGIC), region):
-            yield from find_sealed(_decompress_torn(region[match.start() :]), 0)
+            yield from find_sealed(_decompress_torn(region[match.start() :]))
         for match in re.finditer(re.escape(_ZSTD_MARK), region):
             frame = match.end() + 8
             if region[frame : frame + 4] != _ZSTD_MAGIC:
-                yield from find_sealed(_decompress_torn(_ZSTD_MAGIC + region[frame + 4 :]), 0)
+                yield from find_sealed(_decompress_torn(_ZSTD_MAGIC + region[frame + 4 :]))
 
 
-def find_sealed(region: bytes, first: int) -> Iterator[Entry]:
+def find_sealed(region: bytes) -> Iterator[Entry]:
     """Messages with intact content in a stretch of damaged bytes.
 
-    `first`: where the first message should begin. Both ways to find one are used: by its record head, and, where the
-    head is damaged, by where the head must have been (the end of the message before).
+    First by their record heads, which say where they end; then, in the gaps between those found, by content alone.
     """
-    done = first
+    done = 0
     for match in _MAYBE_MESSAGE.finditer(region):
         at = match.start()
-        if at < done and done != first:
+        if at < done:
             continue
         end = at + 9 + int.from_bytes(region[at + 1 : at + 9], "little")
         entry = _sealed_entry(region[at + _MESSAGE_HEAD : end]) if end <= len(region) else None
         if entry is None:
             continue
-        yield from _headless(region, done, at)
+        yield from _headless(region[done:at])
         yield entry
         done = end
-    yield from _headless(region, done, len(region))
+    yield from _headless(region[done:])
 
 
-def _headless(region: bytes, start: int, end: int) -> Iterator[Entry]:
-    """Messages between `start` and `end` whose record head is damaged but whose content is not."""
-    at = start
-    while end - at > _MESSAGE_HEAD + SEAL_SIZE:
-        content = at + _MESSAGE_HEAD
-        limit = min(end, content + _MAX_SEALED)
-        tails = (t.start() + SEAL_SIZE for t in islice(re.finditer(rb"\x7d", region[content:limit]), 256))
-        found = next(((e, t) for t in tails if (e := _sealed_entry(region[content : content + t]))), None)
-        if found is None:
-            return
-        yield found[0]
-        at = content + found[1]
+def _headless(gap: bytes) -> Iterator[Entry]:
+    """Messages whose record head is damaged but whose content is not: from a first field to a seal that holds."""
+    done = 0
+    for match in _MAYBE_CONTENT.finditer(gap):
+        start = match.start()
+        if start < done:
+            continue
+        limit = min(len(gap), start + _MAX_HEADLESS)
+        for tail in _SEAL_TAG.finditer(gap, start, limit):
+            entry = _sealed_entry(gap[start : tail.start() + SEAL_SIZE])
+            if entry is not None:
+                yield entry
+                done = tail.start() + SEAL_SIZE
+                break
 
 
 def _sealed_entry(data: bytes) -> Entry | None:

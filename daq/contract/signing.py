@@ -60,7 +60,9 @@ def load_key(path: str | Path) -> bytes:
         mode = path.stat().st_mode
         data = path.read_bytes()
     except OSError as error:
-        raise SigningError(f"{path}: signing key cannot be read ({error.strerror}); correct the key key_file") from error
+        raise SigningError(
+            f"{path}: signing key cannot be read ({error.strerror}); correct the key key_file"
+        ) from error
     if not stat.S_ISREG(mode) or stat.S_IMODE(mode) & 0o077:
         raise SigningError(
             f"{path}: signing key has mode {stat.S_IMODE(mode):04o}, others may read it; run 'chmod 600 {path}'"
@@ -135,9 +137,7 @@ class Signer:
     timestamps then go on from the last one by one unit a frame.
     """
 
-    def __init__(
-        self, key: bytes, now: Callable[[], int], *, link_id: int = 0, state_path: Path | None = None
-    ) -> None:
+    def __init__(self, key: bytes, now: Callable[[], int], *, link_id: int = 0, state_path: Path | None = None) -> None:
         if len(key) != KEY_BYTES:
             raise SigningError(f"signing key has {len(key)} bytes; it must have {KEY_BYTES}")
         self._key = key

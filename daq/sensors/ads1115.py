@@ -55,7 +55,8 @@ class Ads1115(Driver):
         self._conversion = round(SECOND / config.samples_per_second)
         self._wait = round(self._conversion * CLOCK_TOLERANCE) + WAKE
         self._lowest = round(_LOWEST_V / config.range_v * 32768)
-        self._after_us: list[int] = [0] * len(self._names)
+        self._latest_us: tuple[int, ...] = (0,) * len(self._names)
+        self._kept_us: tuple[int, ...] | None = None
         self.max_rate_hz = SECOND / (len(self._names) * (self._wait + 300 * US))
 
     def initialise(self) -> Generator[Wait, None, None]:
@@ -83,7 +84,7 @@ class Ads1115(Driver):
             yield from self._finish(word)
             counts.append(signed(self._word(CONVERSION), 16))
         centre = sum(middles) // len(middles)
-        self._after_us = [(m - centre) // US for m in middles]
+        self._latest_us = tuple((m - centre) // US for m in middles)
         return self._judge(dict(zip(self._names, counts, strict=True)), centre)
 
     def _finish(self, word: int) -> Generator[Wait, None, None]:
@@ -112,10 +113,14 @@ class Ads1115(Driver):
         high, low = self._bus.read_i2c_block_data(self._address, register, 2)
         return high << 8 | low
 
+    def keep_timing(self) -> None:
+        self._kept_us = self._latest_us
+
     def metadata(self) -> dict[str, str]:
         """`NAME_after_s`: time of a channel's conversion after the group's offset, which is their mean."""
+        after_us = self._kept_us or self._latest_us
         return {
             "chip": "ADS1115",
             "scale_v": repr(self._range_v / 32768),
-            **{f"{n}_after_s": f"{d * 1e-6:.6f}" for n, d in zip(self._names, self._after_us, strict=True)},
+            **{f"{n}_after_s": f"{d * 1e-6:.6f}" for n, d in zip(self._names, after_us, strict=True)},
         }

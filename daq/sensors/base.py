@@ -81,6 +81,10 @@ class Driver(ABC):
         """Whether the chip still has the settings it was given; one short transaction. Raises OSError."""
         return True
 
+    def keep_timing(self) -> None:
+        """The sample just taken was timed as in flight, among all the others: keep that for `metadata`."""
+        return
+
     def metadata(self) -> dict[str, str]:
         """What the ground needs to know about this chip to make use of the counts."""
         return {}

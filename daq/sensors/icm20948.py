@@ -55,6 +55,7 @@ class Icm20948(Driver):
         self._config = config
         self._bus = bus
         self._address = config.address
+        self._unread = False
         self._turn: Rotation = rotation(config.mounting)
         self._gyro_setting = setting(
             GYRO_LOWPASS_HZ.index(config.gyro_lowpass_hz), tuple(COUNTS_PER_DPS).index(config.gyro_range_dps)
@@ -100,8 +101,10 @@ class Icm20948(Driver):
 
     def read(self) -> Reading:
         bus = self._bus
-        fresh = bus.read_byte_data(self._address, INT_STATUS_1) & 1
+        # Reading the status clears it: should the burst then fail, the repetition must not take the sample for an old one.
+        self._unread = bool(bus.read_byte_data(self._address, INT_STATUS_1) & 1) or self._unread
         raw = _BURST.unpack(bytes(bus.read_i2c_block_data(self._address, ACCEL_XOUT_H, 14)))
+        fresh, self._unread = self._unread, False
         if not any(raw[:6]):
             return self._explain_zeros()
         if not fresh:

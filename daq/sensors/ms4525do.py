@@ -36,6 +36,7 @@ class Ms4525do(Driver):
     def __init__(self, config: PitotConfig, bus: I2cBus) -> None:
         self._config = config
         self._bus = bus
+        self._unconfirmed: tuple[int, int] | None = None  # fetched, but the confirming read failed
 
     def initialise(self) -> Generator[Wait, None, None]:
         read_raw(self._bus, self._config.address, 4)
@@ -56,8 +57,12 @@ class Ms4525do(Driver):
         if status in (RESERVED, FAULT):
             return Reading(state=SensorState.FAULT, detail=f"pitot sensor reports status {status}")
         if status == FETCHED:
-            return Reading(state=SensorState.STALE, detail="pitot sensor has no new sample")
+            if self._unconfirmed is None:
+                return Reading(state=SensorState.STALE, detail="pitot sensor has no new sample")
+            pressure, temperature = self._unconfirmed
+        self._unconfirmed = pressure, temperature
         again, repeated, _ = split(read_raw(self._bus, self._config.address, 4))
+        self._unconfirmed = None
         values = {"pitot_pressure": pressure, "pitot_temperature": temperature}
         if pressure in (0, FULL) or temperature in (0, 0x7FF):
             return Reading(values, SensorState.OUT_OF_RANGE, "pitot pressure at the end of the sensor's range")

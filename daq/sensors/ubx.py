@@ -12,7 +12,7 @@ from struct import Struct
 
 SYNC = b"\xb5\x62"
 NAV_PVT = (0x01, 0x07)
-PAYLOAD_LIMIT = 1024  # nothing this driver asks for is longer; a longer length is damage
+PAYLOAD_LIMIT = 256  # twice the longest message this driver asks for; a longer length is damage
 
 _PVT = Struct("<IHBBBBBBIiBBBBiiiiIIiiiiiIIHH4xihH")
 _VALID_DATE, _VALID_TIME, _FULLY_RESOLVED = 0x01, 0x02, 0x04

@@ -120,7 +120,8 @@ def _aircraft_from(data: Mapping[str, Any], path: Path) -> Aircraft:
         name=str(data.get("name", path.stem)),
         title=str(data.get("title", "")),
         derivatives={
-            key: _derivative(key, value, path) for key, value in _table(data, "derivatives", path, optional=True).items()
+            key: _derivative(key, value, path)
+            for key, value in _table(data, "derivatives", path, optional=True).items()
         },
         sensors={
             key: _position(key, value, path) for key, value in _table(data, "sensors", path, optional=True).items()

@@ -17,15 +17,24 @@ EXAMPLE = "Example: sideslip estimate ld1.mcap ld2.mcap --method ml,ngn --joint 
 
 @click.command(epilog=EXAMPLE)
 @click.argument("flights", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="FLIGHT...")
-@click.option("--method", "methods", default="ml", show_default=True, help="Comma-separated: ml, fem, ngn, ngn-improved, ls.")
+@click.option(
+    "--method", "methods", default="ml", show_default=True, help="Comma-separated: ml, fem, ngn, ngn-improved, ls."
+)
 @click.option("--model", default="lateral", show_default=True,
               help="lateral, lateral-simple, longitudinal, six-dof, a MODEL.toml, or module:Class.")  # fmt: skip
 @click.option("--aircraft", default="cdfp", show_default=True, help="Built-in aircraft or an AIRCRAFT.toml.")
 @click.option("--joint", is_flag=True, help="Also one estimate over all flights together.")
 @click.option("--segments", help="Use only these stretches, each with its own initial states: 2:12,15:25 [s].")
 @click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write the results as JSON.")
-@click.option("--report", "report_folder", type=click.Path(path_type=Path), help="Write an HTML report with tables and figures.")
-@click.option("--figure", "figure_path", type=click.Path(path_type=Path), help="Write a figure of measured and estimated histories.")
+@click.option(
+    "--report", "report_folder", type=click.Path(path_type=Path), help="Write an HTML report with tables and figures."
+)
+@click.option(
+    "--figure",
+    "figure_path",
+    type=click.Path(path_type=Path),
+    help="Write a figure of measured and estimated histories.",
+)
 def estimate(
     flights: tuple[Path, ...],
     methods: str,
@@ -78,7 +87,9 @@ def select_segments(flight: "Flight", text: str | None) -> "Flight":
         try:
             a, b = float(begin), float(end)
         except ValueError:
-            raise EstimationError(f"--segments {text!r}: write stretches as begin:end in seconds, like 2:12,15:25") from None
+            raise EstimationError(
+                f"--segments {text!r}: write stretches as begin:end in seconds, like 2:12,15:25"
+            ) from None
         inside = (flight.time >= a) & (flight.time <= b)
         if not colon or b <= a or not inside.any():
             raise EstimationError(
@@ -88,7 +99,12 @@ def select_segments(flight: "Flight", text: str | None) -> "Flight":
     keep = label >= 0
     chosen = flight.part(keep)
     return Flight.build(
-        flight.name, chosen.time, dict(chosen.columns), segment=label[keep], provenance=flight.provenance, notes=flight.notes
+        flight.name,
+        chosen.time,
+        dict(chosen.columns),
+        segment=label[keep],
+        provenance=flight.provenance,
+        notes=flight.notes,
     )
 
 

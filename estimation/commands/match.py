@@ -10,11 +10,18 @@ EXAMPLE = "Example: sideslip match ld4.toml ld2.mcap --json match.json"
 @click.command(epilog=EXAMPLE)
 @click.argument("model", type=click.Path(path_type=Path), metavar="MODEL.toml")
 @click.argument("flights", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="FLIGHT...")
-@click.option("--free", default="", help="Comma-separated parameters refitted on each flight (biases); all others are frozen.")
+@click.option(
+    "--free", default="", help="Comma-separated parameters refitted on each flight (biases); all others are frozen."
+)
 @click.option("--limit", type=float, default=0.3, show_default=True,
               help="Theil's coefficient above which a channel does not match (exit status 1).")  # fmt: skip
 @click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write the fit as JSON.")
-@click.option("--figure", "figure_path", type=click.Path(path_type=Path), help="Write a figure of measured and predicted histories.")
+@click.option(
+    "--figure",
+    "figure_path",
+    type=click.Path(path_type=Path),
+    help="Write a figure of measured and predicted histories.",
+)
 def match(
     model: Path, flights: tuple[Path, ...], free: str, limit: float, json_path: Path | None, figure_path: Path | None
 ) -> int:

@@ -103,7 +103,9 @@ def _pieces(flight: Flight, inputs: Sequence[Signal], notes: list[str]) -> list[
     """Index ranges without a gap, a segment border or a long hole in an input."""
     usable = np.ones(len(flight), bool)
     for signal in inputs:
-        sources = [signal.source] if signal.source in flight.columns else list(DERIVED.get(signal.source, ([], None))[0])
+        sources = (
+            [signal.source] if signal.source in flight.columns else list(DERIVED.get(signal.source, ([], None))[0])
+        )
         for source in sources:
             if source not in flight.columns:
                 continue
@@ -156,9 +158,7 @@ def _inputs(
             u[:, i] = _derived(flight, signal.source, pieces, notes)
     if preparation.denoise:
         for order in (1, 2):
-            columns = [
-                i for i, s in enumerate(model.inputs) if s.control == (order == 1) and flight.measured(s.source)
-            ]
+            columns = [i for i, s in enumerate(model.inputs) if s.control == (order == 1) and flight.measured(s.source)]
             _denoise_columns(u, columns, pieces, order, [s.name for s in model.inputs], noise)
     return u
 
@@ -210,7 +210,9 @@ def _outputs(
             absent.append(signal.name)
             z[:, i] = np.nan
     if len(absent) == len(model.outputs):
-        raise DataError(f"{flight.name}: none of the outputs of model {model.name} moves; nothing can be estimated from it")
+        raise DataError(
+            f"{flight.name}: none of the outputs of model {model.name} moves; nothing can be estimated from it"
+        )
     return z, tuple(absent)
 
 

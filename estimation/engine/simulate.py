@@ -101,9 +101,7 @@ class Simulator:
         return Columns(count, parameter, state, transform, gain)
 
     def _transform_names(self) -> tuple[str, ...]:
-        return tuple(
-            dict.fromkeys(n for t in self.model.transforms for n in t.parameters if n in self.free)
-        )
+        return tuple(dict.fromkeys(n for t in self.model.transforms for n in t.parameters if n in self.free))
 
     def drive(self, segment: Segment, values: Mapping[str, float], sensitivities: bool) -> Drive:
         """Inputs of one segment as the integrator sees them, transforms applied."""
@@ -166,9 +164,7 @@ def _cubic(time: Array, wanted: Array) -> tuple[Array, np.ndarray, Array]:  # ty
         gaps = [knots[:, j] - knots[:, m] for m in others]
         terms = [(wanted - knots[:, m]) / gap for m, gap in zip(others, gaps, strict=True)]
         weights[:, j] = terms[0] * terms[1] * terms[2]
-        slope[:, j] = (
-            terms[1] * terms[2] / gaps[0] + terms[0] * terms[2] / gaps[1] + terms[0] * terms[1] / gaps[2]
-        )
+        slope[:, j] = terms[1] * terms[2] / gaps[0] + terms[0] * terms[2] / gaps[1] + terms[0] * terms[1] / gaps[2]
     return weights, at, slope
 
 
@@ -230,7 +226,5 @@ def simulate_with_sensitivities(
 
 def with_outputs(data: FlightData, outputs: Array) -> FlightData:
     """The same flight with other measured outputs (samples, ny): how a simulated realisation is fitted again."""
-    segments = tuple(
-        replace(s, z=np.ascontiguousarray(outputs[s.first : s.first + len(s)])) for s in data.segments
-    )
+    segments = tuple(replace(s, z=np.ascontiguousarray(outputs[s.first : s.first + len(s)])) for s in data.segments)
     return replace(data, segments=segments)

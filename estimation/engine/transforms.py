@@ -72,7 +72,11 @@ FUNCTIONS: Mapping[str, tuple[Callable[[Array, Array, float], Array], float]] = 
 
 
 def apply_transforms(
-    transforms: tuple[InputTransform, ...], input_names: tuple[str, ...], time: Array, u: Array, values: Mapping[str, float]
+    transforms: tuple[InputTransform, ...],
+    input_names: tuple[str, ...],
+    time: Array,
+    u: Array,
+    values: Mapping[str, float],
 ) -> Array:
     """Inputs (N, nu) as the equations see them."""
     u = u.copy()

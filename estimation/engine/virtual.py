@@ -120,7 +120,9 @@ class _Stepper:
         self.state[:] = state
         samples = [drive.u, drive.u_begin, drive.u_end]
         if self.nt:
-            samples += [a.transpose(0, 2, 1).reshape(-1, self.nt * nu) for a in (drive.du, drive.du_begin, drive.du_end)]
+            samples += [
+                a.transpose(0, 2, 1).reshape(-1, self.nt * nu) for a in (drive.du, drive.du_begin, drive.du_end)
+            ]
         else:
             samples += [np.zeros((drive.dt.size, 0))] * 3
         known = np.isfinite(drive.z)
@@ -142,9 +144,7 @@ class _Stepper:
 
 
 @lru_cache(maxsize=64)
-def _stepper(
-    traced: Traced, block: int, substeps: int, key: tuple[Any, ...], nt: int, with_gain: bool
-) -> _Stepper:
+def _stepper(traced: Traced, block: int, substeps: int, key: tuple[Any, ...], nt: int, with_gain: bool) -> _Stepper:
     nx, nu, np_, ny = traced.sizes
     n, parameter, transform, gain_columns = key or (0, (-1,) * np_, (), ())
     variation = _Variation(traced, n, parameter, transform, nt)
@@ -197,9 +197,7 @@ def _corrected(
 class _Variation:
     """Rates and outputs with the sensitivity columns, as MX expressions."""
 
-    def __init__(
-        self, traced: Traced, n: int, parameter: tuple[int, ...], transform: tuple[int, ...], nt: int
-    ) -> None:
+    def __init__(self, traced: Traced, n: int, parameter: tuple[int, ...], transform: tuple[int, ...], nt: int) -> None:
         self.traced, self.n, self.nt = traced, n, nt
         nx, nu, np_, ny = traced.sizes
         self.select = ca.DM.zeros(np_, n)
@@ -237,9 +235,7 @@ class _Variation:
         y, *parts = self.traced.outputs_jacobian(x, u, p)
         return y, self._total("y", parts, self.traced.sizes[3], s, d)
 
-    def step(
-        self, x: ca.MX, s: ca.MX, h: ca.MX, us: list[ca.MX], ds: list[ca.MX], p: ca.MX
-    ) -> tuple[ca.MX, ca.MX]:
+    def step(self, x: ca.MX, s: ca.MX, h: ca.MX, us: list[ca.MX], ds: list[ca.MX], p: ca.MX) -> tuple[ca.MX, ca.MX]:
         k1, v1 = self.rates(x, s, us[0], ds[0], p)
         k2, v2 = self.rates(x + h / 2 * k1, s + h / 2 * v1, us[1], ds[1], p)
         k3, v3 = self.rates(x + h / 2 * k2, s + h / 2 * v2, us[1], ds[1], p)

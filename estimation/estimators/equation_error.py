@@ -21,7 +21,8 @@ from estimation.errors import DataError
 from estimation.estimators.arrow import pseudo_inverse
 from estimation.estimators.gauss_newton import Status
 from estimation.estimators.result import FlightFit, Result
-from estimation.estimators.uncertainty import double_sum, estimates, residual_autocorrelation
+from estimation.estimators.coloured import Piece, score_covariance
+from estimation.estimators.uncertainty import estimates
 from estimation.models.base import Model
 from estimation.validation import fits
 from groundstation.flight import Flight
@@ -106,27 +107,32 @@ def solve(simulator: Simulator, flights: Sequence[FlightData], *, stepwise: bool
         _apply(simulator, values, change)
     regressions = _regressions(simulator, flights, values)
     n = len(simulator.free)
-    information, middle = np.zeros((n, n)), np.zeros((n, n))
+    parts: list[list[Piece]] = []
     index = 0
     for flight in flights:
-        parts = regressions[index : index + len(flight.segments)]
+        of_flight = regressions[index : index + len(flight.segments)]
         index += len(flight.segments)
-        gamma = residual_autocorrelation([r.e for r in parts], flight)
-        for r in parts:
-            known = np.isfinite(r.e)
-            A = np.where(known[:, :, None], r.A, 0.0)
-            scaled = (A * weights[None, :, None]).reshape(-1, n)
-            information += scaled.T @ scaled
-            middle += double_sum(A * weights[None, :, None] ** 2, gamma)
+        parts.append([_piece(r, weights) for r in of_flight])
+    stacked = np.concatenate([p.jacobian for flight_parts in parts for p in flight_parts])
+    information = stacked.T @ stacked
     covariance, coloured = np.zeros((n, n)), np.zeros((n, n))
     pick = np.ix_(chosen, chosen)
     inverse, blind = pseudo_inverse(information[pick])
     covariance[pick] = inverse
+    middle = sum(score_covariance(p, covariance, [np.zeros((0, 0))] * len(p)) for p in parts)
     coloured[pick] = inverse @ middle[pick] @ inverse
     undetermined = np.zeros(n, bool)
     if blind.size:
         undetermined[chosen] = np.any(np.abs(blind) > 0.05, axis=1)
     return EquationError(simulator.free, values, covariance, coloured, undetermined, weights)
+
+
+def _piece(regression: Regression, weights: Array) -> Piece:
+    known = np.isfinite(regression.e)
+    count, equations, n = regression.A.shape
+    J = np.where(known[:, :, None], regression.A, 0.0) * weights[None, :, None]
+    e = np.where(known, regression.e, 0.0) * weights
+    return Piece(e, J.reshape(count * equations, n), np.zeros((count * equations, 0)), known)
 
 
 def stepwise_choice(regressions: list[Regression]) -> Array:
@@ -226,7 +232,9 @@ def _describe(simulator: Simulator, data: list[FlightData], solution: EquationEr
         x0 = tuple(s.x0 for s in flight.segments)
         residuals.append(measured - predicted)
         flights.append(
-            FlightFit(flight.name, flight.samples, time, measured, predicted, measured - predicted, x0, {}, fit, flight.notes)
+            FlightFit(
+                flight.name, flight.samples, time, measured, predicted, measured - predicted, x0, {}, fit, flight.notes
+            )
         )
     stacked = np.concatenate(residuals)
     known = np.isfinite(stacked)

@@ -80,7 +80,9 @@ def compared(model: Model, data: list[FlightData]) -> tuple[Model, list[FlightDa
         return model, data
     keep = [i for i, n in enumerate(model.output_names) if n not in absent]
     slim = [
-        replace(d, segments=tuple(replace(s, z=np.ascontiguousarray(s.z[:, keep])) for s in d.segments), absent_outputs=())
+        replace(
+            d, segments=tuple(replace(s, z=np.ascontiguousarray(s.z[:, keep])) for s in d.segments), absent_outputs=()
+        )
         for d in data
     ]
     return model.without_outputs(*absent), slim
@@ -184,9 +186,7 @@ def _flight_fit(
         outputs[segment.first : segment.first + len(segment)] = motion.y
     names = tuple(problem.free[i] for i in problem.local)
     values = problem.parameters(unknowns, index)[problem.local]
-    local, _ = estimates(
-        problem.model, names, values, covariance, coloured, np.zeros(len(names), bool), [flight]
-    )
+    local, _ = estimates(problem.model, names, values, covariance, coloured, np.zeros(len(names), bool), [flight])
     states = tuple(problem.initial_state(unknowns, index, j) for j in range(len(flight.segments)))
     fit = fits(problem.model.output_names, measured, outputs)
     return FlightFit(

@@ -1,9 +1,6 @@
 """Bounds and what they are worth: Cramer-Rao, corrected for coloured residuals, identifiability with reasons.
 
-Coloured correction: V. Klein and E. A. Morelli, Aircraft System Identification, 2nd ed., section 6.4 (and Morelli and
-Klein, Journal of Aircraft 34(1), 1997): with M the information matrix and S_i the sensitivities,
-Cov = M^-1 [sum_i sum_j S_i' R^-1 Rvv(i-j) R^-1 S_j] M^-1, Rvv the residual autocorrelation matrix, here between all
-outputs and tapered (Parzen window) so that it stays positive.
+The coloured correction is in `estimation.estimators.coloured`.
 """
 
 from dataclasses import dataclass
@@ -13,14 +10,14 @@ from numpy.typing import NDArray
 
 from estimation.engine.data import FlightData
 from estimation.estimators.arrow import FlightBlocks, pseudo_inverse
-from estimation.estimators.likelihood import LikelihoodPoint, OutputErrorProblem
+from estimation.estimators.coloured import Piece, score_covariance
+from estimation.estimators.likelihood import LikelihoodPoint, OutputErrorProblem, whiten_all
 from estimation.estimators.result import Estimate, correlation
 from estimation.models.base import Model, Parameter
 from estimation.models.expressions import parse
 
 Array = NDArray[np.float64]
 
-WINDOW_SECONDS = 4.0  # reach of the autocorrelation window: two Dutch-roll periods
 COLLINEAR = 0.95  # correlation from which two estimates are called collinear
 LISTED = 0.9
 USEFUL = 0.3  # a bound wider than this part of what is believed tells nothing new
@@ -47,8 +44,8 @@ def uncertainty(problem: OutputErrorProblem, unknowns: Array, point: LikelihoodP
     ns = len(problem.shared)
     middle = np.zeros((ns, ns))
     local_covariance, local_coloured = [], []
-    for i, flight in enumerate(problem.flights):
-        score = flight_score_covariance(problem, point, i, flight)
+    for i in range(len(problem.flights)):
+        score = flight_score_covariance(problem, point, i, covariance, blocks[i])
         shared, local = problem.shared, problem.local
         lever = blocks[i].sl @ blocks[i].ll_inverse if len(local) else np.zeros((ns, 0))
         middle += (
@@ -71,66 +68,21 @@ def _local(block: FlightBlocks, shared: Array, own: Array) -> Array:
     return own + lever @ shared @ lever.T
 
 
-def flight_score_covariance(problem: OutputErrorProblem, point: LikelihoodPoint, index: int, flight: FlightData) -> Array:
+def flight_score_covariance(
+    problem: OutputErrorProblem, point: LikelihoodPoint, index: int, covariance: Array, blocks: FlightBlocks
+) -> Array:
     """(n, n) covariance of one flight's score about the free parameters, initial states projected out."""
     n = len(problem.free)
-    total = np.zeros((n, n))
-    gamma = residual_autocorrelation(point.residuals[index], flight)
-    for block, motion, residual in zip(
-        point.blocks[index], point.motions[index], point.residuals[index], strict=True
-    ):
+    keep = np.concatenate([np.arange(n), n + problem.free_states])
+    inverse = np.zeros((n, n))
+    inverse[np.ix_(problem.shared, problem.shared)] = covariance
+    inverse[np.ix_(problem.local, problem.local)] = blocks.ll_inverse
+    pieces = []
+    for motion, residual in zip(point.motions[index], point.residuals[index], strict=True):
         assert motion.dy is not None
-        sensitivity = motion.dy[:, :, :n]
-        if block.xx.size:
-            states = motion.dy[:, :, n + problem.free_states]
-            sensitivity = sensitivity - states @ (block.xx_inverse @ block.tx.T)
-        weighted = np.where(np.isfinite(residual)[:, :, None], sensitivity, 0.0)
-        weighted = np.einsum("ab,kbn->kan", np.linalg.inv(point.R), weighted)
-        total += double_sum(weighted, gamma)
-    return total
-
-
-def residual_autocorrelation(residuals: list[Array], flight: FlightData) -> Array:
-    """(lags + 1, ny, ny) tapered autocorrelation E v_i v_{i+k}' of a flight's residuals, pooled over its segments."""
-    ny = residuals[0].shape[1]
-    longest = max(r.shape[0] for r in residuals)
-    interval = float(np.median(np.concatenate([np.diff(s.time) for s in flight.segments])))
-    lags = int(min(max(8.0, WINDOW_SECONDS / interval), longest // 2))
-    sums = np.zeros((lags + 1, ny, ny))
-    counts = np.zeros((lags + 1, ny, ny))
-    for r in residuals:
-        known = np.isfinite(r)
-        v = np.where(known, r, 0.0)
-        for k in range(min(lags, r.shape[0] - 1) + 1):
-            sums[k] += v[: r.shape[0] - k].T @ v[k:]
-            counts[k] += known[: r.shape[0] - k].T.astype(float) @ known[k:]
-    gamma = sums / np.maximum(counts[0], 1.0)  # biased: keeps the matrix sequence positive
-    return gamma * parzen(lags)[:, None, None]
-
-
-def parzen(lags: int) -> Array:
-    """Parzen lag window (lags + 1,): positive spectrum, 1 at lag 0."""
-    x = np.arange(lags + 1) / (lags + 1)
-    return np.where(x <= 0.5, 1 - 6 * x**2 * (1 - x), 2 * (1 - x) ** 3)
-
-
-def double_sum(weighted: Array, gamma: Array) -> Array:
-    """sum_i sum_j W_i' Gamma(j - i) W_j by Fourier transform. weighted: (N, ny, n); gamma: (lags + 1, ny, ny)."""
-    count, ny, n = weighted.shape
-    lags = min(gamma.shape[0] - 1, count - 1)
-    size = 1 << int(np.ceil(np.log2(count + lags + 1)))
-    transformed = np.fft.rfft(weighted, size, axis=0)
-    both = np.zeros((size, ny, ny))
-    both[: lags + 1] = gamma[: lags + 1]
-    for k in range(1, lags + 1):
-        both[size - k] = gamma[k].T
-    spectrum = np.fft.fft(both, axis=0)[: size // 2 + 1].conj()
-    product = spectrum @ transformed
-    part = np.full(size // 2 + 1, 2.0)
-    part[0] = part[-1] = 1.0
-    left = (transformed.conj() * part[:, None, None]).reshape(-1, n)
-    total = np.real(left.T @ product.reshape(-1, n)) / size
-    return 0.5 * (total + total.T)
+        J, r = whiten_all(motion.dy[:, :, keep], residual, point.R)
+        pieces.append(Piece(r.reshape(residual.shape), J[:, :n], J[:, n:], np.isfinite(residual)))
+    return score_covariance(pieces, inverse, [b.xx_inverse for b in point.blocks[index]])
 
 
 # ------------------------------------------------------------------------------------------------ identifiability
@@ -243,7 +195,9 @@ def companions(model: Model, parameter: str) -> frozenset[str]:
         for node in ast.walk(parse(expression)):
             if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Mult):
                 names = {n.id for n in ast.walk(node) if isinstance(n, ast.Name)}
-                plain = not any(isinstance(n, ast.BinOp) and isinstance(n.op, ast.Add | ast.Sub) for n in ast.walk(node))
+                plain = not any(
+                    isinstance(n, ast.BinOp) and isinstance(n.op, ast.Add | ast.Sub) for n in ast.walk(node)
+                )
                 if parameter in names and plain:
                     found |= names & inputs
     return frozenset(found)

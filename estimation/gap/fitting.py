@@ -7,6 +7,7 @@ Gauss-Newton with step halving. The reduced system of each record is kept: the s
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
@@ -17,6 +18,8 @@ from estimation.gap.bench import Record
 from estimation.gap.whitening import Whitener
 from estimation.models.base import Model
 
+EDGE_STEP = 0.25
+EDGE_SPREAD = 0.5  # prior standard deviation of an edge parameter
 HALVINGS = 8
 FLAT = 1e-4  # of the cost: a smaller predicted decrease ends the iterations
 
@@ -57,98 +60,160 @@ class Fit:
 
 @dataclass(frozen=True)
 class Problem:
-    """A model bound to records and their whiteners. base: the model the records were prepared for."""
+    """A model bound to records and their whiteners. base: the model the records were prepared for.
+
+    Shared unknowns are the model's free parameters and one `edge_<control>` for each control: how a surface moved
+    between two samples, from a straight line (-1) over a monotone cubic (0) to rounder than that.
+    """
 
     model: Model
     base: Model
     records: tuple[Record, ...]
     whiteners: tuple[Whitener, ...]
 
-    def __post_init__(self) -> None:
-        coarse = tuple(r.segment(self.model, self.base) for r in self.records)
-        object.__setattr__(self, "coarse", coarse)
-        object.__setattr__(self, "segments", tuple(replace(s, **fine_grid(s)) for s in coarse))
-        local = tuple(p.name for p in self.model.parameters if p.local and not p.fixed)
-        free = tuple(n for n in self.model.free_names if n not in local)
-        object.__setattr__(self, "local_names", local)
-        object.__setattr__(self, "free", free)
-        object.__setattr__(self, "simulator", Simulator.build(self.model, (*free, *local), substeps=1))
+    @cached_property
+    def coarse(self) -> tuple[Segment, ...]:
+        """The records as this model needs them, at the samples."""
+        return tuple(r.segment(self.model, self.base) for r in self.records)
 
-    coarse: tuple[Segment, ...] = ()
-    segments: tuple[Segment, ...] = ()
-    local_names: tuple[str, ...] = ()
-    free: tuple[str, ...] = ()
-    simulator: Simulator = None  # type: ignore[assignment]
+    @cached_property
+    def grids(self) -> "tuple[Grid, ...]":
+        """The same with one more instant in the middle of each interval."""
+        return tuple(fine_grid(s) for s in self.coarse)
+
+    @cached_property
+    def local_names(self) -> tuple[str, ...]:
+        return tuple(p.name for p in self.model.parameters if p.local and not p.fixed)
+
+    @cached_property
+    def edges(self) -> dict[str, int]:
+        """Edge parameter -> column of the input it belongs to."""
+        return {f"edge_{s.name}": i for i, s in enumerate(self.model.inputs) if s.control}
+
+    @cached_property
+    def parameters(self) -> tuple[str, ...]:
+        """Free shared parameters of the model itself."""
+        return tuple(n for n in self.model.free_names if n not in self.local_names)
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        """All shared unknowns, in the order of the columns."""
+        return (*self.parameters, *self.edges)
+
+    @cached_property
+    def simulator(self) -> Simulator:
+        return Simulator.build(self.model, (*self.parameters, *self.local_names), substeps=1)
+
+    def starts(self) -> dict[str, float]:
+        """Start values of everything shared, held parameters included."""
+        return {**self.model.starts(), **dict.fromkeys(self.edges, 0.0)}
 
     def starting_locals(self) -> tuple[Local, ...]:
         starts = self.model.starts()
-        return tuple(Local(s.x0, {n: starts[n] for n in self.local_names}) for s in self.segments)
+        return tuple(Local(s.x0, {n: starts[n] for n in self.local_names}) for s in self.coarse)
 
     def residual(self, index: int, values: Mapping[str, float], local: Local, inputs: Array | None = None) -> Array | None:
-        """(N, ny) measured minus model of one record; None where the motion leaves the finite numbers."""
-        segment = self.segments[index]
-        if inputs is not None:
-            segment = replace(segment, **fine_grid(self.coarse[index], inputs))
-        motion = self.simulator.run(segment, {**values, **local.parameters}, local.x0)
+        """(N, ny) measured minus model of one record; None where the motion leaves the finite numbers.
+
+        inputs: (N, nu) other inputs than the record's own.
+        """
+        grid = self.grids[index] if inputs is None else fine_grid(replace(self.coarse[index], u=inputs))
+        motion = self.simulator.run(self._driven(grid, values), {**values, **local.parameters}, local.x0)
         return self.coarse[index].z - motion.y[::2] if motion.finite else None
 
     def linearised(self, index: int, values: Mapping[str, float], local: Local) -> tuple[Array, Array] | None:
-        """(residual (N, ny), sensitivities (N, ny, shared + local parameters + initial states)) of one record."""
-        segment = self.segments[index]
+        """(residual (N, ny), sensitivities (N, ny, shared unknowns + local parameters + initial states)) of one record."""
+        segment = self._driven(self.grids[index], values)
         motion = self.simulator.run(segment, {**values, **local.parameters}, local.x0, sensitivities=True)
         if not motion.finite or motion.dy is None or not np.isfinite(motion.dy).all():
             return None
-        dy = motion.dy[::2]
-        z = self.coarse[index].z
-        missing = ~np.isfinite(z)
-        if missing.any():
-            dy = dy.copy()
-            dy[missing] = 0.0
-        return z - motion.y[::2], dy
+        residual = self.coarse[index].z - motion.y[::2]
+        n = len(self.parameters)
+        columns = [motion.dy[::2, :, :n]]
+        for name in self.edges:
+            moved = self.residual(index, {**values, name: values[name] + EDGE_STEP}, local)
+            if moved is None:
+                return None
+            columns.append(np.nan_to_num((residual - moved) / EDGE_STEP)[:, :, None])
+        dy = np.concatenate([*columns, motion.dy[::2, :, n:]], axis=2)
+        dy[~np.isfinite(residual)] = 0.0
+        return residual, dy
+
+    def _driven(self, grid: "Grid", values: Mapping[str, float]) -> Segment:
+        u = grid.segment.u
+        shifts = [(i, values[name]) for name, i in self.edges.items() if values.get(name, 0.0) != 0.0]
+        if shifts:
+            u = u.copy()
+            for i, kappa in shifts:
+                u[:, i] += kappa * grid.rounding[:, i]
+        return replace(grid.segment, u=u)
+
+    def prior(self, name: str) -> tuple[float, float] | None:
+        """(mean, standard deviation) of what is believed of an unknown, or None."""
+        if name in self.edges:
+            return 0.0, EDGE_SPREAD
+        p = self.model.parameter(name)
+        return None if p.prior_mean is None or p.prior_std is None else (p.prior_mean, p.prior_std)
+
+    def limits(self, name: str) -> tuple[float, float]:
+        if name in self.edges:
+            return -3.0, 3.0
+        p = self.model.parameter(name)
+        return p.lower, p.upper
 
 
-def fine_grid(segment: Segment, inputs: Array | None = None) -> dict[str, Array]:
+@dataclass(frozen=True)
+class Grid:
+    """A segment with mid-interval samples, and how far its inputs there lie from a straight line, (2N - 1, nu)."""
+
+    segment: Segment
+    rounding: Array
+
+
+def fine_grid(segment: Segment) -> Grid:
     """Time and inputs with one more sample in the middle of each interval.
 
     Inputs pass through the middle by a monotone cubic (PCHIP), not by a straight line: surfaces driven by servos round
     their edges, and straight lines bias the control and damping derivatives by some 2 % at 20 Hz.
     """
-    time, u = segment.time, segment.u if inputs is None else inputs
+    time, u = segment.time, segment.u
     middle = 0.5 * (time[1:] + time[:-1])
     fine = np.empty(2 * time.size - 1)
     fine[::2], fine[1::2] = time, middle
-    values = np.empty((fine.size, u.shape[1]))
+    values, rounding = np.empty((fine.size, u.shape[1])), np.zeros((fine.size, u.shape[1]))
     values[::2] = u
     if u.shape[1]:
         values[1::2] = PchipInterpolator(time, u, axis=0)(middle)
-    return {"time": fine, "u": np.ascontiguousarray(values), "z": np.full((fine.size, segment.z.shape[1]), np.nan)}
+        rounding[1::2] = values[1::2] - 0.5 * (u[1:] + u[:-1])
+    z = np.full((fine.size, segment.z.shape[1]), np.nan)
+    return Grid(replace(segment, time=fine, u=np.ascontiguousarray(values), z=z), rounding)
 
 
-def prior_terms(model: Model, names: Sequence[str], values: Mapping[str, float]) -> tuple[Array, Array]:
+def prior_terms(problem: Problem, names: Sequence[str], values: Mapping[str, float]) -> tuple[Array, Array]:
     """(weights (n,), weighted distances (n,)) of the Gaussian priors of the named parameters."""
     weight, distance = np.zeros(len(names)), np.zeros(len(names))
     for i, name in enumerate(names):
-        p = model.parameter(name)
-        if p.prior_mean is not None and p.prior_std is not None:
-            weight[i] = 1.0 / p.prior_std**2
-            distance[i] = weight[i] * (p.prior_mean - values[name])
+        believed = problem.prior(name)
+        if believed is not None:
+            weight[i] = 1.0 / believed[1] ** 2
+            distance[i] = weight[i] * (believed[0] - values[name])
     return weight, distance
 
 
-def prior_cost(model: Model, names: Sequence[str], values: Mapping[str, float]) -> float:
-    weight, distance = prior_terms(model, names, values)
+def prior_cost(problem: Problem, names: Sequence[str], values: Mapping[str, float]) -> float:
+    weight, distance = prior_terms(problem, names, values)
     return 0.5 * float(np.sum(distance[weight > 0] ** 2 / weight[weight > 0]))
 
 
 def _cost(problem: Problem, values: Mapping[str, float], locals_: Sequence[Local]) -> tuple[float, list[Array]] | None:
-    total, residuals = prior_cost(problem.model, problem.free, values), []
+    total, residuals = prior_cost(problem, problem.free, values), []
     for i, local in enumerate(locals_):
         residual = problem.residual(i, values, local)
         if residual is None:
             return None
         residuals.append(residual)
         total += 0.5 * float(np.sum(problem.whiteners[i].rows(residual) ** 2))
-        total += prior_cost(problem.model, problem.local_names, local.parameters)
+        total += prior_cost(problem, problem.local_names, local.parameters)
     return total, residuals
 
 
@@ -161,7 +226,7 @@ def fit(
 ) -> Fit:
     """Minimise the whitened cost from `start`. frozen: hold the shared parameters and fit only what is local."""
     model = problem.model
-    values = {**model.starts(), **(start or {})}
+    values = {**problem.starts(), **(start or {})}
     here = list(locals_ if locals_ is not None else problem.starting_locals())
     n = 0 if frozen else len(problem.free)
     names = problem.free[:n]
@@ -181,7 +246,7 @@ def fit(
             break
         part = 1.0
         for _ in range(HALVINGS):
-            trial_values = _limited(model, names, values, part * d_shared)
+            trial_values = _limited(problem, names, values, part * d_shared)
             trial_local = [_moved(problem, loc, part * d) for loc, d in zip(here, d_local, strict=True)]
             trial = _cost(problem, trial_values, trial_local)
             if trial is not None and trial[0] < cost:
@@ -197,11 +262,11 @@ def fit(
     return Fit(model, names, values, tuple(here), tuple(residuals), cost, hessian, iteration + 1, converged, False)
 
 
-def _limited(model: Model, names: Sequence[str], values: Mapping[str, float], step: Array) -> dict[str, float]:
+def _limited(problem: Problem, names: Sequence[str], values: Mapping[str, float], step: Array) -> dict[str, float]:
     moved = dict(values)
     for name, d in zip(names, step, strict=True):
-        p = model.parameter(name)
-        moved[name] = float(np.clip(values[name] + d, p.lower, p.upper))
+        lower, upper = problem.limits(name)
+        moved[name] = float(np.clip(values[name] + d, lower, upper))
     return moved
 
 
@@ -216,7 +281,7 @@ def _step(
 ) -> tuple[Array, list[Array], Array, float] | None:
     """Gauss-Newton step: shared, per record, reduced Hessian, predicted decrease of the cost."""
     shared = len(problem.free)
-    weight, distance = prior_terms(problem.model, problem.free[:n], values)
+    weight, distance = prior_terms(problem, problem.free[:n], values)
     H, g = np.diag(weight), distance.copy()
     kept = []
     gain = 0.0
@@ -254,6 +319,6 @@ def _solve(H: Array, g: Array) -> Array:
 
 def _local_prior(problem: Problem, local: Local, count: int) -> tuple[Array, Array]:
     weight, distance = np.zeros(count), np.zeros(count)
-    w, d = prior_terms(problem.model, problem.local_names, local.parameters)
+    w, d = prior_terms(problem, problem.local_names, local.parameters)
     weight[: w.size], distance[: d.size] = w, d
     return weight, distance

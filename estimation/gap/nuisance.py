@@ -1,7 +1,7 @@
 """What every fit of the workflow carries along because no flight is free of it, and what it must not be named for.
 
 Instrument biases of each flight (about as large as the noise of the channel) and the time at which a surface really
-moves between two samples (a twentieth of the sample interval): estimated with priors of that width, so that neither is
+moves between two samples (a tenth of the sample interval): estimated with priors of that width, so that neither is
 mistaken for an effect.
 """
 
@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from estimation.models.base import InputTransform, Model, Parameter
 
 BIAS_SHARE = 1.0  # of the noise of the channel
-TIMING_SHARE = 0.05  # of the sample interval
+TIMING_SHARE = 0.1  # of the sample interval
 PRIOR_SHARE = 3.0  # of the standard deviation the aircraft file states, as a weak regularisation
 
 
@@ -39,4 +39,4 @@ def with_nuisance(model: Model, noise: Mapping[str, float], sample_interval: flo
 
 def is_nuisance(name: str) -> bool:
     """Whether a parameter is one of those added here."""
-    return name.startswith(("bias_", "timing_"))
+    return name.startswith(("bias_", "timing_", "edge_"))

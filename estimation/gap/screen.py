@@ -135,7 +135,7 @@ def sensitivity(problem: Problem, fit: Fit, base_residuals: Sequence[Array], hyp
     none = column.null_value(problem.model)
     trial = Problem(model, problem.base, problem.records, problem.whiteners)
     two_sided = column.lower < none - 0.25 * column.typical
-    steps = (0.5 * column.typical, -0.5 * column.typical) if two_sided else (column.typical,)
+    steps = (0.5 * column.typical, -0.5 * column.typical) if two_sided else (0.3 * column.typical,)
     found = []
     for i in range(len(problem.records)):
         outputs = []
@@ -189,7 +189,7 @@ def build_screen(
     )
     n, size = len(problem.free), reduced[0].gram.shape[0]
     prior = np.zeros((size, size))
-    weight, distance = prior_terms(problem.model, problem.free, fit.values)
+    weight, distance = prior_terms(problem, problem.free, fit.values)
     prior[:n, :n] = np.diag(weight)
     first = n + len(columns)
     prior[:n, first] = prior[first, :n] = distance
@@ -212,7 +212,7 @@ def reduce_record(
     rows = problem.whiteners[index].rows(block)
     own = rows[:, shared : dy.shape[2]]
     outer = np.concatenate([rows[:, :shared], rows[:, dy.shape[2] :]], axis=1)
-    w, d = prior_terms(problem.model, problem.local_names, fit.locals[index].parameters)
+    w, d = prior_terms(problem, problem.local_names, fit.locals[index].parameters)
     Hll = own.T @ own
     Hll[np.arange(w.size), np.arange(w.size)] += w
     cross = own.T @ outer

@@ -89,8 +89,10 @@ def force_states(model: Model) -> tuple[str, ...]:
     return tuple(s for s in model.state_names if reach(f"{s}_dot", set()) & parameters)
 
 
-def shapes_of(model: Model, simulator: Simulator, segment: Segment, values: Mapping[str, float]) -> Shapes:
-    """Linearised responses at the mean inputs of a record and small motion."""
+def shapes_of(
+    model: Model, simulator: Simulator, segment: Segment, values: Mapping[str, float], states: Sequence[str] | None = None
+) -> Shapes:
+    """Linearised responses at the mean inputs of a record and small motion. states: where process noise may enter."""
     p = simulator.vector(values)
     nx, ny = len(model.states), len(model.outputs)
     u0 = segment.u.mean(axis=0)
@@ -111,7 +113,7 @@ def shapes_of(model: Model, simulator: Simulator, segment: Segment, values: Mapp
     resolvent = np.linalg.inv(s[:, None, None] * np.eye(nx) - A)
     reply = C @ resolvent  # (frequencies, ny, nx)
     parts: dict[str, Complex] = {}
-    for name in force_states(model):
+    for name in force_states(model) if states is None else states:
         i = model.state_names.index(name)
         parts[name] = reply[:, :, i]
         for tau in (1.0,):

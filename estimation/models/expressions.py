@@ -31,7 +31,9 @@ _COMPARE = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">="}
 def check_name(name: str, what: str) -> str:
     """`name` if it can stand in an equation; ModelError otherwise."""
     if not _NAME.match(name) or name in FUNCTIONS or name in NUMBERS:
-        raise ModelError(f"{what} {name!r}: use letters, digits and _, not beginning with a digit, and no function's name")
+        raise ModelError(
+            f"{what} {name!r}: use letters, digits and _, not beginning with a digit, and no function's name"
+        )
     return name
 
 
@@ -61,7 +63,9 @@ def parse(expression: str) -> ast.expr:
 
 def names_in(expression: str) -> frozenset[str]:
     """Names an expression refers to, functions and pi left out."""
-    called = {n.func.id for n in ast.walk(parse(expression)) if isinstance(n, ast.Call) and isinstance(n.func, ast.Name)}
+    called = {
+        n.func.id for n in ast.walk(parse(expression)) if isinstance(n, ast.Call) and isinstance(n.func, ast.Name)
+    }
     used = {n.id for n in ast.walk(parse(expression)) if isinstance(n, ast.Name)}
     return frozenset(used - called - set(NUMBERS))
 

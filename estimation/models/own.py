@@ -114,7 +114,9 @@ def symbol(value: object) -> Symbol:
     try:
         return Symbol("leaf", repr(float(value)))  # type: ignore[arg-type]
     except (TypeError, ValueError):
-        raise ModelError(f"an equation holds {type(value).__name__}, which is neither a number nor a quantity") from None
+        raise ModelError(
+            f"an equation holds {type(value).__name__}, which is neither a number nor a quantity"
+        ) from None
 
 
 def _function(name: str) -> Any:
@@ -158,7 +160,9 @@ def model_from_class(cls: type, aircraft: Aircraft | None = None) -> Model:
     """The `Model` that a class as in the module head describes; ModelError says what it lacks."""
     for needed in ("states", "measured", "parameters", "derivatives", "outputs"):
         if not hasattr(cls, needed):
-            raise ModelError(f"model class {cls.__name__}: no {needed!r}; see 'A model of one's own' in docs/estimation.md")
+            raise ModelError(
+                f"model class {cls.__name__}: no {needed!r}; see 'A model of one's own' in docs/estimation.md"
+            )
     instance = _instance(cls, aircraft)
     states = tuple(_signal(n, v, "state") for n, v in instance.states.items())
     inputs = tuple(_signal(n, v, "input") for n, v in getattr(instance, "inputs", {}).items())

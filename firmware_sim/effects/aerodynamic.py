@@ -35,7 +35,13 @@ class SideForceFromAileron(Effect):
 class SideForceFromRates(Effect):
     """More side force from rolling and yawing than the aircraft's own derivatives: `size` in CY_r, minus half in CY_p."""
 
-    name, title, group, unit, typical = "CY_p_r", "side force from roll and yaw rate", "omitted derivatives", "1/rad", 0.08
+    name, title, group, unit, typical = (
+        "CY_p_r",
+        "side force from roll and yaw rate",
+        "omitted derivatives",
+        "1/rad",
+        0.08,
+    )
 
     def coefficients(self, m: "Motion", x: State) -> None:
         m.CY = m.CY + self.size * (m.r_hat - 0.5 * m.p_hat)
@@ -44,7 +50,12 @@ class SideForceFromRates(Effect):
 class DihedralWithAlpha(Effect):
     """Leading-edge sweep: rolling moment due to sideslip grows with angle of attack."""
 
-    name, title, group, unit = "Cl_alpha_beta", "dihedral effect changes with angle of attack", "omitted derivatives", "1/rad2"
+    name, title, group, unit = (
+        "Cl_alpha_beta",
+        "dihedral effect changes with angle of attack",
+        "omitted derivatives",
+        "1/rad2",
+    )
     typical = -0.75
 
     def coefficients(self, m: "Motion", x: State) -> None:
@@ -55,7 +66,7 @@ class WeathercockWithAlpha(Effect):
     """The fin meets the wing's wake: directional stability changes with angle of attack."""
 
     name, title, group, unit = "Cn_alpha_beta", "directional stability changes with angle of attack", "omitted derivatives", "1/rad2"  # fmt: skip # noqa: E501
-    typical = -0.30
+    typical = -0.15
 
     def coefficients(self, m: "Motion", x: State) -> None:
         m.Cn = m.Cn + self.size * (m.alpha - REFERENCE_ALPHA) * m.beta

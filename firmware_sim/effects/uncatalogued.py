@@ -53,14 +53,14 @@ class FlexibleFin(_Unlisted):
 
     name, title, unit, typical = "flexible_fin", "the fin swings on its spar", "1", 1.0
     states = 2
-    FREQUENCY, DAMPING = 2.0 * math.pi * 2.6, 0.06
+    FREQUENCY, DAMPING = 2.0 * math.pi * 1.5, 0.05
 
     def linkage(self, m: "Motion", x: State) -> None:
         m.surface_r = m.surface_r + self.size * x[self.at]
 
     def derivatives(self, m: "Motion", x: State, dx: State) -> None:
         w = self.FREQUENCY
-        push = 0.35 * (m.arm_r - m.beta)
+        push = 0.45 * (m.arm_r - m.beta)
         dx[self.at] = x[self.at + 1]
         dx[self.at + 1] = -w * w * (x[self.at] + push) - 2.0 * self.DAMPING * w * x[self.at + 1]
 
@@ -73,7 +73,7 @@ class FinStall(_Unlisted):
 
     name, title, unit, typical = "fin_stall", "the fin stalls and reattaches late", "1", 1.0
     states = 1
-    ANGLE, WIDTH, MEMORY, LAG = 0.085, 0.012, 0.03, 0.12
+    ANGLE, WIDTH, MEMORY, LAG = 0.085, 0.006, 0.02, 0.12
 
     def start(self, m: "Motion", x: State) -> None:
         x[self.at] = self.xp.full(1.0)
@@ -165,7 +165,7 @@ class StaleVane(_Unlisted):
         self._due = self.xp.select(due, m.t + wait, self._due)
 
     def sense(self, s: Sensed, m: "Motion", x: State) -> None:
-        s.beta = s.beta + (self._held - m.beta)
+        s.beta = self._held
 
 
 class VaneFriction(_Unlisted):
@@ -183,7 +183,7 @@ class VaneFriction(_Unlisted):
         self._rests = self.xp.select(slips, m.beta - 0.15 * off, self._rests)
 
     def sense(self, s: Sensed, m: "Motion", x: State) -> None:
-        s.beta = s.beta + (self._rests - m.beta)
+        s.beta = self._rests
 
 
 class BankDependentAccelerometer(_Unlisted):
@@ -229,7 +229,7 @@ class ThermalDrift(_Unlisted):
         s.ay = s.ay + 8.0 * self.size * warm
 
 
-class SupplyDip(_Unlisted):
+class SupplySag(_Unlisted):
     """Servos load the sensor supply: every ratiometric angle sags while surfaces move; `size` s of fraction per rad/s."""
 
     name, title, unit, typical = "supply_sag", "vane readings sag while servos move", "s", 0.06

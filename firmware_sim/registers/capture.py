@@ -13,6 +13,7 @@ FRAME_NS = 20_000_000  # servo frames come at 50 Hz
 START_UP_NS = 30_000_000
 _CHANNEL_STAGGER_NS = 2_500_000  # receivers send the channels one after another
 _WATCH_NS = 1_000_000
+_COARSE_NS = 5_000_000  # while nothing moves; inputs are known on this grid
 _FORGET_NS = 500_000_000
 
 
@@ -90,16 +91,28 @@ class Capture(RegisterChip):
     def _watch(self, now_ns: int) -> None:
         """Look at the inputs since the last look, as the capture loop did every millisecond."""
         start = max(self._watched_ns + _WATCH_NS, now_ns - _FORGET_NS)
-        for time_ns in range(start, now_ns + 1, _WATCH_NS):
-            self._look(time_ns, self._inputs(time_ns)[6:])
+        steady = self._debounced == self._level & 1 and start - self._steady_since > 256_000_000
+        step = _COARSE_NS if steady else _WATCH_NS
+        time_ns = start
+        while time_ns <= now_ns:
+            level = self._levels(time_ns)
+            if step > _WATCH_NS and level != self._level:  # something happened since: look again, closely
+                time_ns -= step - _WATCH_NS
+                step = _WATCH_NS
+                continue
+            self._look(time_ns, level)
             self._watched_ns = time_ns
+            time_ns += step
         for channel in range(6):
             self._last_pulse(channel, now_ns)
 
-    def _look(self, time_ns: int, levels: "tuple[float, ...] | object") -> None:
+    def _levels(self, time_ns: int) -> int:
         level = 0
-        for i, high in enumerate(levels):  # type: ignore[arg-type, var-annotated]
-            level |= (high > 0.5) << i
+        for i, high in enumerate(self._inputs(time_ns)[6:]):
+            level |= bool(high > 0.5) << i
+        return level
+
+    def _look(self, time_ns: int, level: int) -> None:
         if (level ^ self._level) & 1:
             self._steady_since = time_ns
         self._level = level

@@ -96,6 +96,12 @@ def true_airspeed(impact_pressure: Array, static_pressure: Array, temperature: A
     return _speed(impact_pressure / static_pressure, GAMMA * GAS_CONSTANT * temperature)
 
 
+def impact_pressure(airspeed: float, static_pressure: float, temperature: float) -> float:
+    """Impact pressure [Pa] of a true airspeed [m/s]: the inverse of `true_airspeed`."""
+    mach_squared = airspeed**2 / (GAMMA * GAS_CONSTANT * temperature)
+    return float(static_pressure * np.expm1(GAMMA / (GAMMA - 1) * np.log1p((GAMMA - 1) / 2 * mach_squared)))
+
+
 def calibrated_airspeed(impact_pressure: Array) -> Array:
     """Calibrated airspeed [m/s]: the true airspeed that the same impact pressure has at standard sea level."""
     return _speed(impact_pressure / SEA_LEVEL_PRESSURE, np.float64(GAMMA * GAS_CONSTANT * SEA_LEVEL_TEMPERATURE))

@@ -18,8 +18,9 @@ COMPLETE = 0.9
 SLOWEST = 40
 """A channel with fewer samples than one in so many scans is left where it is."""
 
-DERIVATIVE_HALF_WIDTH = 2
-"""Rates are differentiated by a quadratic through this many samples to each side."""
+DERIVATIVE_HALF_WIDTH = 3
+"""Rates are differentiated by a cubic through this many samples to each side: with hardly more noise than a parabola through
+five, it loses 0.2 % of a 1 Hz motion at 20 Hz where that loses 5 %."""
 
 
 def completeness(number: NDArray[np.int64]) -> float:
@@ -88,7 +89,7 @@ def _lagrange(t: Array, y: Array, wanted: Array, first: NDArray[np.int64]) -> Ar
 
 
 def derivative(values: Array, time: Array, number: NDArray[np.int64], half_width: int = DERIVATIVE_HALF_WIDTH) -> Array:
-    """Rate of change of `values` (N,) by a quadratic fitted through the neighbouring samples of the run [per s].
+    """Rate of change of `values` (N,) by a cubic fitted through the neighbouring samples of the run [per s].
 
     At the ends of a run the window is one-sided; a run shorter than three samples has none (NaN).
     """
@@ -96,20 +97,19 @@ def derivative(values: Array, time: Array, number: NDArray[np.int64], half_width
     found, _ = runs(number, np.isfinite(values))
     for rows in found:
         if rows.size >= 3:
-            width = min(2 * half_width + 1, rows.size - 1 + rows.size % 2)
-            out[rows] = _quadratic_slope(time[rows], values[rows], width)
+            width = min(2 * half_width + 1, rows.size)
+            out[rows] = _local_slope(time[rows], values[rows], width)
     return out
 
 
-def _quadratic_slope(t: Array, y: Array, width: int) -> Array:
+def _local_slope(t: Array, y: Array, width: int) -> Array:
+    """Slope at each t of the polynomial (cubic from five points on) through the `width` samples around it."""
+    order = 3 if width >= 5 else 2
     windows = np.arange(width)[None, :] + np.clip(np.arange(t.size) - width // 2, 0, t.size - width)[:, None]
-    dt, v = t[windows] - t[:, None], y[windows]
-    mean, mean_v = dt.mean(axis=1, keepdims=True), v.mean(axis=1, keepdims=True)
-    x, v = dt - mean, v - mean_v
-    s2, s3, s4 = ((x**k).sum(axis=1) for k in (2, 3, 4))
-    z2 = x**2 - (s2 / width)[:, None]
-    m1, m2 = (x * v).sum(axis=1), (z2 * v).sum(axis=1)
-    z22 = s4 - s2**2 / width
-    det = s2 * z22 - s3 * s3
-    b, c = (m1 * z22 - m2 * s3) / det, (m2 * s2 - m1 * s3) / det
-    return np.asarray(b + 2 * c * (0 - mean[:, 0]))
+    unit = float(np.median(np.diff(t)))
+    x = (t[windows] - t[:, None]) / unit
+    powers = np.stack([x**k for k in range(order + 1)], axis=2)
+    level = y[windows].mean(axis=1, keepdims=True)
+    normal = np.einsum("nwi,nwj->nij", powers, powers)
+    right = np.einsum("nwi,nw->ni", powers, y[windows] - level)
+    return np.asarray(np.linalg.solve(normal, right[:, :, None])[:, 1, 0] / unit)

@@ -19,6 +19,7 @@ from daq.contract.scan import Scan
 from groundstation.calibration import air_data, curves, flow, inertial
 from groundstation.calibration.align import COMPLETE, completeness, derivative, to_scan_time
 from groundstation.calibration.errors import CalibrationError
+from groundstation.calibration.facts import Facts
 from groundstation.calibration.scan_table import ScanTable, scan_table
 from groundstation.calibration.schema import Attitude, CalibrationSet, Curve, Instrument, Triad
 from groundstation.calibration.uncertainty import column_uncertainty, noise
@@ -53,24 +54,15 @@ class Readings:
 class Calibrator:
     """A calibration set made ready for use on scans, live or recorded.
 
-    nvm: sensor group -> coefficient bytes as hex, as the recording carries them.
-    Raises CalibrationError when a file's coefficients are unusable.
+    facts: what the recording says of its sensors; takes precedence over the set's own.
+    Raises CalibrationError when a fact is unusable.
     """
 
-    def __init__(self, calibration: CalibrationSet, nvm: Mapping[str, str] | None = None) -> None:
+    def __init__(self, calibration: CalibrationSet, facts: Mapping[str, str] | None = None) -> None:
         self.calibration = calibration
-        self._static_chip = self._compensation(nvm or {})
-
-    def _compensation(self, nvm: Mapping[str, str]) -> air_data.Bmp390 | None:
-        item = self.calibration.get("static")
-        text = nvm.get("static", "") or (item.static.nvm if item and item.static else "")
-        if not text:
-            return None
-        try:
-            data = bytes.fromhex(text)
-        except ValueError:
-            raise CalibrationError(f"coefficients of the static pressure sensor {text!r} are not hexadecimal") from None
-        return air_data.Bmp390.from_nvm(data)
+        self.facts = Facts({**calibration.facts, **(facts or {})})
+        nvm = self.facts.nvm("static")
+        self._static_chip = air_data.Bmp390.from_nvm(nvm) if nvm else None
 
     def sample(self, scan: Scan) -> dict[str, float]:
         """Calibrated columns of one scan, for live use: not aligned, only columns that have a value."""
@@ -98,24 +90,28 @@ class Calibrator:
         attitude = self.calibration.get("attitude")
         for axis in "wxyz":
             name = f"quaternion_{axis}"
-            _add(out, name, physical(table, name), "attitude", attitude.delay if attitude else 0.0)
+            delay = self.facts.delay("attitude", "attitude") + (attitude.delay if attitude else 0.0)
+            _add(out, name, self.physical(table, name), "attitude", delay)
         return out
 
     def _read_curve(self, item: Instrument, curve: Curve, channel: str, table: ScanTable, out: Readings) -> None:
-        reading = physical(table, channel)
+        reading = self.physical(table, channel)
         if item.ratiometric is not None:
-            reading = reading * (item.ratiometric.reference / self._sensor_supply(table))
+            reading = reading * (item.ratiometric.reference / self.sensor_supply(table))
         value = curves.evaluate(curve, reading)
         if item.supply_sensitivity is not None:
             shift = item.supply_sensitivity
-            value = value - shift.per_volt * (self._sensor_supply(table) - shift.reference)
+            value = value - shift.per_volt * (self.sensor_supply(table) - shift.reference)
         outside = int(np.sum(curves.extrapolated(curve, reading)))
         if outside:
             out.extrapolated[item.instrument] = outside
-        _add(out, item.instrument, value, CHANNEL_BY_NAME[channel].group, item.delay)
+        group = CHANNEL_BY_NAME[channel].group
+        # a channel read later within its group shows a later instant: less delay
+        delay = item.delay + self.facts.delay(item.instrument, group) - self.facts.after(channel)
+        _add(out, item.instrument, value, group, delay)
 
     def _read_triad(self, item: Instrument, triad: Triad, table: ScanTable, out: Readings) -> None:
-        x, y, z = (physical(table, c) for c in item.channels)
+        x, y, z = (self.physical(table, c) for c in item.channels)
         reading = (x, y, z)
         group = CHANNEL_BY_NAME[item.channels[0]].group
         if group == "mag":
@@ -126,9 +122,10 @@ class Calibrator:
         outside = sum(int(np.sum((axis < lowest) | (axis > highest))) for axis in reading)
         if outside:
             out.extrapolated[item.instrument] = outside
-        warmth = held(table.time, physical(table, "imu_temperature"))
+        delay = item.delay + self.facts.delay(item.instrument, group)
+        warmth = held(table.time, self.physical(table, "imu_temperature"))
         for axis, value in zip("xyz", inertial.apply_triad(triad, reading, warmth), strict=True):
-            _add(out, f"{item.instrument}_{axis}", value, group, item.delay)
+            _add(out, f"{item.instrument}_{axis}", value, group, delay)
 
     def _read_static(self, table: ScanTable, out: Readings) -> None:
         item = self.calibration.get("static")
@@ -137,16 +134,23 @@ class Calibrator:
         pressure, temperature = self._static_chip.compensate(
             table.raw["static_pressure"], table.raw["static_temperature"]
         )
-        _add(out, "static_pressure", pressure + item.static.pressure_offset, "static", item.delay)
-        _add(out, "static_temperature", temperature + item.static.temperature_offset, "static", item.delay)
+        delay = item.delay + self.facts.delay("static", "static")
+        _add(out, "static_pressure", pressure + item.static.pressure_offset, "static", delay)
+        _add(out, "static_temperature", temperature + item.static.temperature_offset, "static", delay)
 
-    def _sensor_supply(self, table: ScanTable) -> Array:
+    def physical(self, table: ScanTable, channel: str) -> Array:
+        """A raw channel (N,) at data-sheet scale of its range, as counts where the data sheet leaves the scale open."""
+        scale = self.facts.scale(channel)
+        return table.raw[channel] if scale is None else table.raw[channel] * scale + CHANNEL_BY_NAME[channel].offset
+
+    def sensor_supply(self, table: ScanTable) -> Array:
+        """Voltage of the sensor supply (N,) [V]. Raises CalibrationError when the set does not say how to read it."""
         item = self.calibration.get("sensor_supply")
         if item is None or item.curve is None or item.channel is None:
             raise CalibrationError(
                 f"{self.calibration.name}: an instrument is corrected by the sensor supply, but the set has no sensor_supply.toml"
             )
-        return held(table.time, curves.evaluate(item.curve, physical(table, item.channel)))
+        return held(table.time, curves.evaluate(item.curve, self.physical(table, item.channel)))
 
     # ---------------------------------------------------------------------------------------------- one time base
 
@@ -158,12 +162,6 @@ class Calibrator:
                 at = table.time + known_offset(table, readings.group[name]) - readings.delay[name]
                 values[name] = to_scan_time(reading, at, table.time, table.number, smooth=name not in _LINEAR)
         return values
-
-
-def physical(table: ScanTable, channel: str) -> Array:
-    """A raw channel at data-sheet scale, as counts where the data sheet leaves the scale open."""
-    row = CHANNEL_BY_NAME[channel]
-    return table.raw[channel] if row.scale is None else table.raw[channel] * row.scale + row.offset
 
 
 def held(time: Array, values: Array, longest: float = LONGEST_HOLD) -> Array:
@@ -315,7 +313,9 @@ class _Columns:
         )
         for name in names:
             for column in CHANNEL_BY_NAME[name].columns:
-                self.columns[column] = np.where(good, physical(self.table, name), np.nan)
+                self.columns[column] = np.where(
+                    good, self.table.raw[name] * (CHANNEL_BY_NAME[name].scale or 1.0), np.nan
+                )
 
 
 # ------------------------------------------------------------------------------------------------------ whole flights
@@ -326,12 +326,13 @@ def calibrate(
     calibration: CalibrationSet,
     *,
     name: str = "flight",
-    nvm: Mapping[str, str] | None = None,
+    facts: Mapping[str, str] | None = None,
     align: bool | None = None,
     provenance: Provenance | None = None,
 ) -> Flight:
     """The flight made from raw scans.
 
+    facts: what the recording says of its sensors (chip coefficients, filter delays, ranges).
     align: bring every group to the scan's time and remove the full lever-arm effect; None does so when at least 90 % of the
     scan numbers are present (a recording from on board, or one filled up after landing), and not for a decimated stream,
     whose neighbours are missing. One row per scan; a missing scan has no row, and a gap starts a new segment.
@@ -341,7 +342,7 @@ def calibrate(
     if len(table) < 2:
         raise CalibrationError(f"{name}: only one scan in this recording; a flight needs at least two")
     aligned = completeness(table.number) >= COMPLETE if align is None else align
-    columns, readings = Calibrator(calibration, nvm).columns(table, aligned=aligned)
+    columns, readings = Calibrator(calibration, facts).columns(table, aligned=aligned)
     detail, notes = _account(table, calibration, columns, readings, aligned, align)
     origin = provenance or Provenance()
     origin = Provenance(
@@ -369,18 +370,14 @@ def _account(
     if not aligned and asked is None:
         part = completeness(table.number)
         notes.append(f"{part:.0%} of the scans are here: sensor groups are left at their own instants (not aligned)")
-    for group, count in table.unusable.items():
-        if count and count < len(table):
-            notes.append(f"sensor group {group} was not in order in {count} of {len(table)} scans: not measured there")
-        elif count:
-            notes.append(f"sensor group {group} was never in order: its columns are not measured")
+    notes += _health_notes(table)
     for instrument, count in readings.extrapolated.items():
         notes.append(f"{instrument}: {count} samples outside the calibrated range, extrapolated")
     for channel, count in readings.clipped.items():
         notes.append(f"{channel}: {count} samples at the end of its range, clipped")
     if np.isfinite(table.raw["static_pressure"]).any() and "static_pressure" not in readings.values:
         notes.append(
-            "static pressure not compensated: the recording has no coefficients of the chip and static.toml no nvm"
+            "static pressure not compensated: neither recording nor logger.toml has the chip's coefficients (static.nvm)"
         )
     offsets = {g: float(np.nanmedian(o)) for g, o in table.offset.items() if np.isfinite(o).any()}
     detail = {
@@ -393,6 +390,25 @@ def _account(
         "noise": {n: s for n, v in columns.items() if (s := noise(v)) is not None},
         "extrapolated": dict(readings.extrapolated),
         "clipped": dict(readings.clipped),
-        "unusable": {g: n for g, n in table.unusable.items() if n},
+        "unusable": {g: int(np.sum(~ok)) for g, ok in table.usable.items() if not ok.all()},
     }
     return detail, notes
+
+
+def _health_notes(table: ScanTable) -> list[str]:
+    """Sensor groups that were not in order: while starting, at times, or throughout."""
+    never = [g for g, ok in table.usable.items() if not ok.any()]
+    starting = {g: int(np.argmax(ok)) for g, ok in table.usable.items() if ok.any() and not ok[0]}
+    notes = []
+    if starting:
+        longest = table.time[max(starting.values())] - table.time[0]
+        notes.append(
+            f"sensors not yet in order in the first {longest:.2f} s, not measured there: {', '.join(starting)}"
+        )
+    for group, ok in table.usable.items():
+        later = int(np.sum(~ok[starting.get(group, 0) :]))
+        if later and group not in never:
+            notes.append(f"sensor group {group} was not in order in {later} of {len(table)} scans: not measured there")
+    if never:
+        notes.append(f"sensors never in order, their columns not measured: {', '.join(never)}")
+    return notes

@@ -12,6 +12,9 @@ from groundstation.calibration.schema import Curve
 
 Array = NDArray[np.float64]
 
+MARGIN = 0.02
+"""A fitted curve is valid so far beyond its outermost points, as a part of their span: noise about an end is no extrapolation."""
+
 
 def evaluate(curve: Curve, reading: ArrayLike) -> Array:
     """Output of the curve [output unit] at `reading` (N,) [input unit]; NaN stays NaN.
@@ -108,7 +111,7 @@ def fit_polynomial(
         output_unit=output_unit,
         centre=centre,
         coefficients=tuple((solution * rescale).tolist()),
-        valid=(float(x.min()), float(x.max())),
+        valid=(float(x.min() - MARGIN * np.ptp(x)), float(x.max() + MARGIN * np.ptp(x))),
         residual_rms=float(np.sqrt(np.mean(residual**2))),
         covariance=tuple(tuple(row) for row in covariance.tolist()),
     )

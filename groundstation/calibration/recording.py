@@ -1,8 +1,6 @@
 """A raw recording to a flight: with the calibration it carries, or with another one in its place."""
 
 import hashlib
-import re
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,10 +9,6 @@ from groundstation.calibration.apply import calibrate
 from groundstation.calibration.errors import CalibrationError
 from groundstation.calibration.schema import CalibrationSet, load_calibration
 from groundstation.flight import Flight, Provenance
-
-_NVM_KEY = re.compile(r"^(\w+)[ ./]nvm$")
-_DELAY_KEYS = {"accelerometer": "accel_delay_s", "gyro": "gyro_delay_s"}
-_DELAY_TOLERANCE = 1e-3  # s
 
 
 def calibrate_recording(
@@ -35,13 +29,12 @@ def calibrate_recording(
         recording.scans(),
         chosen,
         name=recording.path.stem,
-        nvm=chip_coefficients(recording.info.details),
+        facts=recording.info.details,
         align=align,
         provenance=_provenance(recording),
     )
-    notes = [*flight.notes, *_delay_notes(chosen, recording.info.details)]
-    notes += [f"{d.what} at byte {d.at_byte}: what is intact is used" for d in recording.damages]
-    return replace(flight, notes=tuple(notes))
+    notes = [f"{d.what} at byte {d.at_byte}: what is intact is used" for d in recording.damages]
+    return replace(flight, notes=(*flight.notes, *notes))
 
 
 def embedded_calibration(recording: Recording) -> CalibrationSet:
@@ -52,11 +45,6 @@ def embedded_calibration(recording: Recording) -> CalibrationSet:
             f"{recording.path}: no calibration is embedded in this recording; give one with --calibration DIR (or 'cdfp')"
         )
     return CalibrationSet.from_texts("embedded", texts)
-
-
-def chip_coefficients(details: Mapping[str, str]) -> dict[str, str]:
-    """Factory coefficients by sensor group, as hex, from the facts a recording carries."""
-    return {m.group(1): value for key, value in details.items() if (m := _NVM_KEY.match(key))}
 
 
 def _chosen(recording: Recording, calibration: CalibrationSet | str | Path | None) -> CalibrationSet:
@@ -84,17 +72,3 @@ def _provenance(recording: Recording) -> Provenance:
             ],
         },
     )
-
-
-def _delay_notes(calibration: CalibrationSet, details: Mapping[str, str]) -> list[str]:
-    """Filter delays that the logger recorded and the calibration file contradicts."""
-    notes = []
-    for instrument, key in _DELAY_KEYS.items():
-        item = calibration.get(instrument)
-        recorded = next((v for k, v in details.items() if re.fullmatch(rf"imu[ ./]{key}", k)), None)
-        if item is not None and recorded is not None and abs(float(recorded) - item.delay) > _DELAY_TOLERANCE:
-            notes.append(
-                f"{instrument}: the logger's filter delays by {float(recorded) * 1e3:.1f} ms, the calibration file says "
-                f"{item.delay * 1e3:.1f} ms; the file was used"
-            )
-    return notes

@@ -24,14 +24,14 @@ class ScanTable:
 
     number: (N,) scan counter. time: (N,) [s] on the aircraft's clock. raw: channel -> (N,) counts, NaN where absent or
     unusable. physical: the same at data-sheet scale. offset: group -> (N,) time of the group's sample after the scan's [s].
-    unusable: group -> number of scans in which its sensor was not in order.
+    usable: group -> (N,) whether its sensor was in order in the scan (a group not read in a scan counts as in order).
     """
 
     number: NDArray[np.int64]
     time: Array
     raw: Mapping[str, Array]
     offset: Mapping[str, Array]
-    unusable: Mapping[str, int]
+    usable: Mapping[str, NDArray[np.bool_]]
     notes: tuple[str, ...] = ()
 
     def __len__(self) -> int:
@@ -44,7 +44,7 @@ class ScanTable:
             self.time[rows],
             MappingProxyType({k: v[rows] for k, v in self.raw.items()}),
             MappingProxyType({k: v[rows] for k, v in self.offset.items()}),
-            self.unusable,
+            MappingProxyType({k: v[rows] for k, v in self.usable.items()}),
             self.notes,
         )
 
@@ -90,6 +90,6 @@ def _columns(scans: list[Scan], notes: list[str]) -> ScanTable:
         time=np.array([s.time_monotonic_ns * 1e-9 for s in scans]),
         raw=MappingProxyType(raw),
         offset=MappingProxyType(offset),
-        unusable=MappingProxyType({g: int(np.sum(~usable[g])) for g in GROUP_NAMES}),
+        usable=MappingProxyType(usable),
         notes=tuple(notes),
     )

@@ -106,12 +106,10 @@ class Mount(_Table):
 class Static(_Table):
     """Static pressure port: compensation of the chip, position error and reference of the altitude.
 
-    nvm: the chip's 21 coefficient bytes as hex, used where the recording carries none.
     position_error: (measured - true static pressure) / dynamic pressure; feeds_pitot: the differential sensor takes its
     low side from the same port, so that its reading is short by the same amount.
     """
 
-    nvm: str = ""
     position_error: Finite = 0.0
     feeds_pitot: bool = True
     pressure_offset: Finite = 0.0
@@ -119,16 +117,6 @@ class Static(_Table):
     sea_level_pressure: Annotated[float, Field(gt=8e4, lt=1.2e5)] = 101325.0
     uncertainty: Annotated[float, Field(ge=0)] = 0.0
     temperature_uncertainty: Annotated[float, Field(ge=0)] = 0.0
-
-    @model_validator(mode="after")
-    def _nvm_is_hex(self) -> "Static":
-        try:
-            size = len(bytes.fromhex(self.nvm))
-        except ValueError:
-            raise ValueError(f"nvm: {self.nvm!r} is not hexadecimal") from None
-        if size not in (0, 21):
-            raise ValueError(f"nvm: {size} bytes, a BMP390 has 21")
-        return self
 
 
 class Mixing(_Table):
@@ -144,6 +132,12 @@ class Attitude(_Table):
     boresight: Vector = (0.0, 0.0, 0.0)
     declination: Finite = 0.0
     uncertainty: Vector = (0.0, 0.0, 0.0)
+
+
+class Logger(_Table):
+    """Facts about the logger's sensors, `group.key` = text, for recordings that do not carry them."""
+
+    facts: dict[str, str]
 
 
 class Points(_Table):
@@ -181,18 +175,20 @@ _KINDS = {
     "static": ("static",),
     "mixing": ("mixing",),
     "attitude": ("attitude",),
+    "logger": ("logger",),
 }
 
 
 class Instrument(_Table):
     """One calibration file.
 
-    delay: how far the reading lags the physical quantity [s]: filter group delay, vane dynamics.
+    delay: how far the instrument itself lags the physical quantity [s]: vane dynamics, tubing. The delay of a chip's
+    filter is a fact of the recording and comes on top.
     """
 
     format: Literal[1]
     instrument: str
-    kind: Literal["curve", "triad", "static", "mixing", "attitude"]
+    kind: Literal["curve", "triad", "static", "mixing", "attitude", "logger"]
     date: date
     method: str
     channel: str | None = None
@@ -204,6 +200,7 @@ class Instrument(_Table):
     static: Static | None = None
     mixing: Mixing | None = None
     attitude: Attitude | None = None
+    logger: Logger | None = None
     vane: Vane | None = None
     mount: Mount | None = None
     ratiometric: Ratiometric | None = None
@@ -261,6 +258,12 @@ class CalibrationSet:
     def get(self, instrument: str) -> Instrument | None:
         """The calibration of an instrument, None when the set has none."""
         return self.instruments.get(instrument)
+
+    @property
+    def facts(self) -> Mapping[str, str]:
+        """Facts about the logger's sensors that the set holds."""
+        item = self.get("logger")
+        return item.logger.facts if item and item.logger else {}
 
     def with_texts(self, texts: Mapping[str, str]) -> "CalibrationSet":
         """A set with files added or replaced, by file name."""

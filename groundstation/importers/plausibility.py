@@ -16,7 +16,7 @@ Columns = Mapping[str, Array]
 GRAVITY = 9.80665
 _DEG = 180 / np.pi
 
-_GRAVITY_IN = {"g": 1.0, "ft/s2": 32.174, "cm/s2": 980.665, "mg": 1000.0}
+_GRAVITY_IN = {"g": 1.0, "ft/s2": 32.174, "mg (or cm/s2)": 990.0}
 _ANGLES = ("phi", "theta", "psi", "alpha", "beta", "delta_e", "delta_a", "delta_r", "cmd_e", "cmd_a", "cmd_r")
 _RATES = ("p", "q", "r")
 _SPEED_UNITS = {"knots": 3600 / 1852, "km/h": 3.6, "mph": 1 / 0.44704, "ft/s": 1 / 0.3048}
@@ -49,7 +49,10 @@ def _median(values: Array) -> float:
 
 def _time(time: Array) -> Iterator[str]:
     steps = np.diff(time)
+    backwards = float(np.mean(steps < 0)) if steps.size else 0.0
     steps = steps[steps > 0]
+    if backwards > 0.02:
+        yield f"time: runs backwards from {backwards:.0%} of the rows to the next; is this the time column?"
     if not steps.size:
         return
     interval = float(np.median(steps))
@@ -68,7 +71,8 @@ def _gravity(c: Columns) -> Iterator[str]:
         return
     size = _median(np.sqrt(c["ax"] ** 2 + c["ay"] ** 2 + c["az"] ** 2))
     if not 0.75 * GRAVITY < size < 1.3 * GRAVITY:
-        unit = next((u for u, g in _GRAVITY_IN.items() if 0.8 * g < size < 1.25 * g), None)
+        nearest = min(_GRAVITY_IN, key=lambda u: abs(np.log(max(size, 1e-9) / _GRAVITY_IN[u])))
+        unit = nearest if 0.8 < size / _GRAVITY_IN[nearest] < 1.25 else None
         if unit is None and size < 0.3 * GRAVITY:
             hint = "an accelerometer in level flight shows one g: is gravity taken out of ax, ay, az?"
         else:

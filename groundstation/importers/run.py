@@ -2,6 +2,7 @@
 
 import hashlib
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from groundstation.flight import Flight, Provenance
 from groundstation.importers.errors import ImportDataError
 from groundstation.importers.mapping import Map, Source, built_in_map, load_map
 from groundstation.importers.plausibility import suspicions
-from groundstation.importers.series import Log, Series, grid, native_rate, resample
+from groundstation.importers.series import Log, Series, credible, grid, native_rate, resample
 from groundstation.importers.units import conversion
 
 Array = NDArray[np.float64]
@@ -43,6 +44,10 @@ def import_data(
         raise ImportDataError(f"{path}: no such file")
     given = load_map(mapping) if isinstance(mapping, (str, Path)) else mapping
     log, chosen = _read(path, given)
+    if not log.common:
+        series, dropped = credible(log.series)
+        said = (f"{dropped} samples with a time far from all others left out",) if dropped else ()
+        log = replace(log, series=series, notes=(*log.notes, *said))
     rate = rate_hz or chosen.rate_hz
     time = _time_base(path, log, chosen, rate)
     columns, used, notes = _columns(log, chosen, time)

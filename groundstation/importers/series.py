@@ -6,7 +6,12 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.importers.errors import ImportDataError
+
 Array = NDArray[np.float64]
+
+LONGEST_GRID = 4_000_000
+"""Most samples of a common time base: eleven hours at 100 Hz."""
 
 LONGEST_STEP = 3.5
 """A step longer than this many median intervals of a series is a gap in it: nothing is interpolated across."""
@@ -35,10 +40,30 @@ class Log:
     detail: Mapping[str, str] = field(default_factory=dict)
 
 
+def credible(series: Mapping[str, Series]) -> tuple[dict[str, Series], int]:
+    """The series without samples whose time is far from all others (damaged stamps), and how many were left out."""
+    times = np.concatenate([s.time for s in series.values()]) if series else np.zeros(0)
+    times = times[np.isfinite(times)]
+    if not times.size:
+        return dict(series), 0
+    low, high = np.percentile(times, [2, 98])
+    reach = 60.0 + (high - low)
+    out, dropped = {}, 0
+    for name, item in series.items():
+        good = np.isfinite(item.time) & (item.time > low - reach) & (item.time < high + reach)
+        dropped = max(dropped, int(np.sum(~good)))
+        out[name] = item if good.all() else Series(item.time[good], item.values[good])
+    return out, dropped
+
+
 def grid(series: Mapping[str, Series], rate_hz: float) -> Array:
-    """Even time base over the span that the series share the most of: from the earliest start to the latest end."""
-    start = min(float(s.time[0]) for s in series.values())
-    stop = max(float(s.time[-1]) for s in series.values())
+    """Even time base from the earliest start to the latest end. Raises ImportDataError when that is too long."""
+    start = min(float(np.min(s.time)) for s in series.values())
+    stop = max(float(np.max(s.time)) for s in series.values())
+    if (stop - start) * rate_hz > LONGEST_GRID:
+        raise ImportDataError(
+            f"{stop - start:.4g} s at {rate_hz:g} Hz are more than {LONGEST_GRID} samples; check the time unit or lower --rate"
+        )
     return start + np.arange(int(np.floor((stop - start) * rate_hz + 1e-9)) + 1) / rate_hz
 
 
@@ -64,7 +89,8 @@ def resample(series: Series, time: Array, *, hold: bool = False) -> Array:
     interval = float(np.median(np.diff(t)))
     step = float(np.median(np.diff(time))) if time.size > 1 else interval
     before = np.clip(np.searchsorted(t, time, side="right") - 1, 0, t.size - 2)
-    inside = (time >= t[0]) & (time <= t[-1]) & (t[before + 1] - t[before] <= LONGEST_STEP * interval)
+    edge = 1e-6 * interval  # rounding of a grid that ends with the series
+    inside = (time >= t[0] - edge) & (time <= t[-1] + edge) & (t[before + 1] - t[before] <= LONGEST_STEP * interval)
     if hold:
         out = y[np.clip(np.searchsorted(t, time, side="right") - 1, 0, t.size - 1)]
     elif interval <= 0.5 * step:

@@ -106,7 +106,7 @@ def header_map(names: list[str]) -> Map:
     for name in names:
         match = _HEADER_UNIT.match(name)
         bare, unit = (match["name"], match["unit"]) if match else (name, "")
-        if bare == "time" or (time is None and bare.lower() in ("t", "time", "time_s")):
+        if bare == "time" or (time is None and bare in ("t", "Time", "TIME", "time_s")):
             time = Time(column=name, unit=unit or "s")
         elif bare == "segment":
             segment = name

@@ -21,7 +21,7 @@ _V1_EXTRA, _V2_EXTRA, _SIGNATURE = 8, 12, 13
 
 def read_tlog(path: Path) -> Log:
     """All numeric fields of the standard messages of one aircraft. Raises ImportDataError when nothing can be read."""
-    messages = [(stamp, m) for stamp, m in _messages(path) if m.get_type() != "BAD_DATA"]
+    messages = [(stamp, m) for stamp, m in _messages(path) if not m.get_type().startswith(("BAD_DATA", "UNKNOWN"))]
     if not messages:
         raise ImportDataError(f"{path}: no MAVLink message in it; is it a telemetry log (.tlog)?")
     systems = Counter(m.get_srcSystem() for _, m in messages if m.get_srcSystem() != 255)

@@ -6,6 +6,7 @@ server that viewers attach to lives in this process, on loopback, with bounded m
 back. Each start makes a recording id of its own, because a viewer shows an old recording for a known id.
 """
 
+import math
 import queue
 import socket
 import threading
@@ -18,6 +19,7 @@ from pathlib import Path
 import rerun as rr
 
 from daq.contract.errors import UserError
+from groundstation.events import LinkStatistics
 from groundstation.viewer import entities as e
 from groundstation.viewer.blueprint import Layout, blueprint
 from groundstation.viewer.scene import LinkSample, Scene
@@ -118,6 +120,12 @@ class LiveView:
     def link(self, time_s: float, link: LinkSample) -> None:
         """Show link quality."""
         self._put(lambda scene: scene.link(time_s, link))
+
+    def quality(self, time_s: float, report: LinkStatistics) -> None:
+        """Show what the receiver says of the link."""
+        signal = math.nan if report.rssi_dbm is None else report.rssi_dbm
+        latency = math.nan if report.latency_s is None else report.latency_s
+        self.link(time_s, LinkSample(100 * report.loss, report.scan_rate_hz, signal, latency))
 
     def status(self, time_s: float, markdown: str) -> None:
         """Show the status page."""

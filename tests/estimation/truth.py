@@ -4,8 +4,8 @@ Lateral-directional motion in body-axis velocities (v, p, r, phi), numpy, classi
 a study at once. Nothing here comes from `estimation`: a shared mistake cannot cancel itself.
 """
 
-from dataclasses import dataclass, field
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +32,8 @@ NOISE = {
 @dataclass(frozen=True)
 class Case:
     """What a made flight is like. noise: standard deviations by column; gust: rms side gust [m/s], Dryden-like with
-    `gust_time` [s]; servo: lag of the surfaces [s]; rudder: amplitude factor of its manoeuvres."""
+    `gust_time` [s]; servo: lag of the surfaces [s], or None for surfaces that run straight between samples; edges of
+    manoeuvres lie at `phase` [s] and later pulses at other phases of the sample interval."""
 
     seconds: float = 30.0
     rate: float = 20.0
@@ -41,7 +42,8 @@ class Case:
     noise: Mapping[str, float] = field(default_factory=dict)
     gust: float = 0.0
     gust_time: float = 0.8
-    servo: float = 0.04
+    servo: float | None = 0.04
+    phase: float = 0.0
     aileron: float = 6.0 * DEG
     rudder: float = 5.0 * DEG
 
@@ -66,7 +68,8 @@ def fly(case: Case, rng: np.random.Generator, seeds: int = 1, fine: int = 20) ->
     count = int(case.seconds * case.rate) + 1
     steps = (count - 1) * fine
     t = np.arange(steps + 1) * h
-    command = np.stack([case.aileron * doublets(t, AILERON), case.rudder * doublets(t, RUDDER)])
+    pulses = [[(a + case.phase * i, d + case.phase, s) for i, (a, d, s) in enumerate(p)] for p in (AILERON, RUDDER)]
+    command = np.stack([case.aileron * doublets(t, pulses[0]), case.rudder * doublets(t, pulses[1])])
     V = case.V + 0.6 * np.sin(0.35 * t)
     alpha = (5.2 + 1.0 * np.sin(0.5 * t + 1)) * DEG
     theta = (5.5 + 2.0 * np.sin(0.4 * t)) * DEG
@@ -92,8 +95,7 @@ def fly(case: Case, rng: np.random.Generator, seeds: int = 1, fine: int = 20) ->
         return np.stack([dv, (IZZ * L + IXZ * N) / inertia, (IXX * N + IXZ * L) / inertia, dphi]), beta, ay
 
     x = np.zeros((4, seeds))
-    surface = np.zeros((2, steps + 1))
-    decay = np.exp(-h / case.servo) if case.servo > 0 else 0.0
+    surface = _surfaces(case, t, command, h, fine)
     out = {name: np.zeros((seeds, count)) for name in ("beta", "p", "r", "phi", "ay")}
     for k in range(steps + 1):
         k1, beta, ay = rates(x, k, surface[0, k], surface[1, k])
@@ -102,7 +104,6 @@ def fly(case: Case, rng: np.random.Generator, seeds: int = 1, fine: int = 20) ->
                 out[name][:, k // fine] = value
         if k == steps:
             break
-        surface[:, k + 1] = command[:, k] + decay * (surface[:, k] - command[:, k])
         middle = 0.5 * (surface[:, k] + surface[:, k + 1])
         k2, _, _ = rates(x + 0.5 * h * k1, k, *middle)
         k3, _, _ = rates(x + 0.5 * h * k2, k, *middle)
@@ -117,6 +118,17 @@ def fly(case: Case, rng: np.random.Generator, seeds: int = 1, fine: int = 20) ->
         columns["rho"] = np.full(count, rho)
         flights.append(Flight.build(f"made_{i}", time, columns))
     return flights, out
+
+
+def _surfaces(case: Case, t: Array, command: Array, h: float, fine: int) -> Array:
+    """Surfaces (2, steps + 1) behind their servos."""
+    if case.servo is None:
+        return np.stack([np.interp(t, t[::fine], c[::fine]) for c in command])
+    surface = np.zeros_like(command)
+    decay = np.exp(-h / case.servo)
+    for k in range(t.size - 1):
+        surface[:, k + 1] = command[:, k] + decay * (surface[:, k] - command[:, k])
+    return surface
 
 
 def _gust(case: Case, rng: np.random.Generator, seeds: int, steps: int, h: float) -> Array:

@@ -39,7 +39,14 @@ class Memory:
 
 
 def test_has_the_calls_of_smbus2_with_their_arguments() -> None:
-    for name in ("read_byte_data", "write_byte_data", "read_i2c_block_data", "write_i2c_block_data", "i2c_rdwr", "close"):
+    for name in (
+        "read_byte_data",
+        "write_byte_data",
+        "read_i2c_block_data",
+        "write_i2c_block_data",
+        "i2c_rdwr",
+        "close",
+    ):
         real = inspect.signature(getattr(smbus2.SMBus, name)).parameters
         ours = inspect.signature(getattr(SimulatedBus, name)).parameters
         assert list(real) == list(ours)

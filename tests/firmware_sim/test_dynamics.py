@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 from firmware_sim.atmosphere import GRAVITY, air_at, geodetic, pressure_altitude
 from firmware_sim.atmosphere import Site as FlyingSite
 from firmware_sim.plant import ARMS, ATTITUDE, POSITION, RATES, RIGID_STATES, THRUST, Commands, Plant
-
-from .plants import fly, level_state, motion_of, no_air, plain_plant
+from tests.firmware_sim.plants import fly, level_state, motion_of, no_air, plain_plant
 
 NEUTRAL = Commands(0.0, 0.0, 0.0, 0.0)
 
@@ -32,9 +31,7 @@ class TestRigidBody:
 
     def test_torque_free_tumbling_keeps_energy_and_angular_momentum(self) -> None:
         plant = no_air(plain_plant())
-        inertia = np.array(
-            [[plant.Ixx, 0.0, -plant.Ixz], [0.0, plant.Iyy, 0.0], [-plant.Ixz, 0.0, plant.Izz]]
-        )
+        inertia = np.array([[plant.Ixx, 0.0, -plant.Ixz], [0.0, plant.Iyy, 0.0], [-plant.Ixz, 0.0, plant.Izz]])
         x = [0.0] * plant.size
         x[0], x[ATTITUDE] = 15.0, 1.0
         x[RATES : RATES + 3] = [1.5, 2.0, -1.0]
@@ -198,7 +195,15 @@ class TestModes:
 class TestSigns:
     def reaction(self, plant: Plant, **change: float) -> dict[str, float]:
         x, commands, _ = level_state(plant)
-        places = {"v": 1, "p": RATES, "q": RATES + 1, "r": RATES + 2, "left": ARMS, "right": ARMS + 1, "rudder": ARMS + 2}
+        places = {
+            "v": 1,
+            "p": RATES,
+            "q": RATES + 1,
+            "r": RATES + 2,
+            "left": ARMS,
+            "right": ARMS + 1,
+            "rudder": ARMS + 2,
+        }
         for name, value in change.items():
             x[places[name]] += value
         m, _ = motion_of(plant, x, commands)

@@ -8,8 +8,9 @@ import pytest
 
 from firmware_sim.calibration_truth import calibration_truth
 from firmware_sim.errors import ScenarioError
-from firmware_sim.instruments import AT, GRID_S, HISTORY_S, Instruments, _VaneDynamics
+from firmware_sim.instruments import GRID_S, HISTORY_S, Instruments, _VaneDynamics
 from firmware_sim.sensor_models import SensorModels, parse_sensors
+from firmware_sim.signals import AT
 from firmware_sim.units import individual
 from tests.firmware_sim.hardware import Still, truth_at_rest
 
@@ -35,7 +36,9 @@ def test_standing_still() -> None:
 
 def test_lever_arm_in_a_steady_roll_and_in_roll_acceleration() -> None:
     """At radius y a roll rate p is felt as -p^2 y along y, a roll acceleration as p_dot y along z."""
-    seen = shown(truth_at_rest(rates=(2.0, 0.0, 0.0), rate_derivatives=(3.0, 0.0, 0.0)), imu={"position": (0.0, 0.1, 0.0)})
+    seen = shown(
+        truth_at_rest(rates=(2.0, 0.0, 0.0), rate_derivatives=(3.0, 0.0, 0.0)), imu={"position": (0.0, 0.1, 0.0)}
+    )
     assert seen["accel_y"] == pytest.approx(-4.0 * 0.1)
     assert seen["accel_z"] == pytest.approx(-9.80665 + 3.0 * 0.1)
 
@@ -106,6 +109,17 @@ def test_signals_between_grid_points_are_straight_and_switches_hold() -> None:
     assert instruments.at(5_100_000)[AT["digital_1"]] == 1.0
 
 
+def test_a_delayed_signal_comes_late_and_alone() -> None:
+    class Ramp:
+        def advance(self, to_time: float) -> SimpleNamespace:
+            return truth_at_rest(arm_r=to_time, arm_left=to_time)
+
+    instruments = Instruments(Ramp(), SensorModels().altered(delays={"rudder_pot": 0.06}), 1)
+    row = instruments.at(500_000_000)
+    assert (row[AT["rudder_pot"]] - 2.5) / 1.6 == pytest.approx(0.5 - 0.06)
+    assert (row[AT["elevon_left_pot"]] - 2.5) / 1.6 == pytest.approx(0.5)
+
+
 def test_looking_back_is_limited() -> None:
     instruments = Instruments(Still(), SensorModels(), 1)
     instruments.at(20_000_000_000)
@@ -142,7 +156,11 @@ def test_calibration_truth_undoes_the_instruments() -> None:
     die = row[AT["imu_temperature"]]
     for name, first, wanted in (("accelerometer", "accel_x", (1.0, -2.0, -9.0)), ("gyro", "gyro_x", (0.5, -0.3, 0.2))):
         triad = exact[name]
-        free = row[AT[first] : AT[first] + 3] - triad["bias"] - triad["bias_per_kelvin"] * (die - triad["reference_temperature"])
+        free = (
+            row[AT[first] : AT[first] + 3]
+            - triad["bias"]
+            - triad["bias_per_kelvin"] * (die - triad["reference_temperature"])
+        )
         assert triad["matrix"] @ free == pytest.approx(wanted)
     for name, signal, angle in (("elevon_left", "elevon_left_pot", 0.2), ("rudder", "rudder_pot", -0.15)):
         curve = exact[name]
@@ -158,6 +176,7 @@ def test_calibration_truth_undoes_the_instruments() -> None:
         ({"imu": {"position": [0.1, 0.2]}}, "sensors.imu.position"),
         ({"beta_vane": {"wash_factor": -1.0}}, "sensors.beta_vane.wash_factor"),
         ({"barometer": {}}, "sensors.barometer"),
+        ({"delays": {"beta": 0.06}}, "sensors.delays"),
     ],
 )
 def test_mistakes_in_the_table_are_named(table: dict[str, object], key: str) -> None:

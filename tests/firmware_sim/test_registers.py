@@ -5,7 +5,6 @@ import struct
 
 import numpy as np
 import pytest
-from tests.firmware_sim.hardware import CountingClock, on_bus, quiet_rng, steady
 from hypothesis import given
 from hypothesis import strategies as st
 from smbus2 import i2c_msg
@@ -16,16 +15,20 @@ from firmware_sim.registers.ads1115 import Ads1115
 from firmware_sim.registers.ak09916 import Ak09916
 from firmware_sim.registers.bmp390 import Bmp390, Trimming, calibration_bytes
 from firmware_sim.registers.capture import Capture, crc8
+from firmware_sim.registers.chip import Inputs
 from firmware_sim.registers.icm20948 import Icm20948
 from firmware_sim.registers.ms4525do import Ms4525do
 from firmware_sim.registers.nau7802 import Nau7802
+from tests.firmware_sim.hardware import CountingClock, on_bus, quiet_rng, steady
 
 AT_REST = (0.0, 0.0, 9.80665, 0.0, 0.0, 0.0, 294.15)
 
 
-def woken_imu(clock: CountingClock, inputs=steady(*AT_REST), noise=(0.0,) * 6) -> SimulatedBus:  # type: ignore[no-untyped-def]
+def woken_imu(
+    clock: CountingClock, inputs: Inputs | None = None, noise: tuple[float, ...] = (0.0,) * 6
+) -> SimulatedBus:
     """An ICM-20948 woken up, in bank 0, gyro and accelerometer at +-500 deg/s and +-8 g with their filters off."""
-    bus = on_bus(0x68, Icm20948(inputs, noise, np.random.default_rng(1)), clock)
+    bus = on_bus(0x68, Icm20948(inputs or steady(*AT_REST), noise, np.random.default_rng(1)), clock)
     clock.wait_ms(20)
     bus.write_byte_data(0x68, 0x06, 0x01)
     bus.write_byte_data(0x68, 0x7F, 0x20)
@@ -311,7 +314,7 @@ class TestBmp390:
         """One step of 16 bits is 2.64 Pa, of 21 bits 0.085 Pa, about (datasheet table 6)."""
         trim = Trimming()
         for osr, step in ((0, 2.64), (5, 0.085)):
-            c0, c1, c2, c3 = trim.pressure_polynomial(25.0)
+            _, c1, c2, c3 = trim.pressure_polynomial(25.0)
             raw = trim.raw_pressure(100_000.0, 25.0)
             slope = abs(c1 + raw * (2.0 * c2 + raw * 3.0 * c3))
             assert slope * 2 ** (8 - osr) == pytest.approx(step, rel=0.5)
@@ -431,13 +434,17 @@ class TestUblox:
         assert message[98:] == bytes([a, b])
 
     def test_fraction_beyond_half_a_second_is_negative(self) -> None:
-        fix = ublox.Fix(**{**{f: getattr(self.FIX, f) for f in self.FIX.__dataclass_fields__}, "utc_ns": 1_790_000_000_900_000_000})
+        fix = ublox.Fix(
+            **{**{f: getattr(self.FIX, f) for f in self.FIX.__dataclass_fields__}, "utc_ns": 1_790_000_000_900_000_000}
+        )
         body = ublox.nav_pvt(fix)[6:98]
         assert struct.unpack_from("<i", body, 16)[0] == -100_000_000
 
     def test_time_of_week(self) -> None:
         """2023-11-14 22:13:20 UTC is GPS Tuesday 22:13:38."""
-        fix = ublox.Fix(**{**{f: getattr(self.FIX, f) for f in self.FIX.__dataclass_fields__}, "utc_ns": 1_700_000_000_000_000_000})
+        fix = ublox.Fix(
+            **{**{f: getattr(self.FIX, f) for f in self.FIX.__dataclass_fields__}, "utc_ns": 1_700_000_000_000_000_000}
+        )
         assert struct.unpack_from("<I", ublox.nav_pvt(fix), 6)[0] == ((2 * 24 + 22) * 3600 + 13 * 60 + 38) * 1000
 
     def test_comes_up_silent_and_obeys_both_generations(self) -> None:

@@ -28,7 +28,17 @@ def test_built_in_scenarios_load_have_a_title_and_write_back(name: str, tmp_path
 
 def test_the_four_published_flights_the_nominal_one_and_the_sets_are_built_in() -> None:
     names = set(built_in_scenarios())
-    assert {"nominal", "cdfp_ld1", "cdfp_ld2", "cdfp_ld3", "cdfp_ld4", "rich", "aileron_only", "quiet", "gusty"} <= names
+    assert {
+        "nominal",
+        "cdfp_ld1",
+        "cdfp_ld2",
+        "cdfp_ld3",
+        "cdfp_ld4",
+        "rich",
+        "aileron_only",
+        "quiet",
+        "gusty",
+    } <= names
 
 
 def test_every_effect_can_be_flown_by_its_name() -> None:
@@ -44,8 +54,14 @@ def test_every_effect_can_be_flown_by_its_name() -> None:
         ("[flight]\nspeed_m_s = 3.0", "flight.speed_m_s"),
         ("[flight]\nvelocity = 17.0", "flight.velocity"),
         ("[flight]\nmanoeuvres = 'loopings'", "loopings|no such set"),
-        ("[[manoeuvre]]\naxis = 'flaps'\nshape = 'doublet'\nstart_s = 1.0\namplitude = 3.0\nwidth_s = 0.5", "manoeuvre.0.axis"),
-        ("[[manoeuvre]]\naxis = 'rudder'\nshape = 'multisine'\nstart_s = 1.0\namplitude = 3.0\nwidth_s = 9.0", "harmonics"),
+        (
+            "[[manoeuvre]]\naxis = 'flaps'\nshape = 'doublet'\nstart_s = 1.0\namplitude = 3.0\nwidth_s = 0.5",
+            "manoeuvre.0.axis",
+        ),
+        (
+            "[[manoeuvre]]\naxis = 'rudder'\nshape = 'multisine'\nstart_s = 1.0\namplitude = 3.0\nwidth_s = 9.0",
+            "harmonics",
+        ),
         ("[[hidden]]\nname = 'gremlins'", "gremlins"),
         ("[wind]\ngust_deg = -1.0", "wind.gust_deg"),
         ("[turbulence]\nlevel = 1.0", "turbulence"),
@@ -88,7 +104,12 @@ def test_truth_is_table_5_with_overrides_then_scatter_by_seed() -> None:
 
 
 def test_tables_of_other_parts_pass_through_untouched() -> None:
-    data = {"sensors": {"imu": {"bias": [1, 2]}}, "faults": [{"kind": "nack"}], "radio": {"drop": 0.05}, "logger": {"x": 1}}
+    data = {
+        "sensors": {"imu": {"bias": [1, 2]}},
+        "faults": [{"kind": "nack"}],
+        "radio": {"drop": 0.05},
+        "logger": {"x": 1},
+    }
     scenario = scenario_from(data, "here")
     assert scenario.sensors == data["sensors"]
     assert list(scenario.faults) == data["faults"]

@@ -13,7 +13,10 @@ from firmware_sim.simulation import Simulation
 from firmware_sim.truth import TRUTH_COLUMNS
 from firmware_sim.world import World, simulate_many, simulate_truth, write_truth_csv
 
-SHORT = {"flight": {"duration_s": 6.0, "manoeuvres": "rich"}, "wind": {"gust_deg": 0.3, "speed_m_s": 3.0, "from_deg": 70.0}}
+SHORT = {
+    "flight": {"duration_s": 6.0, "manoeuvres": "rich"},
+    "wind": {"gust_deg": 0.3, "speed_m_s": 3.0, "from_deg": 70.0},
+}
 
 
 def short(**tables: object) -> Scenario:
@@ -54,7 +57,7 @@ def test_same_seed_same_flight_other_seed_other_flight() -> None:
 
 def test_a_flight_is_the_same_alone_and_in_a_crowd() -> None:
     slow = short(flight={"speed_m_s": 15.0})
-    crowd = simulate_many([short(), slow, short()], [1, 2, 3])
+    crowd = simulate_many([short(), slow, short()], [1, 2, 3], crowd_from=1)
     for scenario, seed, together in ((short(), 1, crowd[0]), (slow, 2, crowd[1])):
         alone = simulate_truth(scenario, seed)
         for name, values in alone.items():
@@ -180,3 +183,7 @@ def test_truth_file_has_the_columns_and_the_numbers(tmp_path: Path) -> None:
     assert tuple(header) == TRUTH_COLUMNS
     read = np.array(rows, float)
     np.testing.assert_allclose(read[:, header.index("beta")], t["beta"], rtol=1e-9, atol=1e-12)
+
+
+def test_columns_come_in_the_order_of_the_file() -> None:
+    assert tuple(World(short(), 1).truth.columns()) == TRUTH_COLUMNS

@@ -164,7 +164,7 @@ def _integrate(d: Mapping[str, Array], inertia: Mapping[str, Array], V0: Array, 
     delay = np.round(np.stack([e["aileron_delay"], e["rudder_delay"]]) * RATE).astype(int)
     line = np.zeros((2, steps, n))
     thrust = T0.copy()
-    keep = ("ax ay az p q r phi theta psi alpha beta V delta_e delta_a delta_r thrust altitude pdot rdot qdot".split())
+    keep = "ax ay az p q r phi theta psi alpha beta V delta_e delta_a delta_r thrust altitude pdot rdot qdot".split()
     out = {k: np.zeros((steps, n)) for k in keep}
     dt = 1 / RATE
 
@@ -219,7 +219,9 @@ def _integrate(d: Mapping[str, Array], inertia: Mapping[str, Array], V0: Array, 
         etadot = (be - eta) / lag_tau
         astar = np.where(e["stall_separation"] > 0, e["stall_separation"], 1.0)
         Xdot = np.where(e["stall_separation"] > 0, (0.5 * (1 - np.tanh(25 * (al - astar))) - X) / 0.15, 0.0)
-        findd = np.where(x_["flexible_fin"] > 0, (14.0**2) * (-x_["flexible_fin"] * 1.2 * (be + dr) - fin) - 3.0 * find, 0)
+        findd = np.where(
+            x_["flexible_fin"] > 0, (14.0**2) * (-x_["flexible_fin"] * 1.2 * (be + dr) - fin) - 3.0 * find, 0
+        )
         pendd = np.where(x_["pendulum"] > 0, -(6.0**2) * pen - 0.8 * pend + 6.0 * ay + 1.5 * pdot, 0.0)
         rate = np.stack([udot, vdot, wdot, pdot, qdot, rdot, phidot, thdot, psidot, hdot, etadot, Xdot, find, findd,
                          pend, pendd, np.zeros(n)])  # fmt: skip

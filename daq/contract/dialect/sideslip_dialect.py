@@ -1614,10 +1614,10 @@ class MAVLink_backfill_data_message(MAVLink_message):
     fieldunits_by_name: Dict[str, str] = {"length": "bytes"}
     native_format = bytearray(b"<QIIBBBBB")
     orders = [0, 1, 2, 3, 4, 5, 6, 7]
-    lengths = [1, 1, 1, 1, 1, 1, 1, 160]
-    array_lengths = [0, 0, 0, 0, 0, 0, 0, 160]
-    crc_extra = 129
-    unpacker = struct.Struct("<QIIBBBB160B")
+    lengths = [1, 1, 1, 1, 1, 1, 1, 190]
+    array_lengths = [0, 0, 0, 0, 0, 0, 0, 190]
+    crc_extra = 135
+    unpacker = struct.Struct("<QIIBBBB190B")
     instance_field = None
     instance_offset = -1
 
@@ -1636,7 +1636,7 @@ class MAVLink_backfill_data_message(MAVLink_message):
         self.data = data
 
     def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
-        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.wanted, self.first_number, self.checksum, self.boot, self.fragment, self.fragments, self.length, self.data[0], self.data[1], self.data[2], self.data[3], self.data[4], self.data[5], self.data[6], self.data[7], self.data[8], self.data[9], self.data[10], self.data[11], self.data[12], self.data[13], self.data[14], self.data[15], self.data[16], self.data[17], self.data[18], self.data[19], self.data[20], self.data[21], self.data[22], self.data[23], self.data[24], self.data[25], self.data[26], self.data[27], self.data[28], self.data[29], self.data[30], self.data[31], self.data[32], self.data[33], self.data[34], self.data[35], self.data[36], self.data[37], self.data[38], self.data[39], self.data[40], self.data[41], self.data[42], self.data[43], self.data[44], self.data[45], self.data[46], self.data[47], self.data[48], self.data[49], self.data[50], self.data[51], self.data[52], self.data[53], self.data[54], self.data[55], self.data[56], self.data[57], self.data[58], self.data[59], self.data[60], self.data[61], self.data[62], self.data[63], self.data[64], self.data[65], self.data[66], self.data[67], self.data[68], self.data[69], self.data[70], self.data[71], self.data[72], self.data[73], self.data[74], self.data[75], self.data[76], self.data[77], self.data[78], self.data[79], self.data[80], self.data[81], self.data[82], self.data[83], self.data[84], self.data[85], self.data[86], self.data[87], self.data[88], self.data[89], self.data[90], self.data[91], self.data[92], self.data[93], self.data[94], self.data[95], self.data[96], self.data[97], self.data[98], self.data[99], self.data[100], self.data[101], self.data[102], self.data[103], self.data[104], self.data[105], self.data[106], self.data[107], self.data[108], self.data[109], self.data[110], self.data[111], self.data[112], self.data[113], self.data[114], self.data[115], self.data[116], self.data[117], self.data[118], self.data[119], self.data[120], self.data[121], self.data[122], self.data[123], self.data[124], self.data[125], self.data[126], self.data[127], self.data[128], self.data[129], self.data[130], self.data[131], self.data[132], self.data[133], self.data[134], self.data[135], self.data[136], self.data[137], self.data[138], self.data[139], self.data[140], self.data[141], self.data[142], self.data[143], self.data[144], self.data[145], self.data[146], self.data[147], self.data[148], self.data[149], self.data[150], self.data[151], self.data[152], self.data[153], self.data[154], self.data[155], self.data[156], self.data[157], self.data[158], self.data[159]), force_mavlink1=force_mavlink1)
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.wanted, self.first_number, self.checksum, self.boot, self.fragment, self.fragments, self.length, self.data[0], self.data[1], self.data[2], self.data[3], self.data[4], self.data[5], self.data[6], self.data[7], self.data[8], self.data[9], self.data[10], self.data[11], self.data[12], self.data[13], self.data[14], self.data[15], self.data[16], self.data[17], self.data[18], self.data[19], self.data[20], self.data[21], self.data[22], self.data[23], self.data[24], self.data[25], self.data[26], self.data[27], self.data[28], self.data[29], self.data[30], self.data[31], self.data[32], self.data[33], self.data[34], self.data[35], self.data[36], self.data[37], self.data[38], self.data[39], self.data[40], self.data[41], self.data[42], self.data[43], self.data[44], self.data[45], self.data[46], self.data[47], self.data[48], self.data[49], self.data[50], self.data[51], self.data[52], self.data[53], self.data[54], self.data[55], self.data[56], self.data[57], self.data[58], self.data[59], self.data[60], self.data[61], self.data[62], self.data[63], self.data[64], self.data[65], self.data[66], self.data[67], self.data[68], self.data[69], self.data[70], self.data[71], self.data[72], self.data[73], self.data[74], self.data[75], self.data[76], self.data[77], self.data[78], self.data[79], self.data[80], self.data[81], self.data[82], self.data[83], self.data[84], self.data[85], self.data[86], self.data[87], self.data[88], self.data[89], self.data[90], self.data[91], self.data[92], self.data[93], self.data[94], self.data[95], self.data[96], self.data[97], self.data[98], self.data[99], self.data[100], self.data[101], self.data[102], self.data[103], self.data[104], self.data[105], self.data[106], self.data[107], self.data[108], self.data[109], self.data[110], self.data[111], self.data[112], self.data[113], self.data[114], self.data[115], self.data[116], self.data[117], self.data[118], self.data[119], self.data[120], self.data[121], self.data[122], self.data[123], self.data[124], self.data[125], self.data[126], self.data[127], self.data[128], self.data[129], self.data[130], self.data[131], self.data[132], self.data[133], self.data[134], self.data[135], self.data[136], self.data[137], self.data[138], self.data[139], self.data[140], self.data[141], self.data[142], self.data[143], self.data[144], self.data[145], self.data[146], self.data[147], self.data[148], self.data[149], self.data[150], self.data[151], self.data[152], self.data[153], self.data[154], self.data[155], self.data[156], self.data[157], self.data[158], self.data[159], self.data[160], self.data[161], self.data[162], self.data[163], self.data[164], self.data[165], self.data[166], self.data[167], self.data[168], self.data[169], self.data[170], self.data[171], self.data[172], self.data[173], self.data[174], self.data[175], self.data[176], self.data[177], self.data[178], self.data[179], self.data[180], self.data[181], self.data[182], self.data[183], self.data[184], self.data[185], self.data[186], self.data[187], self.data[188], self.data[189]), force_mavlink1=force_mavlink1)
 
 
 # Define name on the class for backwards compatibility (it is now msgname).
@@ -3016,7 +3016,7 @@ class MAVLink(object):
         Which of 512 scans were sent as SCAN_FAST, and which existed at all.
 
         first_number              : First scan of the map, a multiple of 512. (type:uint32_t)
-        last_number               : Last scan offered when the map was made: bits beyond it mean nothing yet. (type:uint32_t)
+        last_number               : Scans up to this one are settled: sent, dropped, or never to be sent. Bits beyond it mean nothing yet. (type:uint32_t)
         boot                      : Random number drawn when the logger started. (type:uint8_t)
         sent                      : 1: handed to the port completely; from the lowest bit of byte 0. (type:uint8_t)
         absent                    : 1: no such scan was offered to the downlink. (type:uint8_t)
@@ -3029,7 +3029,7 @@ class MAVLink(object):
         Which of 512 scans were sent as SCAN_FAST, and which existed at all.
 
         first_number              : First scan of the map, a multiple of 512. (type:uint32_t)
-        last_number               : Last scan offered when the map was made: bits beyond it mean nothing yet. (type:uint32_t)
+        last_number               : Scans up to this one are settled: sent, dropped, or never to be sent. Bits beyond it mean nothing yet. (type:uint32_t)
         boot                      : Random number drawn when the logger started. (type:uint8_t)
         sent                      : 1: handed to the port completely; from the lowest bit of byte 0. (type:uint8_t)
         absent                    : 1: no such scan was offered to the downlink. (type:uint8_t)
@@ -3091,8 +3091,8 @@ class MAVLink(object):
         """
         Ask for complete scans.
 
-        wanted                    : Which of the 64 scans from first_number on are wanted; lowest bit: first_number. (type:uint64_t)
-        fragments                 : Which fragments of the answer are wanted; all ones at first. (type:uint64_t)
+        wanted                    : Which of the 64 scans from first_number on are wanted, at most 24 of them; lowest bit: first_number. 0: the papers of the recording, part first_number. (type:uint64_t)
+        fragments                 : Which of the 64 possible fragments of the answer are wanted. (type:uint64_t)
         first_number              : First scan the mask counts from. (type:uint32_t)
         boot                      : The boot asked about. (type:uint8_t)
         target_system             : System ID. (type:uint8_t)
@@ -3105,8 +3105,8 @@ class MAVLink(object):
         """
         Ask for complete scans.
 
-        wanted                    : Which of the 64 scans from first_number on are wanted; lowest bit: first_number. (type:uint64_t)
-        fragments                 : Which fragments of the answer are wanted; all ones at first. (type:uint64_t)
+        wanted                    : Which of the 64 scans from first_number on are wanted, at most 24 of them; lowest bit: first_number. 0: the papers of the recording, part first_number. (type:uint64_t)
+        fragments                 : Which of the 64 possible fragments of the answer are wanted. (type:uint64_t)
         first_number              : First scan the mask counts from. (type:uint32_t)
         boot                      : The boot asked about. (type:uint8_t)
         target_system             : System ID. (type:uint8_t)

@@ -56,71 +56,89 @@ class FrozenFit:
     converged: bool
 
 
+@dataclass(frozen=True)
+class Frozen:
+    """A trained network with its scaling, ready to predict rows of stretches."""
+
+    axis: Axis
+    shape: Shape
+    weights: torch.Tensor
+    standard: Standard
+
+    def residual_and_slope(
+        self, stretch: Stretch, theta: Array, signals: dict[str, Array] | None = None
+    ) -> tuple[Array, Array]:
+        """Standardised residuals (M, out) and prediction slopes (M, out, n) with the model's coefficients.
+
+        signals: what the coefficients are computed from, instead of the measured ones.
+        """
+        m = stretch.u.shape[1] - 3
+        coefficients, d_theta = stretch.model_coefficients(self.axis, theta, signals)
+        u = self.standard.u(np.column_stack([stretch.u[:, :m], coefficients]))
+        out, d_u = input_jacobian(self.shape, self.weights, torch.as_tensor(u, device=self.weights.device))
+        d_c = d_u[:, :, m:].cpu().numpy() / self.standard.u_std[m:]
+        return self.standard.z(stretch.z) - out.cpu().numpy(), np.einsum("koc,kcp->kop", d_c, d_theta)
+
+
 def fit_parameters(
-    axis: Axis,
+    frozen: Frozen,
     stretches: Sequence[Stretch],
-    shape: Shape,
-    weights: torch.Tensor,
-    standard: Standard,
     *,
     start: Array | None = None,
     multiplicity: Sequence[Array] | None = None,
+    smooth: bool = False,
     iterations: int = 40,
 ) -> FrozenFit:
-    """Minimise the prediction error over theta with step halving; converged when no step is above 1e-6 of its size."""
-    theta = np.zeros(len(axis.parameters)) if start is None else start.copy()
-    m = stretches[0].u.shape[1] - 3
+    """Minimise the prediction error over theta with step halving; converged when no step is above 1e-6 of its size.
+
+    multiplicity: weight of each row of each stretch. smooth: compute the coefficients from the de-noised signals.
+    """
+    theta = np.zeros(len(frozen.axis.parameters)) if start is None else start.copy()
     counts = [np.ones(len(s.u)) for s in stretches] if multiplicity is None else list(multiplicity)
     total = sum(float(c.sum()) for c in counts)
 
-    def residual_and_slope(t: Array) -> tuple[list[Array], list[Array]]:
-        residuals, slopes = [], []
-        for stretch in stretches:
-            coefficients, d_theta = stretch.model_coefficients(axis, t)
-            u = standard.u(np.column_stack([stretch.u[:, :m], coefficients]))
-            out, d_u = input_jacobian(shape, weights, torch.as_tensor(u, device=weights.device))
-            residuals.append(standard.z(stretch.z) - out.cpu().numpy())
-            d_c = d_u[:, :, m:].cpu().numpy() / standard.u_std[m:]
-            slopes.append(np.einsum("koc,kcp->kop", d_c, d_theta))
-        return residuals, slopes
+    def look(t: Array) -> tuple[list[Array], list[Array], Array, float]:
+        both = [frozen.residual_and_slope(s, t, s.smooth if smooth else None) for s in stretches]
+        residuals, slopes = [r for r, _ in both], [s for _, s in both]
+        R = variance(residuals, counts)
+        return residuals, slopes, R, 0.5 * total * float(np.log(R).sum())
 
-    def variance(residuals: list[Array]) -> Array:
-        summed = sum((c[:, None] * r**2).sum(axis=0) for c, r in zip(counts, residuals, strict=True))
-        return np.maximum(np.asarray(summed) / total, 1e-16)
-
-    residuals, slopes = residual_and_slope(theta)
-    R = variance(residuals)
-    cost = 0.5 * total * float(np.log(R).sum())
+    residuals, slopes, R, cost = look(theta)
     converged, used = False, 0
-    information = np.zeros((theta.size, theta.size))
     for used in range(1, iterations + 1):
-        information, gradient = _normal(residuals, slopes, counts, R)
+        information, gradient = normal_equations(slopes, slopes, residuals, counts, R)
         step = np.linalg.lstsq(information, gradient, rcond=1e-13)[0]
         scale = 1.0
-        while True:
-            trial = theta + scale * step
-            new_residuals, new_slopes = residual_and_slope(trial)
-            new_R = variance(new_residuals)
-            new_cost = 0.5 * total * float(np.log(new_R).sum())
-            if new_cost <= cost + 1e-9 * abs(cost) or scale < 1e-3:
-                break
+        trial = look(theta + step)
+        while trial[3] > cost + 1e-9 * abs(cost) and scale > 1e-3:
             scale *= 0.5
-        if new_cost > cost + 1e-9 * abs(cost):
+            trial = look(theta + scale * step)
+        if trial[3] > cost + 1e-9 * abs(cost):
             break
-        small = bool(np.all(np.abs(scale * step) < 1e-6 * (np.abs(theta) + 1e-3)))
-        theta, residuals, slopes, R, cost = trial, new_residuals, new_slopes, new_R, new_cost
-        if small:
+        theta = theta + scale * step
+        residuals, slopes, R, cost = trial
+        if np.all(np.abs(scale * step) < 1e-6 * (np.abs(theta) + 1e-3)):
             converged = True
             break
-    information, _ = _normal(residuals, slopes, counts, R)
+    information, _ = normal_equations(slopes, slopes, residuals, counts, R)
     return FrozenFit(theta, information, R, tuple(residuals), used, converged)
 
 
-def _normal(residuals: list[Array], slopes: list[Array], counts: list[Array], R: Array) -> tuple[Array, Array]:
+def variance(residuals: Sequence[Array], counts: Sequence[Array]) -> Array:
+    """(out,) mean squared residual over weighted rows."""
+    total = sum(float(c.sum()) for c in counts)
+    summed = sum((c[:, None] * r**2).sum(axis=0) for c, r in zip(counts, residuals, strict=True))
+    return np.maximum(np.asarray(summed) / total, 1e-16)
+
+
+def normal_equations(
+    left: Sequence[Array], slopes: Sequence[Array], residuals: Sequence[Array], counts: Sequence[Array], R: Array
+) -> tuple[Array, Array]:
+    """Sum of left' R^-1 slope and left' R^-1 residual over all rows; left are the slopes, or instruments for them."""
     n = slopes[0].shape[2]
-    information, gradient = np.zeros((n, n)), np.zeros(n)
-    for r, s, c in zip(residuals, slopes, counts, strict=True):
-        weighted = s * (c[:, None] / R)[:, :, None]
-        information += np.einsum("kop,koq->pq", weighted, s)
-        gradient += np.einsum("kop,ko->p", weighted, r)
-    return information, gradient
+    matrix, right = np.zeros((n, n)), np.zeros(n)
+    for a, s, r, c in zip(left, slopes, residuals, counts, strict=True):
+        weighted = a * (c[:, None] / R)[:, :, None]
+        matrix += np.einsum("kop,koq->pq", weighted, s)
+        right += np.einsum("kop,ko->p", weighted, r)
+    return matrix, right

@@ -6,8 +6,8 @@ a sample that derivative is too small and too early, and the moment derivatives 
 
 Interval form: the coefficient that carries the motion from k to k+n is its mean over the interval, and the mean of a
 moment is exactly the increment of angular momentum, so no derivative is taken: C_l = [Ixx dp - Ixz dr - ...] / (n dt
-mean(q) S b). The model's coefficients are averaged in the same way, and signals that enter both are de-noised without
-smearing edges first, because noise in a regressor makes its parameter too small.
+mean(q) S b). The model's coefficients are averaged in the same way. Noise in the signals they are computed from would
+still make parameters too small; `instruments` is where that is dealt with, from signals de-noised without smearing edges.
 """
 
 from dataclasses import dataclass
@@ -34,22 +34,30 @@ SHORTEST = 20  # samples in a stretch that is worth using
 class Stretch:
     """Samples of one gap-free stretch.
 
-    u: (M, n_motion + 3) measured inputs; z: (M, n_outputs) outputs; first: index in the flight of each row. signals,
-    pressure, window: what the model's coefficients are computed from.
+    u: (M, n_motion + 3) measured inputs; z: (M, n_outputs) outputs; first: index in the flight of each row. signals:
+    what the model's coefficients are computed from; smooth: the same without noise; window: samples averaged over, 0 for
+    the published form.
     """
 
     u: Array
     z: Array
     first: NDArray[np.int64]
     signals: dict[str, Array]
+    smooth: dict[str, Array]
     window: int
 
-    def model_coefficients(self, axis: Axis, theta: Array) -> tuple[Array, Array]:
-        """(M, 3) coefficients with parameters theta and their derivative (M, 3, n), averaged like the measured ones."""
-        value, slope = axis.aerodynamic(self.signals, theta)
+    def model_coefficients(
+        self, axis: Axis, theta: Array, signals: dict[str, Array] | None = None
+    ) -> tuple[Array, Array]:
+        """(M, 3) coefficients with parameters theta and their derivative (M, 3, n), averaged like the measured ones.
+
+        signals: to be used instead of the measured ones (instruments).
+        """
+        s = self.signals if signals is None else signals
+        value, slope = axis.aerodynamic(s, theta)
         if self.window == 0:
             return value[:-1], slope[:-1]
-        pressure = dynamic_pressure(self.signals)
+        pressure = dynamic_pressure(s)
         mean = window_mean(pressure, self.window)
         averaged = window_mean(pressure[:, None] * value, self.window) / mean[:, None]
         return averaged, window_mean(pressure[:, None, None] * slope, self.window) / mean[:, None, None]
@@ -116,22 +124,20 @@ def _point(axis: Axis, raw: dict[str, Array], time: Array, first: int, motion: t
     loads = axis.inertial(s, {c: smooth(c, 1) for c in axis.angular_rates})
     u = np.column_stack([*(s[c] for c in motion), loads / dynamic_pressure(s)[:, None]])[:-1]
     z = np.column_stack([s[c] for c in (*motion, *axis.accelerations)])[1:]
-    return Stretch(u, z, first + np.arange(len(u)), s, 0)
+    return Stretch(u, z, first + np.arange(len(u)), s, s, 0)
 
 
 def _interval(axis: Axis, raw: dict[str, Array], time: Array, first: int, motion: tuple[str, ...]) -> Stretch:
     """The interval form, over the number of samples nearest to INTERVAL_S."""
     dt = float(np.median(np.diff(time)))
     steps = max(1, min(round(INTERVAL_S / dt), len(time) // 4))
-    s = {c: denoise(raw[c], order=1 if c in axis.controls else 2).values for c in raw}
+    smooth = {c: denoise(raw[c], order=1 if c in axis.controls else 2).values for c in raw}
     none = {c: np.zeros(len(time)) for c in axis.angular_rates}
-    exact = {c: (raw[c][steps:] - raw[c][:-steps]) / (steps * dt) for c in axis.angular_rates}
-    measured = {**s, **{c: raw[c] for c in axis.accelerations}}
-    loads = window_mean(axis.inertial(measured, none), steps)
-    zero = {c: np.zeros(len(loads)) for c in raw}
-    loads = loads + axis.inertial(zero, exact)  # the moment equations are linear in the rate derivatives
-    pressure = window_mean(dynamic_pressure(s), steps)
-    u = np.column_stack([*(raw[c][:-steps] for c in motion), loads / pressure[:, None]])
+    increments = {c: (raw[c][steps:] - raw[c][:-steps]) / (steps * dt) for c in axis.angular_rates}
+    nothing = {c: np.zeros(len(time) - steps) for c in raw}
+    # inertial loads are linear in the rate derivatives: mean of the rest, plus what the exact increments carry
+    loads = window_mean(axis.inertial(raw, none), steps) + axis.inertial(nothing, increments)
+    u = np.column_stack([*(raw[c][:-steps] for c in motion), loads / window_mean(dynamic_pressure(raw), steps)[:, None]])
     accelerations = [window_mean(raw[c], steps) for c in axis.accelerations]
     z = np.column_stack([*(raw[c][steps:] for c in motion), *accelerations])
-    return Stretch(u, z, first + np.arange(len(u)), s, steps)
+    return Stretch(u, z, first + np.arange(len(u)), raw, smooth, steps)

@@ -1,0 +1,138 @@
+"""Put a logger together from its configuration and the things at its edge, real or simulated.
+
+The same function builds the logger on the aircraft and in the simulator; only the objects handed to it differ.
+"""
+
+import secrets
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from datetime import UTC, datetime
+
+from daq.bus import I2cBus, SerialPort
+from daq.clock import Clock
+from daq.config import LoggerConfig, read_calibration
+from daq.contract.ports import BytePort
+from daq.contract.recording import CALIBRATION_PREFIX, CONFIG_ATTACHMENT, RecordingInfo, software_version
+from daq.link import RadioLink, radio_link
+from daq.logger import Logger, Opening
+from daq.recorder import Recorder
+from daq.sampler import Sampler
+from daq.storage import Storage
+from daq.timing import LoopTiming
+
+
+@dataclass(frozen=True, slots=True)
+class Edge:
+    """What the logger is connected to.
+
+    bus, gnss, autopilot, pulse: as `daq.sampler.Sampler` takes them. radio: the port to the ground, None without one.
+    source: real | simulated; every recording says it for good.
+    """
+
+    clock: Clock
+    bus: I2cBus | None
+    gnss: SerialPort | None
+    source: str
+    autopilot: SerialPort | None = None
+    pulse: Callable[[], int | None] | None = None
+    radio: BytePort | None = None
+    storage: Storage | None = None
+
+
+@dataclass(frozen=True)
+class Assembly:
+    """A logger ready to run, and its parts."""
+
+    logger: Logger
+    sampler: Sampler
+    recorder: Recorder
+    link: RadioLink | None
+    session: str
+
+
+def session_name(config: LoggerConfig, clock: Clock, *, unique: bool = True) -> str:
+    """Name of a session: aircraft, time as the clock believes it, and something to tell equal times apart.
+
+    A companion computer without a battery may start several flights at the same wrong time.
+    """
+    stamp = datetime.fromtimestamp(clock.utc_ns() // 10**9, UTC).strftime("%Y%m%dT%H%M%SZ")
+    return f"{config.aircraft.name}_{stamp}" + (f"_{secrets.token_hex(2)}" if unique else "")
+
+
+def recording_info(config: LoggerConfig, text: str, session: str, source: str, started_utc_ns: int) -> RecordingInfo:
+    """Identity of a session, with the configuration and the calibration files to be embedded."""
+    attachments = {CONFIG_ATTACHMENT: text.encode()}
+    attachments |= {CALIBRATION_PREFIX + k: v for k, v in read_calibration(config.calibration).items()}
+    return RecordingInfo(
+        session=session,
+        source=source,
+        aircraft=config.aircraft.name,
+        scan_rate_hz=config.scan.rate_hz,
+        started_utc_ns=max(0, started_utc_ns),
+        software=software_version(),
+        details={"tail_number": config.aircraft.tail_number} if config.aircraft.tail_number else {},
+        attachments=attachments,
+    )
+
+
+def assemble(
+    config: LoggerConfig,
+    text: str,
+    edge: Edge,
+    *,
+    session: str | None = None,
+    folder: str | None = None,
+    boot: int | None = None,
+    opening: Iterable[Opening] = (),
+    housekeeping: Callable[[], None] = lambda: None,
+) -> Assembly:
+    """Build the logger.
+
+    text: the configuration as written, embedded in recordings. session: name of the first recording; `folder`: directory
+    under the configured ones that takes it, by default one named like the session. boot: see `Downlink`.
+    """
+    timing = LoopTiming()
+    first = session or session_name(config, edge.clock)
+    started_utc_ns = edge.clock.utc_ns()
+
+    def make_recorder(name: str, place: str) -> Recorder:
+        info = recording_info(config, text, name, edge.source, edge.clock.utc_ns())
+        return Recorder(config.recorder, info, edge.clock, folder=place, storage=edge.storage, timing=timing)
+
+    def next_recorder() -> Recorder:
+        name = session_name(config, edge.clock)
+        return make_recorder(name, name if folder is None else folder)
+
+    sampler = Sampler(
+        config.sensors,
+        edge.bus,
+        edge.gnss,
+        edge.clock,
+        rate_hz=config.scan.rate_hz,
+        autopilot=edge.autopilot,
+        pulse=edge.pulse,
+    )
+    recorder = make_recorder(first, first if folder is None else folder)
+    logger = Logger(
+        config.scan.rate_hz,
+        edge.clock,
+        sampler,
+        recorder,
+        timing=timing,
+        new_recorder=next_recorder,
+        housekeeping=housekeeping,
+        opening=opening,
+    )
+    link = None
+    if config.downlink is not None and edge.radio is not None:
+        link = radio_link(
+            config.downlink,
+            edge.radio,
+            edge.clock,
+            papers=lambda: recording_info(config, text, first, edge.source, started_utc_ns),
+            recordings=config.recorder.directories,
+            boot=boot,
+        )
+        link.report_on(logger)
+        logger.connect(link, link.uplink)
+    return Assembly(logger, sampler, recorder, link, first)

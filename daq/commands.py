@@ -1,0 +1,103 @@
+"""Command-line verbs of the aircraft side: record, preflight, info, verify, recover."""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import click
+
+_JSON = click.option("--json", "json_path", type=click.Path(path_type=Path), help="Also write the result as JSON to PATH.")
+_RECORDING = click.argument("recording", metavar="FILE", type=click.Path(path_type=Path))
+
+
+def _write_json(path: Path | None, result: Mapping[str, Any]) -> None:
+    from daq.contract.recording import RecordingError
+
+    if path is None:
+        return
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps(result, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise RecordingError(f"{path}: the result cannot be written ({error.strerror or error})") from error
+
+
+@click.command(epilog="Example: sideslip info recordings/demo/onboard --json info.json")
+@_RECORDING
+@_JSON
+def info(recording: Path, json_path: Path | None) -> None:
+    """What is in a recording: FILE is a raw recording, a directory with its segments, or a calibrated flight."""
+    from daq.contract.accounting import info_mcap
+
+    result = info_mcap(recording)
+    _write_json(json_path, result)
+    click.echo(f"{result['file']}: {result['kind']}, {result['source']}, aircraft {result['aircraft'] or 'not named'}")
+    click.echo(
+        f"  {result['scans']} scans in {result['duration_s']:.2f} s, {result['rate_hz']:.2f} Hz, "
+        f"numbers {result['first_scan']} to {result['last_scan']}, recorded by sideslip {result['software']}"
+    )
+    if not result["sound"]:
+        click.echo(f"  damaged or not closed in order: see 'sideslip verify {recording}'")
+    for event in result.get("events", ()):
+        click.echo(f"  event at {event['time']:.2f} s ({event['origin']}): {event['text']}")
+    for channel in result["channels"]:
+        click.echo(f"  {channel['name']:<24} {channel['unit'] or '-':<6} {channel['samples']:>8} samples")
+
+
+@click.command(epilog="Example: sideslip verify recordings/demo/onboard")
+@_RECORDING
+@_JSON
+def verify(recording: Path, json_path: Path | None) -> None:
+    """Check every byte and account for every scan of a recording. Exit status 1 when something is wrong."""
+    from daq.contract.accounting import verify as check
+
+    result = check(recording)
+    _write_json(json_path, result.to_dict())
+    click.echo(f"{recording}: {result.text}")
+    for path, damage in result.damages:
+        click.echo(f"  {path.name} byte {damage.at_byte}: {damage.what}")
+    if not result.ok:
+        raise click.exceptions.Exit(1)
+
+
+@click.command(epilog="Example: sideslip recover flight_000.mcap -o recovered.mcap")
+@_RECORDING
+@click.option("-o", "--out", required=True, type=click.Path(path_type=Path), help="The new recording.")
+@_JSON
+def recover(recording: Path, out: Path, json_path: Path | None) -> None:
+    """Save everything undamaged in a recording, FILE or directory, to a new and sound one."""
+    from daq.contract.accounting import recover as salvage
+
+    result = salvage(recording, out)
+    _write_json(json_path, result.to_dict())
+    click.echo(result.to_dict()["text"])
+
+
+@click.command(epilog="Example: sideslip preflight /etc/sideslip/cdfp.toml")
+@click.argument("config", type=click.Path(path_type=Path))
+@_JSON
+def preflight(config: Path, json_path: Path | None) -> None:
+    """Go or no-go: sensors, values, clock, card and radio of the logger. Exit status 1 for no-go."""
+    from daq.service.run import preflight_on_hardware
+
+    table = preflight_on_hardware(config)
+    _write_json(json_path, table.to_dict())
+    click.echo(table.text())
+    if not table.go:
+        raise click.exceptions.Exit(1)
+
+
+@click.command(epilog="Example: sideslip record /etc/sideslip/cdfp.toml")
+@click.argument("config", type=click.Path(path_type=Path))
+@click.option("--override", metavar="REASON", help="Record in spite of a no-go; the reason goes into the recording.")
+@click.option("--skip-preflight", is_flag=True, help="Record at once; that too goes into the recording.")
+@_JSON
+def record(config: Path, override: str | None, skip_preflight: bool, json_path: Path | None) -> None:
+    """Run the logger on this machine's sensors until SIGTERM or Ctrl-C. Refuses to start on a no-go."""
+    from daq.service.run import record_on_hardware
+
+    outcome = record_on_hardware(config, override=override, skip_preflight=skip_preflight)
+    _write_json(json_path, outcome.to_dict())
+    click.echo(outcome.text)
+    raise click.exceptions.Exit(outcome.exit_status)

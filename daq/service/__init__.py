@@ -1,0 +1,1 @@
+"""Running the logger as a service: start, signals, watchdog, scheduling."""

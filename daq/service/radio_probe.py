@@ -1,0 +1,40 @@
+"""Listen to a SiK radio: it reports its signal once it has seen a heartbeat pass.
+
+Signal in dBm is RSSI / 1.9 - 127 (SiK firmware, Si4463 scale).
+"""
+
+from daq.clock import NS, Clock
+from daq.contract.mavlink_codec import RADIO_STATUS_ID, Frame, FrameDecoder, FrameEncoder
+from daq.contract.ports import BytePort
+from daq.preflight import RadioReport
+
+_STEP_NS = NS // 20
+_FIXED_WING, _STANDBY, _MAVLINK_2 = 1, 3, 3
+
+
+def listen(port: BytePort, clock: Clock, *, seconds: float = 3.0, system_id: int = 1) -> RadioReport | None:
+    """Send heartbeats and wait for the radio's report; None when there is none within `seconds`."""
+    decoder = FrameDecoder()
+    encoder = FrameEncoder(system_id, 1)
+    start = now = clock.monotonic_ns()
+    next_heartbeat = start
+    while now - start < seconds * NS:
+        if now >= next_heartbeat:
+            next_heartbeat += NS
+            port.write(encoder.message("HEARTBEAT", type=_FIXED_WING, system_status=_STANDBY, mavlink_version=_MAVLINK_2))
+        for found in decoder.feed(port.read()):
+            if isinstance(found, Frame) and found.msg_id == RADIO_STATUS_ID:
+                return _report(found)
+        clock.sleep_until(now + _STEP_NS)
+        now = clock.monotonic_ns()
+    return None
+
+
+def _report(frame: Frame) -> RadioReport:
+    fields = frame.fields()
+    dbm = {name: _dbm(fields[name]) for name in ("rssi", "noise", "remrssi", "remnoise")}
+    return RadioReport(dbm["rssi"], dbm["noise"], dbm["remrssi"], dbm["remnoise"], int(str(fields["txbuf"])))
+
+
+def _dbm(count: object) -> float:
+    return int(str(count)) / 1.9 - 127

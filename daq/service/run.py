@@ -1,0 +1,190 @@
+"""Run the logger or its preflight check on real hardware: the edge where devices are opened and signals arrive."""
+
+import logging
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+from daq.assembly import Assembly, Edge, assemble
+from daq.clock import RealClock
+from daq.config import LoggerConfig, load_config
+from daq.contract.errors import UserError
+from daq.contract.messages import LogLevel, Statistics
+from daq.contract.ports import BytePort
+from daq.link import open_port
+from daq.logger import Opening
+from daq.preflight import Preflight, RadioReport, run_preflight
+from daq.sampler import Sampler
+from daq.sensors.open import Hardware, open_hardware
+from daq.service.notify import Notifier
+from daq.service.radio_probe import listen
+from daq.service.realtime import GarbageDiscipline, prepare_process
+from daq.storage import RealStorage
+
+_LOG = logging.getLogger("sideslip.service")
+
+
+class PreflightRefusal(UserError):
+    """The preflight check says no-go."""
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """How a recording ended."""
+
+    books: Statistics
+    directory: Path
+    signal_name: str
+
+    @property
+    def exit_status(self) -> int:
+        """0 when every scan was written, 1 when some were dropped or lost."""
+        return 1 if self.books.dropped or self.books.lost else 0
+
+    @property
+    def text(self) -> str:
+        """One line for the journal."""
+        b = self.books
+        return (
+            f"{self.directory}: {b.written} scans written, {b.dropped} dropped, {b.lost} lost, {b.missed} slots missed"
+            f" ({self.signal_name or 'ended'})"
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """The JSON object of `record --json`."""
+        b = self.books
+        return {
+            "directory": str(self.directory),
+            "session": b.session,
+            "slots": b.slots,
+            "written": b.written,
+            "dropped": b.dropped,
+            "lost": b.lost,
+            "missed": b.missed,
+            "late": b.late_scans,
+            "text": self.text,
+        }
+
+
+def preflight_on_hardware(path: Path) -> Preflight:
+    """Open what the configuration names and carry out the preflight check."""
+    config, _ = load_config(path)
+    clock = RealClock()
+    with _opened(config, clock) as (hardware, radio):
+        return _preflight(config, clock, hardware, radio)
+
+
+def record_on_hardware(path: Path, *, override: str | None, skip_preflight: bool) -> Outcome:
+    """Record until SIGTERM or SIGINT. Raises PreflightRefusal on a no-go without an override."""
+    logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
+    config, text = load_config(path)
+    clock = RealClock()
+    with _opened(config, clock) as (hardware, radio):
+        opening = _opening(None if skip_preflight else _preflight(config, clock, hardware, radio), override)
+        edge = Edge(
+            clock, hardware.bus, hardware.gnss, "real", hardware.autopilot, hardware.pulse, radio, storage=RealStorage()
+        )
+        return run_until_signal(config, text, edge, opening)
+
+
+def run_until_signal(config: LoggerConfig, text: str, edge: Edge, opening: list[Opening]) -> Outcome:
+    """Run the logger in this process until SIGTERM or SIGINT, feeding the watchdog."""
+    prepare_process(config.scan)
+    notifier = Notifier()
+    with _signals() as stop, GarbageDiscipline(enabled=config.scan.garbage_in_slack) as garbage:
+
+        def every_second() -> None:
+            notifier.alive(_status_line(made))
+            garbage.collect()
+
+        made = assemble(config, text, edge, opening=opening, housekeeping=every_second)
+        notifier.ready(f"recording {made.session}")
+        try:
+            books = made.logger.run(stop)
+        finally:
+            notifier.stopping()
+            notifier.close()
+            if made.link is not None:
+                made.link.uplink.close()
+    return Outcome(books, config.recorder.directories[0] / made.session, stop.name)
+
+
+def _status_line(made: Assembly) -> str:
+    books = made.logger.statistics()
+    if books is None:
+        return "not recording"
+    return f"{books.written} scans written, {books.dropped} dropped, {books.lost} lost; {made.sampler.health().words}"
+
+
+def _preflight(config: LoggerConfig, clock: RealClock, hardware: Hardware, radio: BytePort | None) -> Preflight:
+    sampler = Sampler(
+        config.sensors,
+        hardware.bus,
+        hardware.gnss,
+        clock,
+        rate_hz=config.scan.rate_hz,
+        autopilot=hardware.autopilot,
+        pulse=hardware.pulse,
+    )
+    heard: Callable[[], RadioReport | None] | None = None
+    if radio is not None:
+        heard = lambda: listen(radio, clock)  # noqa: E731
+    return run_preflight(config, clock, sampler, RealStorage(), heard)
+
+
+def _opening(table: Preflight | None, override: str | None) -> list[Opening]:
+    """What the recording says about its preflight check; PreflightRefusal on a no-go without an override."""
+    if table is None:
+        return [Opening(LogLevel.WARNING, "preflight", "skipped by the operator")]
+    if table.go:
+        return [Opening(LogLevel.INFO, "preflight", "go")]
+    reasons = "; ".join(f"{c.name}: {c.text}" for c in table.failed)
+    if override is None:
+        raise PreflightRefusal(f"no-go: {reasons}; correct it, or record all the same with --override REASON")
+    return [Opening(LogLevel.WARNING, "preflight", f"no-go overridden ({override}): {reasons}")]
+
+
+class _Stop:
+    """Becomes true at the first signal."""
+
+    def __init__(self) -> None:
+        self.name = ""
+
+    def __call__(self) -> bool:
+        return bool(self.name)
+
+    def set(self, number: int, _: FrameType | None) -> None:
+        self.name = signal.Signals(number).name
+
+
+@contextmanager
+def _signals() -> Iterator[_Stop]:
+    stop = _Stop()
+    before = {s: signal.signal(s, stop.set) for s in (signal.SIGTERM, signal.SIGINT)}
+    try:
+        yield stop
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+@contextmanager
+def _opened(config: LoggerConfig, clock: RealClock) -> Iterator[tuple[Hardware, BytePort | None]]:
+    hardware = open_hardware(config.sensors, clock)
+    try:
+        radio = _open_radio(config)
+        try:
+            yield hardware, radio
+        finally:
+            if radio is not None:
+                radio.close()
+    finally:
+        hardware.close()
+
+
+def _open_radio(config: LoggerConfig) -> BytePort | None:
+    return open_port(config.downlink.port) if config.downlink is not None and config.downlink.port else None

@@ -1,0 +1,131 @@
+"""Full fits of the leading hypotheses and what they weigh against each other.
+
+A screen is linear; a delay of 60 ms or a backlash is not. Each leading hypothesis is fitted together with all base
+parameters on the training flights. Weights follow from the evidence (Laplace approximation): gain in log-likelihood,
+divided by the inflation found on the nulls, the price of an estimate far from its usual size, and the width of the prior
+against the bound.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from estimation.engine.kernel import Array
+from estimation.gap.fitting import Fit, Problem, fit
+from estimation.gap.screen import Hypothesis, Screen, equivalent_z, extended
+from estimation.gap.whitening import Whitener
+from estimation.models.base import Model
+
+PRIOR_WIDTH = 1.5  # typical sizes: standard deviation of the prior of an effect's size
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One fitted hypothesis. gain: twice the log-likelihood gained over the base fit with the same whitening.
+    evidence: log evidence relative to the base. why_not: reason for rejection, or empty."""
+
+    hypothesis: Hypothesis
+    fit: Fit
+    gain: float
+    score: float
+    evidence: float
+    estimates: Mapping[str, tuple[float, float]]
+    size: float  # largest distance from no effect, in usual sizes
+    why_not: str = ""
+
+
+def fit_hypothesis(
+    problem: Problem, base_fit: Fit, hypothesis: Hypothesis, guess: Mapping[str, float], iterations: int = 12
+) -> tuple[Problem, Fit]:
+    """Fit base and hypothesis together from `guess`; (problem, fit)."""
+    model = hypothesis.form.added_to(problem.model, _inside(hypothesis, problem.model, guess))
+    trial = Problem(model, problem.base, problem.records, problem.whiteners)
+    start = {**model.starts(), **base_fit.values, **{p.name: model.parameter(p.name).start for p in hypothesis.form.parameters}}
+    locals_ = [extended(local, base_fit.model, model) for local in base_fit.locals]
+    return trial, fit(trial, start, locals_, iterations=iterations)
+
+
+def _inside(hypothesis: Hypothesis, model: Model, guess: Mapping[str, float]) -> dict[str, float]:
+    """Start values inside the physical range and not exactly at no effect, where one-sided effects have no slope."""
+    start = {}
+    for p in hypothesis.form.parameters:
+        none = p.null_value(model)
+        value = guess.get(p.name, none)
+        one_sided = p.lower >= none - 0.25 * p.typical
+        least = none + 0.3 * p.typical if one_sided else -np.inf
+        width = 3.0 * p.typical
+        start[p.name] = float(np.clip(max(value, least), max(p.lower, none - width), min(p.upper, none + width)))
+    return start
+
+
+def assess(problem: Problem, base_fit: Fit, hypothesis: Hypothesis, found: Fit, inflation: float) -> Candidate:
+    """Gain, score, evidence and admissibility of a fitted hypothesis."""
+    gain = 2.0 * (base_fit.cost - found.cost) if not found.diverged else 0.0
+    std = found.std() if not found.diverged else {}
+    evidence = 0.5 * gain / inflation
+    estimates: dict[str, tuple[float, float]] = {}
+    why_not = "the fit diverges" if found.diverged else ""
+    size = 0.0
+    for p in hypothesis.form.parameters:
+        none = p.null_value(problem.model)
+        value, bound = float(found.values[p.name]), float(std.get(p.name, np.inf)) * np.sqrt(inflation)
+        estimates[p.name] = (value, bound)
+        size = max(size, abs(value - none) / p.typical)
+        width = PRIOR_WIDTH * p.typical
+        evidence -= 0.5 * ((value - none) / width) ** 2 + max(np.log(width / max(bound, 1e-12)), 0.0) if np.isfinite(bound) else 0.0
+        span = p.upper - p.lower
+        if not p.lower + 1e-6 * span < value < p.upper - 1e-6 * span:
+            at_none = abs(value - none) < 1e-3 * p.typical
+            why_not = why_not or (
+                f"{p.name} shrinks to nothing" if at_none
+                else f"{p.name} = {value:.3g} {p.unit} is outside what is physically possible ({p.lower:g} to {p.upper:g})"
+            )  # fmt: skip
+    return Candidate(
+        hypothesis, found, gain, equivalent_z(gain / inflation, len(hypothesis.form.parameters)), evidence, estimates, size, why_not
+    )
+
+
+def leading(screen: Screen, gains: Array, count: int, near: float = 0.9) -> list[int]:
+    """Indices of the hypotheses worth a full fit: the `count` best by linear score and what is tied to the very best."""
+    order = list(np.argsort(-gains))
+    chosen = order[:count]
+    projected = screen.projected()
+    cosines = np.abs(projected.cosines())
+    best = screen.span(int(order[0]))
+    for h in order[count:]:
+        if cosines[np.ix_(best, screen.span(int(h)))].max() > near:
+            chosen.append(h)
+    return [int(h) for h in chosen]
+
+
+def linear_gains(screen: Screen, problem: Problem, column: int = 0, flights: Sequence[int] | None = None) -> Array:
+    """(hypotheses,) gains in twice the log-likelihood by linear theory; zero where the sign is physically impossible."""
+    projected = screen.projected(flights)
+    gains = np.zeros(len(screen.hypotheses))
+    for h in range(len(screen.hypotheses)):
+        span = screen.span(h)
+        gains[h] = projected.gain(span, column)
+        if len(span) == 1:
+            p = screen.columns[span[0]].parameter
+            none = p.null_value(problem.model)
+            if p.lower >= none - 0.25 * p.typical and projected.b[span[0], column] < 0:
+                gains[h] = 0.0
+    return gains
+
+
+def linear_guess(screen: Screen, problem: Problem, hypothesis: int) -> dict[str, float]:
+    """Parameter values of a hypothesis by linear theory."""
+    projected = screen.projected()
+    span = screen.span(hypothesis)
+    B = projected.B[np.ix_(span, span)]
+    eta = np.linalg.lstsq(B, projected.b[span, 0], rcond=None)[0]
+    return {
+        screen.columns[c].parameter.name: screen.columns[c].parameter.null_value(problem.model) + float(e)
+        for c, e in zip(span, eta, strict=True)
+    }
+
+
+def with_whiteners(problem: Problem, whiteners: tuple[Whitener, ...]) -> Problem:
+    """The same problem with other whiteners."""
+    return replace(problem, whiteners=whiteners)

@@ -1,0 +1,102 @@
+"""Choose what explains the flights: full fits, evidence, set, held-out test, exchange and backward checks."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from estimation.gap.baseline import Round, whiteners_for
+from estimation.gap.bench import Bench
+from estimation.gap.confirm import Candidate, assess, fit_hypothesis, leading, linear_guess
+from estimation.gap.fitting import Problem, fit
+from estimation.gap.result import Rejected
+
+FULL_FITS = 10
+KEEP = 6  # best candidates that are compared again with the noise of the best
+SET_WEIGHT = 0.95
+IMMATERIAL = 0.12  # of the usual size: smaller is found but not called an effect
+
+
+@dataclass(frozen=True)
+class Choice:
+    """The outcome of one round: ranked candidates with weights over effects, and what was rejected."""
+
+    candidates: tuple[Candidate, ...]
+    weights: Mapping[str, float]
+    rejected: tuple[Rejected, ...]
+
+    @property
+    def best(self) -> Candidate | None:
+        return self.candidates[0] if self.candidates else None
+
+
+def choose(round_: Round, bench: Bench) -> Choice:
+    """Fit the leading hypotheses in full and weigh them."""
+    problem, base_fit, screen = round_.baseline.problem, round_.baseline.fit, round_.screen
+    if not screen.hypotheses:
+        return Choice((), {}, ())
+    standardised = round_.gains / round_.inflation
+    inflation = {screen.hypotheses[h].key: float(round_.inflation[h]) for h in range(len(screen.hypotheses))}
+    first = []
+    for h in leading(screen, standardised, FULL_FITS):
+        hypothesis = screen.hypotheses[h]
+        trial, found = fit_hypothesis(problem, base_fit, hypothesis, linear_guess(screen, problem, h))
+        first.append(assess(problem, base_fit, hypothesis, found, inflation[hypothesis.key]))
+    sound = sorted((c for c in map(_material, first) if not c.why_not), key=lambda c: -c.evidence)
+    rejected = [Rejected(c.hypothesis.label, c.why_not) for c in map(_material, first) if c.why_not]
+    if not sound or sound[0].score < 2.0:
+        return Choice(tuple(sound), _weights(sound), tuple(rejected))
+    again = _compared_again(round_, bench, sound[:KEEP], inflation)
+    return Choice(again, _weights(again), tuple(rejected))
+
+
+def _material(candidate: Candidate) -> Candidate:
+    """The candidate, rejected where its estimate is far below the size at which the effect matters."""
+    if candidate.why_not:
+        return candidate
+    if candidate.size < IMMATERIAL:
+        return replace(candidate, why_not=f"fits {candidate.size:.0%} of its usual size: too small to matter")
+    return candidate
+
+
+def _compared_again(
+    round_: Round, bench: Bench, sound: Sequence[Candidate], inflation: Mapping[tuple[str, str], float]
+) -> tuple[Candidate, ...]:
+    """The candidates with the noise re-estimated from the best one's residuals: sharper, and the same for all."""
+    best, problem = sound[0], round_.baseline.problem
+    _, whiteners = whiteners_for(
+        best.fit.model, bench.base, problem.records, {**best.fit.model.starts(), **best.fit.values}, None, best.fit.residuals, round_.baseline.scatter
+    )
+    sharper = replace(problem, whiteners=whiteners)
+    base_fit = fit(sharper, round_.baseline.fit.values, round_.baseline.fit.locals, iterations=8)
+    result = []
+    for candidate in sound:
+        trial = Problem(candidate.fit.model, problem.base, problem.records, whiteners)
+        found = fit(trial, candidate.fit.values, candidate.fit.locals, iterations=8)
+        fresh = assess(sharper, base_fit, candidate.hypothesis, found, inflation[candidate.hypothesis.key])
+        result.append(replace(fresh, score=candidate.score, gain=candidate.gain))
+    return tuple(sorted((c for c in result if not c.why_not), key=lambda c: -c.evidence))
+
+
+def _weights(candidates: Sequence[Candidate]) -> dict[str, float]:
+    """Weight of each effect: the evidence of its forms, each form with an equal share of the effect's prior."""
+    if not candidates:
+        return {}
+    top = max(c.evidence for c in candidates)
+    weights: dict[str, float] = {}
+    for c in candidates:
+        share = 1.0 / len(c.hypothesis.effect.forms)
+        weights[c.hypothesis.effect.name] = weights.get(c.hypothesis.effect.name, 0.0) + share * float(np.exp(c.evidence - top))
+    total = sum(weights.values())
+    return dict(sorted(((n, w / total) for n, w in weights.items()), key=lambda item: -item[1]))
+
+
+def credible_set(weights: Mapping[str, float], share: float = SET_WEIGHT) -> list[tuple[str, float]]:
+    """Smallest set of effects that holds `share` of the weight, best first."""
+    chosen, total = [], 0.0
+    for name, weight in weights.items():
+        chosen.append((name, weight))
+        total += weight
+        if total >= share:
+            break
+    return chosen

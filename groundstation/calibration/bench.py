@@ -1,0 +1,304 @@
+"""Fitting calibration files from a bench recording and its plan.
+
+The readings of a dwell are averaged as the calibration will later see them (at data-sheet scale, referred to the sensor
+supply where the instrument is ratiometric), so that the fitted file replaces the nominal one as it stands.
+"""
+
+import hashlib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from datetime import UTC, date, datetime
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.contract.channels import CHANNEL_BY_NAME
+from daq.contract.reading import Recording, read_recording
+from groundstation.calibration import air_data, curves
+from groundstation.calibration.apply import Calibrator
+from groundstation.calibration.errors import CalibrationError
+from groundstation.calibration.fits import TriadFit, fit_sphere, fit_vectors
+from groundstation.calibration.plan import Dwell, Fit, Plan
+from groundstation.calibration.recording import embedded_calibration
+from groundstation.calibration.scan_table import ScanTable, scan_table
+from groundstation.calibration.schema import Bench, CalibrationSet, Instrument, Points, Triad
+
+Array = NDArray[np.float64]
+
+_FEWEST = 5  # scans in a dwell
+_QUANTISATION = 1 / np.sqrt(12)  # of one count, one sigma, when the noise does not carry the reading across counts
+
+
+@dataclass(frozen=True)
+class Dwelt:
+    """Mean reading of a dwell, one sigma of the mean, and the number of scans: (axes,) each."""
+
+    mean: Array
+    std: Array
+    samples: int
+    temperature: float
+
+
+@dataclass(frozen=True)
+class BenchFit:
+    """A fitted calibration file with the sentence a person reads."""
+
+    instrument: Instrument
+    text: str
+
+
+def fit_bench(
+    path: str | Path, plan: Plan, base: CalibrationSet | None = None, *, today: date | None = None
+) -> tuple[BenchFit, ...]:
+    """Fit every instrument of the plan from the recording.
+
+    base: the set whose files are refined (mounting, ratios, delays are taken over); None: the one embedded in the recording.
+    Dated by the recording, or `today` where it carries no UTC. Raises CalibrationError with one sentence.
+    """
+    recording = read_recording(path)
+    chosen = base or embedded_calibration(recording)
+    bench = Bench(recording=Path(path).name, sha256=_digest(recording), software=recording.info.software)
+    table = scan_table(recording.scans())
+    when = _date(recording, today)
+    out = []
+    for fit in plan.fit:
+        template = chosen.get(fit.instrument)
+        if template is None:
+            raise CalibrationError(
+                f"{fit.instrument}: not in calibration set {chosen.name}; its file is refined by the bench"
+            )
+        job = _Job(table, fit, template, chosen, recording.info.details)
+        fitted = job.run()
+        made = template.model_copy(
+            update={**fitted, "date": when, "method": fit.method or fit.procedure, "bench": bench}
+        )
+        out.append(BenchFit(made, _sentence(made, fit)))
+    return tuple(out)
+
+
+class _Job:
+    """One instrument of the plan."""
+
+    def __init__(
+        self, table: ScanTable, fit: Fit, template: Instrument, calibration: CalibrationSet, facts: Mapping[str, str]
+    ) -> None:
+        self.table = table
+        self.fit = fit
+        self.template = template
+        self.calibration = calibration
+        self.calibrator = Calibrator(calibration, facts)
+
+    def run(self) -> dict[str, object]:
+        """The tables of the file that the fit replaces."""
+        kind = self.template.kind
+        if kind == "curve" and self.fit.procedure in ("static_points", "speed_sweep"):
+            return self._curve()
+        if kind == "triad" and self.fit.procedure in ("vectors", "sphere"):
+            return self._triad()
+        if kind == "static" and self.fit.procedure == "static_points":
+            return self._static()
+        raise CalibrationError(
+            f"{self.fit.instrument}: procedure {self.fit.procedure} does not fit a file of kind {kind}"
+        )
+
+    # --------------------------------------------------------------------------------------------------- one axis
+
+    def _curve(self) -> dict[str, object]:
+        template = self.template
+        assert template.curve is not None, "a file of kind curve has one"
+        assert template.channel is not None, "a file of kind curve names its channel"
+        reading = self.calibrator.physical(self.table, template.channel)
+        if template.ratiometric is not None:
+            reading = reading * (template.ratiometric.reference / self.calibrator.sensor_supply(self.table))
+        step = CHANNEL_BY_NAME[template.channel].scale or 1.0
+        dwells = [self._mean(d, [reading], [step]) for d in self.fit.dwell]
+        references = np.array([self._reference(d) for d in self.fit.dwell])
+        shift = np.zeros(len(dwells))
+        if template.supply_sensitivity is not None:
+            volts = self.calibrator.sensor_supply(self.table)
+            over = template.supply_sensitivity
+            shift = np.array(
+                [over.per_volt * (self._mean(d, [volts], [0.0]).mean[0] - over.reference) for d in self.fit.dwell]
+            )
+        curve = curves.fit_polynomial(
+            [d.mean[0] for d in dwells],
+            references + shift,
+            self.fit.degree,
+            reading_std=[d.std[0] for d in dwells],
+            reference_std=self.fit.reference_uncertainty,
+            input_unit=template.curve.input_unit,
+            output_unit=template.curve.output_unit,
+        )
+        # what all references share is not seen in the residuals: it stays as a floor
+        curve = curve.model_copy(update={"uncertainty": self.fit.systematic_uncertainty})
+        points = Points(
+            reading=tuple((float(d.mean[0]),) for d in dwells),
+            reference=tuple((float(r),) for r in references),
+            samples=tuple(d.samples for d in dwells),
+        )
+        return {"curve": curve, "points": points}
+
+    def _reference(self, dwell: Dwell) -> float:
+        assert isinstance(dwell.reference, float), "checked by the plan"
+        if self.fit.reference_unit == "output":
+            return dwell.reference
+        columns, _ = self.calibrator.columns(self._part(dwell), aligned=False)
+        static, warmth = float(np.nanmean(columns["p_static"])), float(np.nanmean(columns["temperature"]))
+        if not np.isfinite(static + warmth):
+            raise CalibrationError(
+                f"{self.fit.instrument}: a reference in m/s needs static pressure and temperature in the recording"
+            )
+        return air_data.impact_pressure(dwell.reference, static, warmth)
+
+    def _static(self) -> dict[str, object]:
+        assert self.template.static is not None, "a file of kind static has one"
+        values, _ = self.calibrator.columns(self.table, aligned=False)
+        # the bench has no wind: columns are the compensated readings with the file's own offset
+        dwells = [self._mean(d, [values["p_static"]], [0.0]) for d in self.fit.dwell]
+        error = np.array([self._reference(d) for d in self.fit.dwell]) - np.array([d.mean[0] for d in dwells])
+        spread = float(np.std(error, ddof=1)) if error.size > 1 else 0.0
+        sigma = np.hypot(
+            max(spread, self.fit.reference_uncertainty) / np.sqrt(error.size), self.fit.systematic_uncertainty
+        )
+        new = self.template.static.model_copy(
+            update={
+                "pressure_offset": self.template.static.pressure_offset + float(error.mean()),
+                "uncertainty": float(sigma),
+            }
+        )
+        return {"static": new}
+
+    # ------------------------------------------------------------------------------------------------- three axes
+
+    def _triad(self) -> dict[str, object]:
+        old = self.template.triad
+        assert old is not None, "a file of kind triad has one"
+        axes = [self.calibrator.physical(self.table, c) for c in self.template.channels]
+        steps = [CHANNEL_BY_NAME[c].scale or 1.0 for c in self.template.channels]
+        if self.fit.procedure == "sphere":
+            found, points = self._sphere(axes), None
+        else:
+            dwells = [self._mean(d, axes, steps) for d in self.fit.dwell]
+            references = np.array([d.reference for d in self.fit.dwell], float)
+            readings = np.array([d.mean for d in dwells])
+            warmth = np.array([d.temperature for d in dwells]) - old.reference_temperature
+            if self.fit.fit_temperature and not np.all(np.isfinite(warmth)):
+                raise CalibrationError(
+                    f"{self.fit.instrument}: fit_temperature needs the IMU temperature in each dwell"
+                )
+            if not self.fit.fit_temperature:
+                slope = np.array(old.bias_per_kelvin)
+                readings = readings - (np.outer(warmth, slope) if slope.any() else 0.0)
+            found = fit_vectors(
+                readings, references, np.array([d.std for d in dwells]), self.fit.reference_uncertainty,
+                warmth if self.fit.fit_temperature else None,
+            )  # fmt: skip
+            points = Points(
+                reading=tuple(tuple(d.mean.tolist()) for d in dwells),
+                reference=tuple(tuple(r) for r in references.tolist()),
+                samples=tuple(d.samples for d in dwells),
+            )
+        return {"triad": self._updated(old, found), "points": points}
+
+    def _sphere(self, axes: list[Array]) -> TriadFit:
+        inside = np.zeros(len(self.table), bool)
+        for dwell in self.fit.dwell:
+            inside |= self._rows(dwell)
+        readings = np.stack(axes, axis=1)[inside]
+        readings = readings[np.isfinite(readings).all(axis=1)]
+        assert self.fit.field is not None, "checked by the plan"
+        return fit_sphere(readings, self.fit.field, self.fit.reference_uncertainty)
+
+    def _updated(self, old: Triad, found: TriadFit) -> Triad:
+        slope = tuple(found.bias_per_kelvin.tolist()) if self.fit.fit_temperature else old.bias_per_kelvin
+        common = self.fit.systematic_uncertainty
+        return old.model_copy(
+            update={
+                "matrix": tuple(tuple(row) for row in found.matrix.tolist()),
+                "bias": tuple(found.bias.tolist()),
+                "bias_per_kelvin": slope,
+                "uncertainty": tuple(np.hypot(found.bias_std, common).tolist()),
+                "matrix_uncertainty": float(found.matrix_std.max()),
+                "residual_rms": found.residual_rms,
+            }
+        )
+
+    # ------------------------------------------------------------------------------------------------------ dwells
+
+    def _rows(self, dwell: Dwell) -> NDArray[np.bool_]:
+        time = self.table.time - self.table.time[0]
+        return np.asarray((time >= dwell.start) & (time <= dwell.stop))
+
+    def _part(self, dwell: Dwell) -> ScanTable:
+        rows = self._rows(dwell)
+        if not rows.any():
+            raise CalibrationError(
+                f"{self.fit.instrument}: the recording has no scans between {dwell.start:g} and {dwell.stop:g} s"
+            )
+        return self.table.part(rows)
+
+    def _mean(self, dwell: Dwell, axes: Iterable[Array], steps: Iterable[float]) -> Dwelt:
+        rows = self._rows(dwell)
+        means, stds, fewest = [], [], len(self.table)
+        for axis, step in zip(axes, steps, strict=True):
+            values = axis[rows]
+            values = values[np.isfinite(values)]
+            if values.size < _FEWEST:
+                raise CalibrationError(
+                    f"{self.fit.instrument}: only {values.size} readings between {dwell.start:g} and {dwell.stop:g} s; "
+                    f"at least {_FEWEST} are needed"
+                )
+            spread = float(np.std(values, ddof=1))
+            quantum = abs(step) * _QUANTISATION if spread < 0.5 * abs(step) else 0.0
+            means.append(float(np.mean(values)))
+            stds.append(float(np.hypot(spread / np.sqrt(values.size), quantum)))
+            fewest = min(fewest, values.size)
+        warmth = self.calibrator.physical(self.table, "imu_temperature")[rows]
+        warmth = warmth[np.isfinite(warmth)]
+        return Dwelt(np.array(means), np.array(stds), fewest, float(np.mean(warmth)) if warmth.size else float("nan"))
+
+
+def fitted_set(base: CalibrationSet, fits: Iterable[BenchFit]) -> CalibrationSet:
+    """The base set with the fitted files in place of its own."""
+    from groundstation.calibration.write import to_toml
+
+    made = {f"{f.instrument.instrument}.toml": to_toml(f.instrument) for f in fits}
+    return replace(base.with_texts(made), name=base.name)
+
+
+def _sentence(made: Instrument, fit: Fit) -> str:
+    said = f"{made.instrument}: {len(fit.dwell)} {'points' if made.triad is None else 'dwells'}"
+    if made.curve is not None:
+        curve = made.curve
+        low, high = curve.valid
+        worst = float(np.max(curves.standard_deviation(curve, np.linspace(low, high, 21))))
+        return (
+            f"{said}, degree {fit.degree}, residual {curve.residual_rms:.3g} {curve.output_unit} rms, one sigma at most "
+            f"{worst:.3g} {curve.output_unit} from {low:.6g} to {high:.6g} {curve.input_unit}"
+        )
+    if made.triad is not None:
+        bias, sigma = (", ".join(f"{v:.4g}" for v in values) for values in (made.triad.bias, made.triad.uncertainty))
+        return (
+            f"{said}, residual {made.triad.residual_rms:.3g} {made.triad.output_unit} rms, bias {bias} (+- {sigma}), "
+            f"scale and misalignment +- {made.triad.matrix_uncertainty:.2g}"
+        )
+    if made.static is not None:
+        return f"{said}, offset {made.static.pressure_offset:.4g} Pa (+- {made.static.uncertainty:.3g})"
+    return said
+
+
+def _digest(recording: Recording) -> str:
+    digest = hashlib.sha256()
+    for segment in recording.segments:
+        digest.update(segment.path.read_bytes())
+    return digest.hexdigest()
+
+
+def _date(recording: Recording, today: date | None) -> date:
+    started = recording.info.started_utc_ns
+    if started:
+        return datetime.fromtimestamp(started * 1e-9, UTC).date()
+    if today is None:
+        raise CalibrationError(f"{recording.path}: the recording carries no date; give one with --date")
+    return today

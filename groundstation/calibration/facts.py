@@ -1,0 +1,81 @@
+"""Facts about the sensors that the logger found out: chip coefficients, filter delays, instants within a group, ranges.
+
+A recording carries them as `group.key`; a calibration set can hold them in `logger.toml` for streams that do not. What the
+recording says takes precedence.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from daq.contract.channels import CHANNEL_BY_NAME
+from groundstation.calibration.errors import CalibrationError
+
+_SCALE_KEYS = {
+    "accel_x": "imu.accel_scale_m_s2", "accel_y": "imu.accel_scale_m_s2", "accel_z": "imu.accel_scale_m_s2",
+    "gyro_x": "imu.gyro_scale_rad_s", "gyro_y": "imu.gyro_scale_rad_s", "gyro_z": "imu.gyro_scale_rad_s",
+    "mag_x": "mag.scale_t", "mag_y": "mag.scale_t", "mag_z": "mag.scale_t",
+}  # fmt: skip
+_DELAY_KEYS = {
+    "accelerometer": "imu.accel_delay_s",
+    "gyro": "imu.gyro_delay_s",
+    "attitude": "imu.gyro_delay_s",  # the filter integrates the gyro, which its own filter delays
+}
+_LONGEST_DELAY = 1.0  # s
+
+INSTANT_STEP = 1e-3
+"""The logger measures the instants within a group, a little differently in each flight: rounded to a millisecond they are
+the same in a recording and in `logger.toml`, and a stream without facts gives the same flight to the last bit."""
+
+
+@dataclass(frozen=True)
+class Facts:
+    """`group.key` -> text, as recorded."""
+
+    values: Mapping[str, str]
+
+    def nvm(self, group: str) -> bytes:
+        """Coefficient bytes of a group's chip; empty when not known. Raises CalibrationError when not hexadecimal."""
+        text = self.values.get(f"{group}.nvm", "")
+        try:
+            return bytes.fromhex(text)
+        except ValueError:
+            raise CalibrationError(f"fact {group}.nvm = {text!r} is not hexadecimal; correct logger.toml") from None
+
+    def delay(self, instrument: str, group: str) -> float:
+        """How far the chip's own filter makes an instrument's reading lag [s]; 0 when not known."""
+        key = _DELAY_KEYS.get(instrument, f"{group}.filter_delay_s")
+        return self._number(key, -_LONGEST_DELAY, _LONGEST_DELAY) or 0.0
+
+    def after(self, channel: str) -> float:
+        """How long after its group's instant a channel was sampled [s], to INSTANT_STEP; 0 when not known."""
+        key = f"{CHANNEL_BY_NAME[channel].group}.{channel}_after_s"
+        measured = self._number(key, -_LONGEST_DELAY, _LONGEST_DELAY) or 0.0
+        return round(measured / INSTANT_STEP) * INSTANT_STEP
+
+    def scale(self, channel: str) -> float | None:
+        """Units per count of a channel: that of the recorded range where it is not the table's."""
+        row = CHANNEL_BY_NAME[channel]
+        if row.scale is None:
+            return None
+        key = _SCALE_KEYS.get(channel)
+        if key is None and row.group.startswith("analog"):
+            key = f"{row.group}.scale_v"
+        if key is None and channel.startswith("pwm"):
+            key = "capture.scale_s"
+        recorded = self._number(key, 0.0, math.inf) if key else None
+        return recorded if recorded and not math.isclose(recorded, row.scale, rel_tol=1e-9) else row.scale
+
+    def _number(self, key: str, low: float, high: float) -> float | None:
+        text = self.values.get(key)
+        if text is None:
+            return None
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not low <= value <= high:
+            raise CalibrationError(
+                f"fact {key} = {text!r} is not a number from {low:g} to {high:g}; correct logger.toml"
+            )
+        return value

@@ -1,0 +1,207 @@
+"""What the receiver reports, in the order it happened."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from daq.contract.scan import Scan
+
+
+@dataclass(frozen=True, slots=True)
+class Session:
+    """One run of one aircraft's logger: `boot` as it names itself, `turn` counting restarts seen from here."""
+
+    system: int
+    boot: int
+    turn: int
+
+    @property
+    def name(self) -> str:
+        """Name for files."""
+        return f"aircraft{self.system}_{self.turn:02d}_{self.boot:02x}"
+
+
+@dataclass(frozen=True, slots=True)
+class ScanReceived:
+    """A scan came down the link. `late`: older than one that came before (reordered), or completed afterwards."""
+
+    session: Session
+    scan: Scan
+    received_ns: int  # ground monotonic
+    received_utc_ns: int
+    latency_s: float | None  # from the scan to its reception; None before the clocks are related
+    late: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Heartbeat:
+    """An aircraft, ground station or radio is alive."""
+
+    system: int
+    component: int
+    state: int  # MAV_STATE: 3 standby, 4 active
+    received_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class StatusText:
+    """A sentence from the aircraft; severity as in syslog."""
+
+    system: int
+    severity: int
+    text: str
+    received_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class LoggerStatus:
+    """State of recorder and logger."""
+
+    session: Session
+    recording: bool
+    in_flight: bool
+    slots: int
+    written: int
+    dropped: int
+    lost: int
+    missed: int
+    queue: int
+    lateness_p99_us: int
+    write_errors: int
+    free_bytes: int | None
+    received_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class AircraftStatistics:
+    """What the aircraft says it has sent."""
+
+    session: Session
+    first_number: int
+    last_number: int
+    scans_offered: int
+    scans_sent: int
+    scans_dropped: int
+    frames_sent: int
+    rate_hz: float
+    rejected_frames: int
+    rejected_commands: int
+    received_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class EventMarked:
+    """The logger recorded an event."""
+
+    session: Session
+    time_monotonic_ns: int
+    number: int
+    origin: str
+    text: str
+    received_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class LinkStatistics:
+    """Quality of the link to one aircraft, about once a second; None: not known."""
+
+    session: Session
+    received_ns: int
+    loss: float  # share of frames lost since the last report
+    frames_received: int
+    frames_lost: int
+    scan_rate_hz: float
+    latency_s: float | None
+    round_trip_s: float | None
+    clock_offset_s: float | None  # aircraft clock minus ground clock
+    rssi_dbm: float | None = None  # at the ground
+    remote_rssi_dbm: float | None = None  # at the aircraft
+    noise_dbm: float | None = None
+    remote_noise_dbm: float | None = None
+    txbuf_percent: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Restarted:
+    """The aircraft's logger has started anew: scan numbers begin again."""
+
+    session: Session
+    previous: Session | None
+    received_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class CommandResult:
+    """The end of a command sent from here."""
+
+    system: int
+    command: int
+    words: str  # accepted, denied, ..., or 'no answer'
+    accepted: bool
+    received_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class Refused:
+    """Frames that a signing key kept out."""
+
+    system: int
+    component: int
+    message: str
+    why: str
+    count: int
+    received_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class BackfillProgress:
+    """How far backfill is: complete scans held of all there are. `agreed`: count and hash equal the aircraft's."""
+
+    session: Session
+    held: int
+    wanted: int
+    agreed: bool
+    received_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class Accounting:
+    """Where the scans of a session went; inclusive ranges of scan numbers.
+
+    Of the scans from the first to the last known of: sent = received + lost, whatever was fetched later. `sent` counts
+    what the aircraft has told; `unknown` lists scans of which it has not told (yet) whether they were sent. `missing`
+    is the part of `lost` that backfill has not brought back; `backfilled` counts all scans held in full.
+    """
+
+    session: Session
+    first: int
+    last: int
+    received: int
+    sent: int
+    lost: list[tuple[int, int]] = field(default_factory=list)
+    never_sent: int = 0
+    absent: list[tuple[int, int]] = field(default_factory=list)
+    unknown: list[tuple[int, int]] = field(default_factory=list)
+    missing: list[tuple[int, int]] = field(default_factory=list)
+    backfilled: int = 0
+
+    @property
+    def lost_count(self) -> int:
+        """Scans sent and not received."""
+        return sum(b - a + 1 for a, b in self.lost)
+
+
+Event = (
+    ScanReceived
+    | Heartbeat
+    | StatusText
+    | LoggerStatus
+    | AircraftStatistics
+    | EventMarked
+    | LinkStatistics
+    | Restarted
+    | CommandResult
+    | Refused
+    | BackfillProgress
+)
+
+RadioFields = Mapping[str, int]

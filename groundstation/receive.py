@@ -1,0 +1,423 @@
+"""The receiver: bytes of all ports in, events out, nothing lost in between.
+
+`poll` never waits; call it often (a serial port's buffer holds under a second). Each port and sender has a decoder of
+its own, each aircraft its own books. Every byte goes to the telemetry log, every scan to the session's recorder.
+All methods may be called from any thread.
+"""
+
+import threading
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from daq.contract.mavlink_codec import RADIO_STATUS_ID, Frame, FrameDecoder, FrameEncoder
+from daq.contract.ports import BytePort
+from daq.contract.scan_map import BLOCK
+from groundstation import events as ev
+from groundstation.backfill import BackfillClient, Mode
+from groundstation.command import Commander
+from groundstation.decode import AircraftDecoder, RateMeter
+from groundstation.link import open_port, receive
+from groundstation.link_config import LinkConfig
+from groundstation.loglist import LogFetcher
+from groundstation.recording import SessionRecorder
+from groundstation.security import Gate, make_signer
+from groundstation.timeline import NS, Clock
+from groundstation.tlog import TlogWriter
+
+_FIRST_OWN_ID = 44100
+_HEARTBEAT_NS = NS
+_REPORT_NS = NS
+_SYNC_FAST_NS, _SYNC_NS, _SYNC_FAST_COUNT = NS // 2, 5 * NS, 6
+_MAP_NS = 2 * NS
+_MAPS_AT_ONCE = 4
+_SAVE_NS = 10 * NS
+_MAX_DECODERS = 32
+_GCS, _NO_AUTOPILOT = 6, 8
+
+
+class _Aircraft:
+    """One aircraft as the receiver keeps it."""
+
+    def __init__(self, system: int, port: BytePort) -> None:
+        self.decoder = AircraftDecoder(system)
+        self.meter = RateMeter(self.decoder)
+        self.port = port
+        self.recorders: dict[ev.Session, SessionRecorder] = {}
+        self.backfill: BackfillClient | None = None
+        self.logs = LogFetcher(system)
+        self.next_sync_ns = 0
+        self.syncs = 0
+        self.next_map_ns = 0
+
+
+class Receiver:
+    """Receives from any number of aircraft over any number of ports.
+
+    folder: where telemetry.tlog and the sessions' files go; None keeps nothing (then there is no backfill either).
+    """
+
+    def __init__(
+        self, config: LinkConfig, ports: Mapping[str, BytePort], clock: Clock, *, folder: Path | None = None
+    ) -> None:
+        self.config = config
+        self.clock = clock
+        self.commander = Commander()
+        self._ports = dict(ports)
+        self._folder = folder
+        self._lock = threading.RLock()
+        self._gate = Gate(make_signer(config, clock))
+        self._encoder = FrameEncoder(config.system_id, config.component_id, self._gate.signer)
+        self._decoders: dict[tuple[str, str], FrameDecoder] = {}
+        self._retired = [0, 0, 0, 0]  # bytes, frames, damaged, discarded of decoders that are gone
+        self._aircraft: dict[int, _Aircraft] = {}
+        self._tlog = None if folder is None else TlogWriter(folder / "telemetry.tlog")
+        self._next_heartbeat_ns = 0
+        self._next_report_ns = 0
+        self._next_save_ns = 0
+        self._bytes_sent = 0
+        self._port_faults: dict[str, str] = {}
+        self._written: list[Path] = []
+        self._closed = False
+
+    @classmethod
+    def open(cls, config: LinkConfig, clock: Clock, *, folder: Path | None = None) -> "Receiver":
+        """A receiver on the ports of its configuration; PortError or SigningError when one cannot be had."""
+        ports: dict[str, BytePort] = {}
+        try:
+            for text in config.ports:
+                ports[text] = open_port(text)
+            return cls(config, ports, clock, folder=folder)
+        except Exception:
+            for port in ports.values():
+                port.close()
+            raise
+
+    # ------------------------------------------------------------------------------------------ receiving
+
+    def poll(self) -> list[ev.Event]:
+        """Take everything that has arrived and send what is due; returns what happened."""
+        with self._lock:
+            if self._closed:
+                return []
+            out: list[ev.Event] = []
+            now, utc = self.clock.monotonic_ns(), self.clock.utc_ns()
+            for name, port in self._ports.items():
+                for source, data in self._received(name, port):
+                    self._take_bytes(name, source, port, data, now, utc, out)
+            self._keep(out)
+            self._do_due(now, out)
+            return out
+
+    def _received(self, name: str, port: BytePort) -> list[tuple[str, bytes]]:
+        try:
+            found = receive(port)
+        except OSError as error:
+            self._port_faults[name] = error.strerror or str(error)
+            return []
+        self._port_faults.pop(name, None)
+        return found
+
+    @property
+    def port_faults(self) -> dict[str, str]:
+        """Ports that fail at present, with the system's words for it."""
+        with self._lock:
+            return dict(self._port_faults)
+
+    def _take_bytes(
+        self, name: str, source: str, port: BytePort, data: bytes, now: int, utc: int, out: list[ev.Event]
+    ) -> None:
+        key = (name, source)
+        if key not in self._decoders:
+            if len(self._decoders) >= _MAX_DECODERS:
+                self._retire(next(iter(self._decoders)), utc)
+            self._decoders[key] = FrameDecoder()
+        for found in self._decoders[key].feed(data):
+            if self._tlog is not None:
+                self._tlog.write(found, utc)
+            if isinstance(found, Frame):
+                self._take_frame(found, port, now, utc, out)
+
+    def _retire(self, key: tuple[str, str], utc: int) -> None:
+        decoder = self._decoders.pop(key)
+        for found in decoder.finish():
+            if self._tlog is not None:
+                self._tlog.write(found, utc)
+        c = decoder.counts
+        for i, n in enumerate((c.received_bytes, c.frames, c.damaged, c.discarded_bytes)):
+            self._retired[i] += n
+
+    def _take_frame(self, frame: Frame, port: BytePort, now: int, utc: int, out: list[ev.Event]) -> None:
+        if not frame.known or frame.system in (0, self.config.system_id):
+            return
+        allowed, report = self._gate.judge(frame, now)
+        if report is not None:
+            out.append(report)
+        if not allowed:
+            return
+        if frame.msg_id == RADIO_STATUS_ID:
+            fields = frame.fields()
+            for aircraft in self._aircraft.values():
+                if aircraft.port is port:
+                    aircraft.meter.radio(fields)
+            return
+        if self.config.systems and frame.system not in self.config.systems:
+            return
+        known = self._aircraft.get(frame.system)
+        if known is None:
+            if not _is_aircraft(frame):
+                return
+            known = self._aircraft[frame.system] = _Aircraft(frame.system, port)
+        known.port = port
+        out += known.decoder.take(frame, now, utc)
+        self._take_answer(known, frame, now, out)
+
+    def _take_answer(self, aircraft: _Aircraft, frame: Frame, now: int, out: list[ev.Event]) -> None:
+        """Answers to what was asked from here."""
+        match frame.name:
+            case "COMMAND_ACK":
+                f = frame.fields()
+                if f["target_system"] in (0, self.config.system_id):
+                    done = self.commander.acknowledge(
+                        frame.system, int(_int(f["command"])), int(_int(f["result"])), now
+                    )
+                    out += [] if done is None else [done]
+            case "BACKFILL_DATA" | "BACKFILL_SUMMARY" if aircraft.backfill is not None:
+                f = frame.fields()
+                books = aircraft.decoder.books
+                if books is not None and f["boot"] == books.session.boot:
+                    if frame.name == "BACKFILL_DATA":
+                        aircraft.backfill.take_data(f, now)
+                    else:
+                        aircraft.backfill.take_summary(f)
+            case "LOG_ENTRY" | "LOG_DATA":
+                aircraft.logs.take(frame.name, frame.fields(), now)
+
+    def _keep(self, out: list[ev.Event]) -> None:
+        """Hand events to the recorders of their sessions."""
+        if self._folder is None:
+            return
+        for event in out:
+            if isinstance(event, ev.Restarted):
+                self._begin(event.session)
+            elif isinstance(event, ev.ScanReceived):
+                self._recorder(event.session).scan(event)
+            elif isinstance(event, ev.EventMarked):
+                self._recorder(event.session).event(event)
+
+    def _begin(self, session: ev.Session) -> None:
+        aircraft = self._aircraft[session.system]
+        books = next((b for b in aircraft.decoder.sessions if b.session == session), None)
+        if self._folder is None or books is None:
+            return
+        recorder = self._recorder(session)
+        aircraft.backfill = BackfillClient(recorder, books, self.config.backfill)
+
+    def _recorder(self, session: ev.Session) -> SessionRecorder:
+        aircraft = self._aircraft[session.system]
+        if session not in aircraft.recorders:
+            assert self._folder is not None
+            aircraft.recorders[session] = SessionRecorder(self._folder, session)
+        return aircraft.recorders[session]
+
+    # ------------------------------------------------------------------------------------------ sending
+
+    def _do_due(self, now: int, out: list[ev.Event]) -> None:
+        if now >= self._next_report_ns:
+            self._next_report_ns = now + _REPORT_NS
+            self._report(now, out)
+        if self._gate.signer is not None and now >= self._next_save_ns and self._gate.signer.needs_saving():
+            self._next_save_ns = now + _SAVE_NS
+            self._gate.signer.save()
+        if not self.config.transmit:
+            return
+        if now >= self._next_heartbeat_ns:
+            self._next_heartbeat_ns = now + _HEARTBEAT_NS
+            beat = self._encoder.message("HEARTBEAT", type=_GCS, autopilot=_NO_AUTOPILOT, mavlink_version=3)
+            for port in self._ports.values():
+                self._write(port, beat)
+        send, given_up = self.commander.due(now)
+        out += given_up
+        for system, fields in send:
+            known = self._aircraft.get(system)
+            if known is not None:
+                self._send(known, "COMMAND_LONG", fields)
+        for aircraft in self._aircraft.values():
+            self._serve(aircraft, now)
+
+    def _serve(self, aircraft: _Aircraft, now: int) -> None:
+        books = aircraft.decoder.books
+        if books is None:
+            return
+        if now >= aircraft.next_sync_ns:
+            aircraft.syncs += 1
+            aircraft.next_sync_ns = now + (_SYNC_FAST_NS if aircraft.syncs < _SYNC_FAST_COUNT else _SYNC_NS)
+            self._send(aircraft, "TIMESYNC", {"ts1": aircraft.decoder.sync.ask(now)})
+        if now >= aircraft.next_map_ns:
+            aircraft.next_map_ns = now + _MAP_NS
+            # The aircraft sends maps by itself; only what has been overdue for a whole block is asked for.
+            wanted = [b for b in books.open_blocks() if b < books.last // BLOCK or self._quiet(aircraft, now)]
+            for block in wanted[:_MAPS_AT_ONCE]:
+                self._send(aircraft, "SENT_MAP_REQUEST", {"first_number": block * BLOCK, "boot": books.session.boot})
+        if aircraft.backfill is not None:
+            for name, fields in aircraft.backfill.due(now):
+                self._send(aircraft, name, fields)
+        for name, fields in aircraft.logs.due(now):
+            self._send(aircraft, name, fields)
+
+    def _quiet(self, aircraft: _Aircraft, now: int) -> bool:
+        """Whether no scan has come for a while, so that the last block will get no map by itself."""
+        return now - aircraft.decoder.last_scan_ns > 2 * NS
+
+    def _send(self, aircraft: _Aircraft, name: str, fields: Mapping[str, Any]) -> None:
+        targets = {} if name == "TIMESYNC" else {"target_system": aircraft.decoder.system}
+        self._write(aircraft.port, self._encoder.message(name, **{**targets, **fields}))
+
+    def _write(self, port: BytePort, frame: bytes) -> None:
+        """Send a frame; one that a busy port does not take is lost like one on the air, and asked again in time."""
+        try:
+            taken = port.write(frame)
+            while 0 < taken < len(frame):  # never leave half a frame in the stream
+                more = port.write(frame[taken:])
+                if not more:
+                    break
+                taken += more
+        except OSError as error:
+            name = next((n for n, p in self._ports.items() if p is port), "?")
+            self._port_faults[name] = error.strerror or str(error)
+            return
+        self._bytes_sent += taken
+
+    def _report(self, now: int, out: list[ev.Event]) -> None:
+        for aircraft in self._aircraft.values():
+            report = aircraft.meter.report(now)
+            if report is None:
+                continue
+            out.append(report)
+            recorder = aircraft.recorders.get(report.session)
+            if recorder is not None:
+                recorder.link(report)
+            progress = aircraft.backfill.progress(now) if aircraft.backfill is not None else None
+            if progress is not None:
+                out.append(progress)
+        if self._tlog is not None:
+            self._tlog.flush()
+
+    # ------------------------------------------------------------------------------------------ for the owner
+
+    def set_backfill(self, mode: Mode, system: int | None = None) -> None:
+        """Change what is fetched, for one aircraft or all."""
+        with self._lock:
+            for number, aircraft in self._aircraft.items():
+                if aircraft.backfill is not None and system in (None, number):
+                    aircraft.backfill.mode = mode
+
+    def backfill_agreed(self, system: int) -> bool:
+        """Whether air and ground agree by count and hash on all scans of the present session."""
+        with self._lock:
+            known = self._aircraft.get(system)
+            return known is not None and known.backfill is not None and known.backfill.agreed
+
+    @property
+    def systems(self) -> list[int]:
+        """Aircraft heard so far."""
+        with self._lock:
+            return sorted(self._aircraft)
+
+    def logs(self, system: int) -> LogFetcher:
+        """Log listing and download of one aircraft; KeyError for an aircraft not heard."""
+        with self._lock:
+            return self._aircraft[system].logs
+
+    def accounting(self) -> list[ev.Accounting]:
+        """Where the scans of all sessions went."""
+        with self._lock:
+            return [b.accounting() for a in self._aircraft.values() for b in a.decoder.sessions]
+
+    def session_recorders(self) -> dict[ev.Session, SessionRecorder]:
+        """The recorders of all sessions."""
+        with self._lock:
+            return {s: r for a in self._aircraft.values() for s, r in a.recorders.items()}
+
+    def write_recordings(self) -> list[Path]:
+        """Write the recordings of all sessions as they are now; returns their paths."""
+        with self._lock:
+            written = [r.write() for a in self._aircraft.values() for r in a.recorders.values()]
+            self._written = [p for p in written if p is not None]
+            return list(self._written)
+
+    def summary(self) -> dict[str, Any]:
+        """Counters as `ground --json` gives them; `flight` is the largest session's recording."""
+        with self._lock:
+            books = self.accounting()
+            main = max(books, key=lambda a: a.received, default=None)
+            totals = list(self._retired)
+            for decoder in self._decoders.values():
+                c = decoder.counts
+                for i, n in enumerate((c.received_bytes, c.frames, c.damaged, c.discarded_bytes)):
+                    totals[i] += n
+            trackers = [t for a in self._aircraft.values() for t in a.decoder.trackers.values()]
+            return {
+                "frames_received": totals[1],
+                "frames_damaged": totals[2],
+                "frames_lost": sum(t.lost for t in trackers),
+                "duplicates": sum(t.duplicates for t in trackers),
+                "scans_received": sum(a.received for a in books),
+                "scans_lost": [] if main is None else [list(r) for r in main.lost],
+                "scans_missing": [] if main is None else [list(r) for r in main.missing],
+                "bytes_received": totals[0],
+                "bytes_discarded": totals[3],
+                "unsigned_rejected": self._gate.rejected,
+                "backfilled": sum(a.backfilled for a in books),
+                "flight": str(self._written[0]) if self._written else None,
+                "sessions": [_session_summary(a) for a in books],
+            }
+
+    def close(self) -> None:
+        """Write the recordings, close all files and ports."""
+        with self._lock:
+            if self._closed:
+                return
+            utc = self.clock.utc_ns()
+            for key in list(self._decoders):
+                self._retire(key, utc)
+            self.write_recordings()
+            self._closed = True
+            if self._gate.signer is not None:
+                self._gate.signer.save()
+            for aircraft in self._aircraft.values():
+                for recorder in aircraft.recorders.values():
+                    recorder.close()
+                aircraft.logs.close()
+            if self._tlog is not None:
+                self._tlog.close()
+            for port in self._ports.values():
+                port.close()
+
+
+def _is_aircraft(frame: Frame) -> bool:
+    if frame.msg_id >= _FIRST_OWN_ID:
+        return True
+    return frame.name == "HEARTBEAT" and frame.fields()["autopilot"] != _NO_AUTOPILOT
+
+
+def _int(value: object) -> int:
+    return value if isinstance(value, int) else 0
+
+
+def _session_summary(a: ev.Accounting) -> dict[str, Any]:
+    return {
+        "system": a.session.system,
+        "boot": a.session.boot,
+        "turn": a.session.turn,
+        "first_scan": a.first,
+        "last_scan": a.last,
+        "scans_sent": a.sent,
+        "scans_received": a.received,
+        "scans_lost": [list(r) for r in a.lost],
+        "scans_missing": [list(r) for r in a.missing],
+        "scans_never_sent": a.never_sent,
+        "scans_absent": [list(r) for r in a.absent],
+        "scans_unknown": [list(r) for r in a.unknown],
+        "backfilled": a.backfilled,
+    }

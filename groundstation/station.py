@@ -1,0 +1,105 @@
+"""The ground station: receiver, one desk per aircraft, views, and the hand-over at the end of a flight."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+from groundstation import events as ev
+from groundstation.calibration.errors import CalibrationError
+from groundstation.calibration.schema import CalibrationSet, load_calibration
+from groundstation.config import GroundConfig
+from groundstation.desk import Desk, View
+from groundstation.receive import Receiver
+from groundstation.timeline import NS, Clock
+
+PAPERS_PERIOD_NS = 2 * NS
+
+
+class Station:
+    """Call `step` often; it never waits. make_view: makes the view of an aircraft, None for no picture."""
+
+    def __init__(
+        self,
+        config: GroundConfig,
+        receiver: Receiver,
+        clock: Clock,
+        folder: Path,
+        *,
+        make_view: Callable[[int], View] | None = None,
+        echo: Callable[[str], None] = lambda _: None,
+    ) -> None:
+        self.config, self.receiver, self.folder = config, receiver, folder
+        self._clock = clock
+        self._make_view = make_view
+        self._echo = echo
+        self._calibration = load_calibration(config.calibration.directory)
+        self.desks: dict[int, Desk] = {}
+        self.landed: list[int] = []
+        self._papers: set[str] = set()
+        self._next_papers_ns = 0
+        folder.mkdir(parents=True, exist_ok=True)
+        self._log = (folder / "events.log").open("a", encoding="utf-8")
+
+    def desk(self, system: int) -> Desk:
+        """The desk of an aircraft, opened when it is first heard."""
+        if system not in self.desks:
+            view = None if self._make_view is None else self._make_view(system)
+            self.desks[system] = Desk(self.config, self._calibration, view, self._sayer(system))
+            self._echo(f"aircraft {system} heard")
+        return self.desks[system]
+
+    def _sayer(self, system: int) -> Callable[[float, str, str], None]:
+        def say(time: float, level: str, text: str) -> None:
+            line = f"{time:10.2f} s  aircraft {system}  {level:<8} {text}"
+            self._log.write(line + "\n")
+            self._log.flush()
+            self._echo(line)
+
+        return say
+
+    def step(self) -> list[ev.Event]:
+        """Take in what has arrived and act on it."""
+        happened = self.receiver.poll()
+        for event in happened:
+            self._dispatch(event)
+        now = self._clock.monotonic_ns()
+        for desk in self.desks.values():
+            desk.silence(now)
+        if now >= self._next_papers_ns:
+            self._next_papers_ns = now + PAPERS_PERIOD_NS
+            self._adopt_calibrations()
+        return happened
+
+    def _dispatch(self, event: ev.Event) -> None:
+        match event:
+            case ev.ScanReceived(session=session):
+                if self.desk(session.system).scan(event.scan, late=event.late, received_ns=event.received_ns):
+                    self.landed.append(session.system)
+            case ev.StatusText(system=system) | ev.CommandResult(system=system) | ev.Refused(system=system):
+                if system in self.desks:
+                    self.desks[system].happened(event)
+            case ev.Heartbeat():
+                pass
+            case _:
+                self.desk(event.session.system).happened(event)
+
+    def _adopt_calibrations(self) -> None:
+        """Once the recording's papers have come down, calibrate with what the aircraft carries."""
+        for session, recorder in self.receiver.session_recorders().items():
+            info = recorder.info()
+            texts = {n: d.decode("utf-8") for n, d in info.calibration.items() if n.endswith(".toml")}
+            key = f"{session.name}:{len(texts)}:{len(info.details)}"
+            if not (texts or info.details) or key in self._papers:
+                continue
+            self._papers.add(key)
+            try:
+                chosen = CalibrationSet.from_texts("embedded", texts) if texts else self._calibration
+                self.desk(session.system).use(chosen, info.details)
+            except CalibrationError as error:
+                self.desk(session.system).happened(
+                    ev.StatusText(session.system, 4, f"calibration not usable: {error}", 0)
+                )
+
+    def close(self) -> None:
+        """Write recordings and close every file and port."""
+        self.receiver.close()
+        self._log.close()

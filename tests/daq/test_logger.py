@@ -1,0 +1,224 @@
+"""The scan loop: deadlines, skipped slots, health, events, the link, and an orderly end whatever happens."""
+
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from daq.clock import NS, RealClock, SimulatedClock
+from daq.contract.accounting import verify
+from daq.contract.messages import Event, LogLevel
+from daq.contract.reading import read_recording
+from daq.contract.scan import GroupStatus, Scan, SensorState
+from daq.health import GroupHealth, HealthSummary
+from daq.logger import Logger, Opening
+from daq.recorder import Recorder
+from daq.recorder_config import RecorderConfig
+from daq.sampler import EventMark
+from daq.timing import LoopTiming
+from tests.daq.synthetic import START_UTC_NS, make_info
+
+
+class FakeSampler:
+    """Takes `duration_ns(number)` of simulated time for each scan."""
+
+    def __init__(self, clock: SimulatedClock | RealClock, duration_ns: Callable[[int], int] = lambda _: 2_000_000) -> None:
+        self.on_event: Callable[[EventMark], None] = lambda _: None
+        self.state = SensorState.OK
+        self.starts: list[int] = []
+        self.numbers: list[int] = []
+        self._clock = clock
+        self._duration = duration_ns
+
+    def start(self) -> HealthSummary:
+        return self.health()
+
+    def scan(self, number: int, deadline_ns: int) -> Scan:
+        now = self._clock.monotonic_ns()
+        self.starts.append(now)
+        self.numbers.append(number)
+        self._clock.sleep_until(now + self._duration(number))
+        groups = {"imu": GroupStatus(self.state)}
+        return Scan(number, now, START_UTC_NS + now, 30, (now - deadline_ns) // 1000, groups, {"accel_x": number % 100})
+
+    def health(self) -> HealthSummary:
+        detail = "" if self.state is SensorState.OK else "does not answer"
+        return HealthSummary(self._clock.monotonic_ns(), (GroupHealth("imu", self.state, detail),))
+
+    def metadata(self) -> dict[str, str]:
+        return {"imu.accel_range_g": "8"}
+
+
+class FakeLink:
+    """Remembers what it was given; fails between two scan numbers."""
+
+    def __init__(self, broken: range = range(0)) -> None:
+        self.scans: list[int] = []
+        self.events: list[Event] = []
+        self.texts: list[tuple[int, str]] = []
+        self._broken = broken
+
+    def offer(self, scan: Scan) -> None:
+        self.scans.append(scan.number)
+
+    def service(self, now_ns: int) -> None:
+        if self.scans and self.scans[-1] in self._broken:
+            raise OSError(5, "Input/output error")
+
+    def event(self, event: Event) -> None:
+        self.events.append(event)
+
+    def text(self, severity: int, words: str, /) -> None:
+        self.texts.append((severity, words))
+
+
+class Rig:
+    """A logger on a simulated clock with fake sensors."""
+
+    def __init__(self, path: Path, *, link: FakeLink | None = None, rate_hz: float = 20.0, **options: object) -> None:
+        self.clock = SimulatedClock(START_UTC_NS)
+        self.sampler = FakeSampler(self.clock, **options)  # type: ignore[arg-type]
+        self.link = link
+        self.path = path
+        timing = LoopTiming()
+        self.recorder = self._recorder("s1", rate_hz, timing)
+        self.logger = Logger(
+            rate_hz,
+            self.clock,
+            self.sampler,
+            self.recorder,
+            link,
+            timing=timing,
+            new_recorder=lambda: self._recorder("s2", rate_hz, timing),
+            opening=[Opening(LogLevel.WARNING, "preflight", "no-go overridden (test)")],
+        )
+
+    def _recorder(self, session: str, rate_hz: float, timing: LoopTiming) -> Recorder:
+        config = RecorderConfig(directories=(self.path,))
+        info = make_info(session, scan_rate_hz=rate_hz)
+        recorder = Recorder(config, info, self.clock, folder=session, timing=timing)
+        self.clock.follow(recorder.busy)
+        return recorder
+
+    def until(self, seconds: float) -> Callable[[], bool]:
+        return lambda: self.clock.monotonic_ns() >= seconds * NS
+
+
+def test_deadlines_are_multiples_of_the_period_and_never_drift(tmp_path: Path) -> None:
+    rig = Rig(tmp_path, duration_ns=lambda n: 1_000_000 * (n * 7 % 48))
+    books = rig.logger.run(rig.until(60))
+    starts = rig.sampler.starts
+    assert [b - a for a, b in zip(starts, starts[1:], strict=False)] == [50_000_000] * (len(starts) - 1)
+    assert (books.written, books.missed, books.late_scans) == (len(starts), 0, 0)
+    assert verify(tmp_path / "s1").ok
+
+
+@pytest.mark.parametrize("rate_hz", [200.0, 1000.0])
+def test_other_rates_are_a_configuration_value(tmp_path: Path, rate_hz: float) -> None:
+    rig = Rig(tmp_path, rate_hz=rate_hz, duration_ns=lambda _: 300_000)
+    books = rig.logger.run(rig.until(3))
+    assert books.missed == 0
+    assert books.written == len(rig.sampler.starts) == pytest.approx(3 * rate_hz, abs=2)
+    assert verify(tmp_path / "s1").ok
+
+
+def test_a_late_scan_costs_only_the_slots_it_overran(tmp_path: Path) -> None:
+    rig = Rig(tmp_path, duration_ns=lambda n: 180_000_000 if n == 10 else 2_000_000)
+    books = rig.logger.run(rig.until(2))
+    # Scan 10 ends 180 ms after its start: slots 11 and 12 are over, 13 is under way and begins 30 ms late.
+    assert rig.sampler.numbers[9:14] == [9, 10, 13, 14, 15]
+    assert books.absent == ((11, 12),)
+    assert books.late_scans == 1
+    result = verify(tmp_path / "s1")
+    assert result.ok and result.missed == 2, result.text
+
+
+def test_a_change_of_health_reaches_file_ground_and_log(tmp_path: Path) -> None:
+    link = FakeLink()
+    rig = Rig(tmp_path, link=link)
+
+    def stop() -> bool:
+        seconds = rig.clock.monotonic_ns() / NS
+        rig.sampler.state = SensorState.ABSENT if 2 <= seconds < 4 else SensorState.OK
+        return seconds >= 6
+
+    rig.logger.run(stop)
+    recording = read_recording(tmp_path / "s1")
+    states = [h.entries[0].state for h in recording.health]
+    assert states == [SensorState.OK, SensorState.ABSENT, SensorState.OK]
+    assert "does not answer" in recording.health[1].entries[0].text
+    assert any(severity == 4 and "does not answer" in words for severity, words in link.texts)
+    assert recording.info.details["imu.accel_range_g"] == "8"
+
+
+def test_a_failing_radio_does_not_touch_the_recording(tmp_path: Path) -> None:
+    rig = Rig(tmp_path, link=FakeLink(broken=range(20, 60)))
+    books = rig.logger.run(rig.until(5))
+    assert books.missed == books.dropped == 0
+    lines = [line.message for line in read_recording(tmp_path / "s1").log]
+    assert sum("radio port fails" in line for line in lines) == 1
+    assert any("overridden" in line for line in lines)
+
+
+def test_events_from_switch_and_ground(tmp_path: Path) -> None:
+    link = FakeLink()
+    rig = Rig(tmp_path, link=link)
+    done: list[int] = []
+
+    def stop() -> bool:
+        if len(rig.sampler.numbers) == 40 and not done:
+            done.append(1)
+            rig.logger.mark_event("mark 3", "ground")
+            rig.sampler.on_event(EventMark(rig.clock.monotonic_ns() - 1000, 39, "switch"))
+        return rig.clock.monotonic_ns() >= 4 * NS
+
+    rig.logger.run(stop)
+    events = read_recording(tmp_path / "s1").events
+    assert {(e.origin, e.text, e.number) for e in events} == {("ground", "mark 3", 40), ("switch", "event switch", 39)}
+    assert all(e.time_utc_ns == START_UTC_NS + e.time_monotonic_ns for e in events)
+    assert len(link.events) == 2
+
+
+def test_recording_ends_and_begins_by_command_without_reusing_numbers(tmp_path: Path) -> None:
+    rig = Rig(tmp_path)
+
+    def stop() -> bool:
+        n = len(rig.sampler.numbers)
+        if n == 40:
+            rig.logger.stop_recording()
+        if n == 60:
+            rig.logger.start_recording()
+        assert rig.logger.recording is not (40 <= n < 60)
+        return n >= 100
+
+    rig.logger.run(stop)
+    assert read_recording(tmp_path / "s1").numbers == list(range(40))
+    assert read_recording(tmp_path / "s2").numbers == list(range(60, 100))
+    assert verify(tmp_path / "s1").ok and verify(tmp_path / "s2").ok
+
+
+def test_a_programming_fault_still_ends_the_recording_in_order(tmp_path: Path) -> None:
+    def fails(number: int) -> int:
+        if number == 50:
+            raise ZeroDivisionError
+        return 0
+
+    rig = Rig(tmp_path, duration_ns=fails)
+    with pytest.raises(ZeroDivisionError):
+        rig.logger.run(rig.until(10))
+    assert read_recording(tmp_path / "s1").numbers == list(range(50))
+    assert verify(tmp_path / "s1").ok
+
+
+def test_clock_runs_in_real_time_too(tmp_path: Path) -> None:
+    clock = RealClock()
+    sampler = FakeSampler(clock, lambda _: 0)
+    recorder = Recorder(RecorderConfig(directories=(tmp_path,)), make_info(scan_rate_hz=100.0), clock)
+    stop = threading.Event()
+    timer = threading.Timer(0.5, stop.set)
+    timer.start()
+    books = Logger(100.0, clock, sampler, recorder).run(stop.is_set)
+    timer.join()
+    assert books.closes and books.written == len(sampler.numbers)
+    assert verify(tmp_path).ok

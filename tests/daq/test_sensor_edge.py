@@ -1,0 +1,210 @@
+"""The edge: what opens hardware, what must never see it, and how a laboratory adds a sensor."""
+
+import ast
+import os
+import pty
+import subprocess
+import sys
+import textwrap
+import threading
+from pathlib import Path
+
+import pytest
+from smbus2 import SMBus
+
+from daq.bus import I2cBus, SerialPort
+from daq.clock import RealClock, SimulatedClock
+from daq.sampler import Sampler
+from daq.sensors.config import BusConfig, GnssConfig, SensorsConfig, cdfp_sensors
+from daq.sensors.open import HardwareError, ReopeningPort, SysfsPulse, open_hardware
+from daq.sensors.registry import DriverConfigError
+from tests.daq.fakes import FakeBus
+
+MAY_IMPORT_HARDWARE = {"daq/bus.py", "daq/sensors/open.py"}
+DRIVER_CODE = ("daq/sensors", "daq/sampler.py", "daq/supervisor.py", "daq/health.py", "daq/attitude.py", "daq/bus.py")
+
+
+def imported(path: Path) -> set[str]:
+    names = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            names |= {a.name.split(".")[0] for a in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            names.add(node.module.split(".")[0])
+    return names
+
+
+def test_only_the_edge_knows_hardware_libraries_and_nobody_the_simulator(root: Path) -> None:
+    files = [f for d in DRIVER_CODE for f in ([root / d] if d.endswith(".py") else sorted((root / d).rglob("*.py")))]
+    assert len(files) > 15
+    for file in files:
+        name = str(file.relative_to(root))
+        found = imported(file)
+        assert not found & {"firmware_sim", "groundstation", "estimation", "sideslip"}, name
+        if name not in MAY_IMPORT_HARDWARE:
+            assert not found & {"smbus2", "serial"}, name
+
+
+def run_python(code: str, root: Path) -> str:
+    done = subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(code)], cwd=root, capture_output=True, text=True, timeout=60, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_importing_all_drivers_loads_neither_simulator_nor_heavy_libraries(root: Path) -> None:
+    loaded = run_python(
+        """
+        import importlib, pkgutil, sys
+        import daq.sampler, daq.sensors
+        for module in pkgutil.iter_modules(daq.sensors.__path__):
+            importlib.import_module(f"daq.sensors.{module.name}")
+        print(" ".join(sorted({m.split(".")[0] for m in sys.modules})))
+        """,
+        root,
+    ).split()
+    assert "daq" in loaded
+    for unwanted in ("firmware_sim", "serial", "torch", "casadi", "rerun", "matplotlib", "scipy", "groundstation"):
+        assert unwanted not in loaded
+
+
+def test_real_bus_class_fits_the_protocol_and_its_calls() -> None:
+    """The very `smbus2.SMBus`, on a device that is no I2C adapter: drivers get as far as the first transfer."""
+    assert issubclass(SMBus, I2cBus)
+    bus = SMBus()
+    bus.fd = os.open(os.devnull, os.O_RDWR)  # every ioctl on it fails with ENOTTY, an OSError
+    bus.funcs = 0
+    try:
+        sampler = Sampler(cdfp_sensors().model_copy(update={"gnss": None}), bus, None, SimulatedClock())
+        health = sampler.start()
+        scan = sampler.scan(1, 0)
+    finally:
+        bus.close()
+    assert all("Inappropriate ioctl" in g.detail for g in health.failing if g.group not in ("attitude", "mag"))
+    assert not any(s.state.usable for s in scan.groups.values())
+    assert scan.values == {}
+
+
+def test_missing_bus_device_is_one_sentence(tmp_path: Path) -> None:
+    config = cdfp_sensors().model_copy(update={"bus": BusConfig(device=str(tmp_path / "i2c-9"))})
+    with pytest.raises(HardwareError, match=r"i2c-9: no such device; enable I2C .* key sensors.bus.device"):
+        open_hardware(config, RealClock())
+
+
+def test_missing_serial_port_is_one_sentence(tmp_path: Path) -> None:
+    config = SensorsConfig(gnss=GnssConfig(device=str(tmp_path / "ttyX")))
+    with pytest.raises(HardwareError, match=r"serial port .*ttyX: cannot be opened"):
+        open_hardware(config, RealClock())
+
+
+def test_driver_without_its_port_or_unknown_is_refused() -> None:
+    with pytest.raises(DriverConfigError, match=r"sensors\.gnss needs a serial port"):
+        Sampler(SensorsConfig(gnss=GnssConfig()), None, None, SimulatedClock())
+    with pytest.raises(DriverConfigError, match=r"sensors\.pitot\.driver: no driver 'ms5611' .* use ms4525do"):
+        Sampler(SensorsConfig.model_validate({"pitot": {"driver": "ms5611"}}), FakeBus({}), None, SimulatedClock())
+    extra = {"extra": {"thrust": {"driver": "no.such.module:Cell"}}}
+    with pytest.raises(DriverConfigError, match=r"extra\.thrust\.driver: .* cannot be loaded"):
+        Sampler(SensorsConfig.model_validate(extra), FakeBus({}), None, SimulatedClock())
+
+
+def test_busy_port_is_named() -> None:
+    near, far = pty.openpty()
+    name = os.ttyname(far)
+    first = ReopeningPort(name, 115200, RealClock())
+    try:
+        with pytest.raises(HardwareError, match="busy; stop the other program"):
+            ReopeningPort(name, 115200, RealClock())
+    finally:
+        first.close()
+        os.close(near)
+        os.close(far)
+
+
+def received(port: ReopeningPort, count: int) -> bytes:
+    """`count` bytes; the kernel carries them from one end of a pseudo-terminal to the other in its own time."""
+    pause = threading.Event()
+    for _ in range(1000):
+        if port.in_waiting >= count:
+            break
+        pause.wait(0.002)
+    return port.read(count)
+
+
+def test_serial_port_comes_back_after_its_plug_was_pulled(tmp_path: Path) -> None:
+    link = tmp_path / "gps"
+    clock = SimulatedClock()
+    near, far = pty.openpty()
+    link.symlink_to(os.ttyname(far))
+    os.close(far)
+    port = ReopeningPort(str(link), 115200, clock)
+    assert isinstance(port, SerialPort)
+    os.write(near, b"abc")
+    assert received(port, 3) == b"abc"
+    os.close(near)  # unplugged
+    link.unlink()
+    with pytest.raises(OSError, match=r".+"):
+        port.in_waiting or port.read(1)
+    with pytest.raises(OSError, match="is gone"):
+        port.read(1)
+    near, far = pty.openpty()
+    link.symlink_to(os.ttyname(far))
+    clock.sleep_until(2_000_000_000)
+    assert port.in_waiting == 0  # opens it again
+    os.write(near, b"de")
+    assert received(port, 2) == b"de"
+    port.close()
+    os.close(near)
+    os.close(far)
+
+
+def test_pulse_stamps_are_carried_to_the_monotonic_clock(tmp_path: Path) -> None:
+    file = tmp_path / "assert"
+    file.write_text("1000.000002500#41\n")
+    clock = SimulatedClock(1_000_300_000_000, start_monotonic_ns=7_000_000_000)
+    pulse = SysfsPulse(file, clock)
+    assert pulse() == 7_000_000_000 - 300_000_000 + 2_500
+    assert pulse() is None  # the same edge once only
+    with pytest.raises(HardwareError, match="no pulse-per-second source"):
+        SysfsPulse(tmp_path / "none", clock)
+
+
+def test_laboratory_adds_a_sensor_by_one_file_and_one_row(root: Path, tmp_path: Path) -> None:
+    """The example of docs/sensors.md, run: a humidity sensor with a group, a channel and a driver of its own."""
+    text = (root / "docs" / "sensors.md").read_text()
+    driver = text.split("```python\n# lab_humidity.py\n")[1].split("```")[0]
+    rows = text.split("```python\n# daq/contract/channels.py\n")[1].split("```")[0]
+    (tmp_path / "lab_humidity.py").write_text(driver)
+    group_row, channel_row = (line.strip().rstrip(",") for line in rows.strip().splitlines())
+    out = run_python(
+        f"""
+        import sys
+        sys.path.insert(0, {str(tmp_path)!r})
+        import daq.contract.channels as table
+        from daq.contract.channels import Channel, Group, Rate
+        table.GROUPS += ({group_row},)
+        table.CHANNELS += ({channel_row},)
+        table.GROUP_NAMES = tuple(g.name for g in table.GROUPS)
+        table.CHANNEL_BY_NAME = {{c.name: c for c in table.CHANNELS}}
+        table.channels_of.__defaults__ = (table.CHANNELS,)
+        from daq.clock import SimulatedClock
+        from daq.contract.scan import decode_scan, encode_scan
+        from daq.sampler import Sampler
+        from daq.sensors.config import SensorsConfig
+        from tests.daq.fakes import FakeBus, FakeChip
+
+        chip = FakeChip()
+        chip.put(0xFC, [0x49, 0x54, 0xD0, 0x07])
+        chip.registers[0x04] = 0x80
+        chip.put(0x02, [0x34, 0x12])
+        config = SensorsConfig.model_validate(
+            {{"extra": {{"humidity": {{"driver": "lab_humidity:Hdc2080", "address": 0x41}}}}}}
+        )
+        sampler = Sampler(config, FakeBus({{0x41: chip}}), None, SimulatedClock())
+        print(sampler.start().words)
+        scan = decode_scan(encode_scan(sampler.scan(5, 0)))
+        print(scan.groups["humidity"].state.words, hex(scan.values["humidity"]))
+        """,
+        root,
+    )
+    assert out.splitlines() == ["all fitted sensors are well", "ok 0x1234"]

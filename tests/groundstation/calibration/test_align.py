@@ -1,0 +1,94 @@
+import numpy as np
+import pytest
+
+from groundstation.calibration.align import completeness, derivative, runs, to_scan_time
+
+PERIOD = 0.05
+
+
+def test_smooth_motion_is_brought_to_the_scan_time() -> None:
+    """A 1 Hz sine read 7 ms late: the shift would be 4.4 % of the amplitude, the cubic leaves a thousandth."""
+    time = np.arange(200) * PERIOD
+    number = np.arange(200)
+    late = np.sin(2 * np.pi * (time + 0.007))
+    out = to_scan_time(late, time + 0.007, time, number, smooth=True)
+    assert np.max(np.abs(out - np.sin(2 * np.pi * time))[1:]) < 1.5e-3
+    linear = to_scan_time(late, time + 0.007, time, number, smooth=False)
+    assert np.max(np.abs(linear - np.sin(2 * np.pi * time))[1:]) < 0.008
+
+
+def test_samples_at_the_scan_time_pass_unchanged() -> None:
+    values = np.random.default_rng(1).standard_normal(50)
+    time = 3.0 + np.arange(50) * PERIOD
+    np.testing.assert_array_equal(to_scan_time(values, time, time, np.arange(50), smooth=True), values)
+
+
+@pytest.mark.parametrize("smooth", [True, False])
+def test_nothing_is_bridged(smooth: bool) -> None:
+    """A step hidden in a gap: values on either side show their own side only."""
+    number = np.concatenate([np.arange(20), np.arange(40, 60)])
+    time = number * PERIOD
+    values = np.where(number < 30, 1.0, 5.0)
+    out = to_scan_time(values, time + 0.01, time, number, smooth=smooth)
+    np.testing.assert_allclose(out, values, rtol=1e-12)
+
+
+def test_missing_value_ends_a_run() -> None:
+    values = np.arange(10.0)
+    values[5] = np.nan
+    out = to_scan_time(values, np.arange(10) * PERIOD, np.arange(10) * PERIOD, np.arange(10), smooth=True)
+    assert np.isnan(out[5])
+    np.testing.assert_allclose(np.delete(out, 5), np.delete(values, 5))
+
+
+def test_a_lone_sample_cannot_be_aligned() -> None:
+    values = np.array([1.0, np.nan, 3.0, np.nan, 4.0, 5.0, 6.0, 7.0, 8.0])
+    time = np.arange(9) * PERIOD
+    out = to_scan_time(values, time + 0.001, time, np.arange(9), smooth=False)
+    assert np.isnan(out[:4]).all()
+    assert np.isfinite(out[4:]).all()
+
+
+def test_reaching_far_out_of_a_run_is_refused() -> None:
+    time = np.arange(10) * PERIOD
+    out = to_scan_time(time.copy(), time + 0.04, time, np.arange(10), smooth=False)
+    assert np.isnan(out[0])  # 40 ms before the first sample, more than half an interval
+    np.testing.assert_allclose(out[1:], time[1:] - 0.04, atol=1e-12)
+
+
+def test_a_channel_of_every_fourth_scan_is_filled_within_its_runs() -> None:
+    number = np.arange(41)
+    time = number * 0.005
+    values = np.where(number % 4 == 0, 2.0 * time, np.nan)
+    out = to_scan_time(values, time, time, number, smooth=False)
+    np.testing.assert_allclose(out[:41], 2.0 * time, atol=1e-12)
+
+
+def test_runs_and_completeness() -> None:
+    number = np.array([0, 1, 2, 5, 6])
+    found, spacing = runs(number, np.array([True, True, True, True, True]))
+    assert [r.tolist() for r in found] == [[0, 1, 2], [3, 4]]
+    assert spacing == 1
+    assert completeness(number) == pytest.approx(5 / 7)
+    assert completeness(np.arange(3)) == 1.0
+
+
+@pytest.mark.parametrize("count", [3, 4, 60])
+def test_derivative_of_a_parabola_is_exact_also_at_the_ends(count: int) -> None:
+    time = np.cumsum(np.random.default_rng(2).uniform(0.04, 0.06, count))
+    slope = derivative(1 + 2 * time - 3 * time**2, time, np.arange(count))
+    np.testing.assert_allclose(slope, 2 - 6 * time, atol=1e-8)
+
+
+def test_derivative_noise_is_that_of_five_points(rng: np.random.Generator) -> None:
+    """Slope of a cubic through seven points, weights (22 -67 -58 0 58 67 -22)/252 (Savitzky and Golay 1964, table III)."""
+    time = np.arange(20_000) * PERIOD
+    slope = derivative(rng.standard_normal(time.size), time, np.arange(time.size))
+    weights = np.array([22, -67, -58, 0, 58, 67, -22]) / 252
+    assert np.std(slope[3:-3]) == pytest.approx(np.linalg.norm(weights) / PERIOD, rel=0.05)
+
+
+def test_derivative_does_not_reach_across_a_gap() -> None:
+    number = np.concatenate([np.arange(10), np.arange(30, 40)])
+    values = np.where(number < 20, 0.0, 100.0)
+    np.testing.assert_allclose(derivative(values, number * PERIOD, number), 0.0, atol=1e-9)

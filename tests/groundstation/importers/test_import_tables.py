@@ -1,0 +1,272 @@
+"""Tables of other people: units, signs, times, layouts, and the mistakes the data give away."""
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from groundstation.flight import read_flight, write_flight
+from groundstation.importers.errors import ImportDataError
+from groundstation.importers.mapping import load_map
+from groundstation.importers.run import import_data
+from groundstation.importers.units import UNITS, conversion, find_unit
+
+Columns = dict[str, np.ndarray]
+
+DEG = 180 / np.pi
+
+
+def write_csv(path: Path, columns: Columns, delimiter: str = ",", decimal: str = ".") -> Path:
+    with path.open("w", newline="", encoding="utf-8") as handle:
+        writer = csv.writer(handle, delimiter=delimiter)
+        writer.writerow(columns)
+        for row in zip(*(np.asarray(c).tolist() for c in columns.values()), strict=True):
+            writer.writerow([repr(v).replace(".", decimal) if isinstance(v, float) else v for v in row])
+    return path
+
+
+MAP = """format = 1
+aircraft = "cdfp"
+[time]
+column = "t_ms"
+unit = "ms"
+[columns]
+ax = { column = "AccX", unit = "g" }
+ay = { column = "AccY", unit = "g", sign = -1 }
+az = { column = "AccZ", unit = "g" }
+p = { column = "GyrX", unit = "deg/s" }
+q = { column = "GyrY", unit = "°/s" }
+r = { column = "GyrZ", unit = "dps" }
+phi = { column = "Roll", unit = "deg" }
+theta = { column = "Pitch", unit = "deg" }
+psi = { column = "Yaw", unit = "deg" }
+alpha = { column = "AoA", unit = "deg" }
+beta = { column = "SSA", unit = "deg", sign = -1 }
+V = { column = "TAS", unit = "knots" }
+altitude = { column = "Alt", unit = "ft" }
+p_static = { column = "Ps", unit = "hPa" }
+p_dynamic = { column = "Qc", unit = "mbar" }
+temperature = { column = "OAT", unit = "°C" }
+rho = { column = "rho", unit = "kg/m^3" }
+delta_e = { terms = [{ column = "EL", factor = 0.5 }, { column = "ER", factor = 0.5 }], unit = "deg" }
+delta_a = { terms = [{ column = "EL", factor = -0.5 }, { column = "ER", factor = 0.5 }], unit = "deg" }
+delta_r = { column = "Rud", unit = "deg" }
+"""
+
+
+def theirs(flown: Columns) -> Columns:
+    """The flight in degrees, g, knots, feet, hPa, Celsius, ms, two signs turned, and elevons instead of controls."""
+    return {
+        "t_ms": flown["time"] * 1000, "AccX": flown["ax"] / 9.80665, "AccY": -flown["ay"] / 9.80665,
+        "AccZ": flown["az"] / 9.80665,
+        "GyrX": flown["p"] * DEG, "GyrY": flown["q"] * DEG, "GyrZ": flown["r"] * DEG, "Roll": flown["phi"] * DEG,
+        "Pitch": flown["theta"] * DEG, "Yaw": flown["psi"] * DEG, "AoA": flown["alpha"] * DEG, "SSA": -flown["beta"] * DEG,
+        "TAS": flown["V"] * 3600 / 1852, "Alt": flown["altitude"] / 0.3048, "Ps": flown["p_static"] / 100,
+        "Qc": flown["p_dynamic"] / 100, "OAT": flown["temperature"] - 273.15, "rho": flown["rho"],
+        "EL": (flown["delta_e"] - flown["delta_a"]) * DEG, "ER": (flown["delta_e"] + flown["delta_a"]) * DEG,
+        "Rud": flown["delta_r"] * DEG,
+    }  # fmt: skip
+
+
+@pytest.fixture
+def map_file(tmp_path: Path) -> Path:
+    path = tmp_path / "map.toml"
+    path.write_text(MAP, encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("layout", ["comma", "semicolon", "parquet"])
+def test_foreign_units_become_the_same_flight(tmp_path: Path, flown: Columns, map_file: Path, layout: str) -> None:
+    if layout == "parquet":
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        path = tmp_path / "log.parquet"
+        pq.write_table(pa.table(theirs(flown)), path)
+    elif layout == "semicolon":
+        path = write_csv(tmp_path / "log.csv", theirs(flown), ";", ",")
+        map_file.write_text(MAP.replace("[time]", '[file]\ndecimal = ","\n[time]'), encoding="utf-8")
+    else:
+        path = write_csv(tmp_path / "log.csv", theirs(flown))
+    flight = import_data(path, map_file)
+    for name, values in flown.items():
+        if name != "time":
+            np.testing.assert_allclose(flight[name], values, rtol=1e-12, atol=1e-12, err_msg=name)
+    np.testing.assert_allclose(flight.time, flown["time"], atol=1e-9)
+    assert flight.provenance.source == "imported"
+    assert flight.provenance.aircraft == "cdfp"
+    assert len(flight.provenance.sha256) == 64
+    assert flight.provenance.detail["mapping"]["delta_a"] == "(-0.5 EL + 0.5 ER) [deg]"
+
+
+def test_si_file_needs_no_mapping_and_survives_the_round_trip(tmp_path: Path, flown: Columns) -> None:
+    flight = import_data(write_csv(tmp_path / "si.csv", {**flown, "my_extra": flown["V"]}))
+    write_flight(flight, tmp_path / "flight.mcap")
+    again = read_flight(tmp_path / "flight.mcap")
+    for name in (*flown, "my_extra"):
+        if name != "time":
+            np.testing.assert_array_equal(again[name], flight[name])
+    assert any("my_extra" in n for n in flight.notes)
+
+
+def test_units_in_the_header_are_understood(tmp_path: Path, flown: Columns) -> None:
+    named = {
+        "time [ms]": flown["time"] * 1000,
+        "phi [deg]": flown["phi"] * DEG,
+        "p (deg/s)": flown["p"] * DEG,
+        "V [knots]": flown["V"] * 3.6 / 1.852,
+    }
+    flight = import_data(write_csv(tmp_path / "log.csv", named))
+    np.testing.assert_allclose(flight["phi"], flown["phi"], atol=1e-12)
+    np.testing.assert_allclose(flight["V"], flown["V"], rtol=1e-12)
+    np.testing.assert_allclose(flight.time, flown["time"], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("column", "factor", "shift", "words"),
+    [
+        ("phi", DEG, 0, r"phi: .*is (it|phi) in deg\?"),
+        ("theta", DEG, 0, r"theta: .*in deg\?"),
+        ("alpha", DEG, 0, r"alpha: .*in deg\?"),
+        ("delta_a", DEG, 0, r"delta_a: .*in deg\?"),
+        ("p", DEG, 0, r"p: .*deg/s"),
+        ("temperature", 1, -273.15, r"temperature: .*degC"),
+        ("p_static", 0.01, 0, r"p_static: .*hPa"),
+        ("V", 3600 / 1852, 0, r"V: 1\.9.*knots"),
+        ("V", 3.6, 0, r"V: 3\.6.*km/h"),
+        ("V", 1 / 0.3048, 0, r"V: 3\.28.*ft/s"),
+        ("az", -1, 0, r"az: positive.*sign = -1"),
+        ("p", -1, 0, r"p: turns against phi"),
+        ("time", 1000, 0, r"time: 50 s .*ms\?"),
+        ("time", 1e6, 0, r"time: .*us\?"),
+    ],
+)
+def test_unit_and_sign_mistakes_are_caught(
+    tmp_path: Path, flown: Columns, column: str, factor: float, shift: float, words: str
+) -> None:
+    wrong = {**flown, column: flown[column] * factor + shift}
+    path = write_csv(tmp_path / "log.csv", wrong)
+    with pytest.raises(ImportDataError, match=words):
+        import_data(path)
+    accepted = import_data(path, accept_implausible=True)
+    assert any(n.startswith(column) for n in accepted.notes)
+
+
+@pytest.mark.parametrize(("unit", "one_g"), [("g", 1.0), ("ft/s2", 32.174), ("mg", 1000.0), ("cm/s2", 980.665)])
+def test_gravity_that_is_not_9_8(tmp_path: Path, flown: Columns, unit: str, one_g: float) -> None:
+    wrong = {**flown, **{a: flown[a] / 9.80665 * one_g for a in ("ax", "ay", "az")}}
+    with pytest.raises(ImportDataError, match=f"are ax, ay, az in .*{unit}"):
+        import_data(write_csv(tmp_path / "log.csv", wrong))
+
+
+def test_degrees_too_small_to_break_a_limit_are_found_by_the_gyro(tmp_path: Path, flown: Columns) -> None:
+    """Bank of at most 1.7 'rad' is possible; but it moves 57 times as far as the gyro turns."""
+    gentle = {**flown, "phi": flown["phi"] * DEG / 20, "p": flown["p"] / 20}
+    with pytest.raises(ImportDataError, match="phi: moves 57 times as far as p turns"):
+        import_data(write_csv(tmp_path / "log.csv", gentle))
+
+
+def test_a_sound_flight_raises_no_suspicion(root: Path, tmp_path: Path, flown: Columns) -> None:
+    assert import_data(write_csv(tmp_path / "log.csv", flown)).notes == ()
+
+
+def test_dates_and_large_stamps(tmp_path: Path, flown: Columns) -> None:
+    stamps = [f"2026-03-01T10:00:{t:09.6f}" for t in flown["time"]]
+    rows = {"when": np.array(stamps), "phi": flown["phi"]}
+    path = write_csv(tmp_path / "iso.csv", rows)
+    mapping = tmp_path / "m.toml"
+    mapping.write_text('format = 1\n[time]\ncolumn = "when"\nunit = "iso"\n[columns]\n')
+    np.testing.assert_allclose(import_data(path, mapping).time, flown["time"], atol=1e-6)
+    # microseconds since 1970 keep their last digit
+    big = write_csv(tmp_path / "us.csv", {"t": 1.7e15 + np.round(flown["time"] * 1e6), "phi": flown["phi"]})
+    mapping.write_text('format = 1\n[time]\ncolumn = "t"\nunit = "us"\n[columns]\n')
+    np.testing.assert_allclose(import_data(big, mapping).time, flown["time"], atol=1e-9)
+
+
+def test_a_column_that_is_not_time_is_not_taken_for_it(
+    tmp_path: Path, flown: Columns, rng: np.random.Generator
+) -> None:
+    path = write_csv(tmp_path / "log.csv", {"T": flown["temperature"], "phi": flown["phi"]})
+    with pytest.raises(ImportDataError, match="no column 'time'"):
+        import_data(path)
+    noisy = {**flown, "time": rng.standard_normal(400)}
+    with pytest.raises(ImportDataError, match="time: runs backwards"):
+        import_data(write_csv(tmp_path / "noisy.csv", noisy))
+
+
+def test_resampling_averages_fast_channels_and_never_bridges(tmp_path: Path) -> None:
+    t = np.arange(0, 20, 0.005)
+    vibration = np.sin(2 * np.pi * 21 * t)  # would fold to 1 Hz when every tenth sample were taken
+    keep = (t < 8) | (t > 12)
+    path = write_csv(tmp_path / "fast.csv", {"time": t[keep], "q": (0.2 * np.sin(t) + vibration)[keep]})
+    flight = import_data(path, rate_hz=20)
+    np.testing.assert_allclose(np.diff(flight.time), 0.05, atol=1e-9)
+    inside = (flight.time < 7.9) | (flight.time > 12.1)
+    error = (flight["q"] - 0.2 * np.sin(flight.time))[inside][1:-1]
+    assert np.max(np.abs(error)) < 0.06  # sinc of a 50 ms mean at 21 Hz: 0.048
+    assert np.isnan(flight["q"][(flight.time > 8.1) & (flight.time < 11.9)]).all()
+
+
+def test_gap_and_disorder_are_reported(tmp_path: Path, flown: Columns) -> None:
+    late = flown["time"] + np.where(flown["time"] > 10, 30.0, 0.0)
+    flight = import_data(write_csv(tmp_path / "log.csv", {**flown, "time": late}))
+    assert len(flight.segments) == 2
+    assert any("gap of 30" in n for n in flight.notes)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("format = 1\n[columns]\nV = { column = 'a', unit = 'furlong' }\n", "furlong.*known"),
+        ("format = 1\n[columns]\nV = { column = 'a', unit = 'deg' }\n", "not one of m/s"),
+        ("format = 1\n[columns]\nV = { colum = 'a' }\n", "colum"),
+        ("format = 1\n[columns]\nV = { unit = 'm/s' }\n", "either column or terms"),
+        ("format = 1\n[columns\n", "TOML"),
+    ],
+)
+def test_mapping_mistakes_are_named(tmp_path: Path, text: str, words: str) -> None:
+    path = tmp_path / "m.toml"
+    path.write_text(text)
+    with pytest.raises(ImportDataError, match=words) as caught:
+        load_map(path)
+    assert str(path) in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ("", "no table"),
+        ("time,phi\n", "no table"),
+        ("time,phi\n0,1,2\n", "3 cells"),
+        ("a,b\n0,1\n1,2\n", "no column 'time'"),
+        ("time,time\n0,1\n1,2\n", "appears twice"),
+        ("time,phi\nzero,1\none,2\n", "'zero', not a number"),
+        ("time,bank\n0,1\n1,2\n", None),
+    ],
+)
+def test_unusable_tables_say_why(tmp_path: Path, content: str, words: str | None) -> None:
+    path = tmp_path / "bad.csv"
+    path.write_text(content)
+    if words is None:  # nothing known, but kept as it is
+        assert "bank" in import_data(path)
+        return
+    with pytest.raises(ImportDataError, match=words):
+        import_data(path)
+
+
+def test_unknown_kind_and_missing_file(tmp_path: Path) -> None:
+    with pytest.raises(ImportDataError, match="no such file"):
+        import_data(tmp_path / "none.csv")
+    (tmp_path / "log.xyz").write_text("x")
+    with pytest.raises(ImportDataError, match="not known"):
+        import_data(tmp_path / "log.xyz")
+
+
+def test_every_unit_converts_to_its_own_quantity() -> None:
+    for name, unit in UNITS.items():
+        assert find_unit(name) == unit
+        assert conversion(name, "x", unit.si) == (unit.scale, unit.offset)
+    assert conversion("knots", "V", "m/s")[0] == pytest.approx(0.514444, rel=1e-5)
+    assert conversion("degF", "t", "K")[0] * 212 + conversion("degF", "t", "K")[1] == pytest.approx(373.15)
+    assert conversion("rad", "latitude", "deg")[0] == pytest.approx(DEG)
