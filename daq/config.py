@@ -51,7 +51,7 @@ class ScanConfig(Section):
 class PreflightConfig(Section):
     """`[preflight]`: the limits of the go/no-go table."""
 
-    scans: Annotated[int, Field(ge=2, le=10_000)] = 60  # scans looked at; must outlast the stuck-value time
+    scans: Annotated[int, Field(ge=2, le=10_000)] = 80  # scans looked at; should outlast the stuck-value times
     free_space_mb: Annotated[float, Field(ge=0)] = 200.0
     write_latency_ms: Annotated[float, Field(gt=0)] = 500.0  # slowest write + fdatasync tolerated
     lateness_p99_ms: Annotated[float, Field(gt=0)] = 5.0

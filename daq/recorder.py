@@ -28,7 +28,7 @@ from daq.timing import EDGES_US, Histogram, LoopTiming
 _LOG = logging.getLogger("sideslip.recorder")
 
 _MESSAGE_ROOM = 256  # places in memory for events and log lines beyond those for scans
-_IDLE_S = 0.2  # how long the writer waits for news before it looks whether a flush is due
+_IDLE_S = 0.2  # longest wait of the writer before it looks what there is to do
 _LAST_WORDS_S = 2.0  # given to the writer to end after it has been told to give up
 
 
@@ -96,6 +96,8 @@ class Recorder:
         self._syncer = Syncer(self._sync_failed, clock, config.sync)
         # A chunk spans this much message time from its first to its last scan.
         self._chunk_ns = max(0, round((config.flush_s - 1 / info.scan_rate_hz) * NS))
+        # The writer wakes for so many scans, or a few times a second: a wake-up costs more than writing a scan.
+        self._batch = max(1, round(config.flush_s * info.scan_rate_hz))
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
 
     # ------------------------------------------------------------------------------------------ for the scan loop
@@ -123,7 +125,8 @@ class Recorder:
                 self._mark_absent(scan.number, scan.number)
                 return False
             self._inbox.append(scan)
-            self._news.notify_all()
+            if len(self._inbox) >= self._batch:
+                self._news.notify_all()
         return True
 
     def event(self, event: Event) -> None:
@@ -142,7 +145,6 @@ class Recorder:
         """Add facts to the identity, in this segment and all later ones (a sensor's factory data)."""
         with self._news:
             self._new_details.update(details)
-            self._news.notify_all()
 
     def busy(self) -> bool:
         """Whether the writer is more than two flushes behind; a simulated clock waits on this (`follow`)."""
@@ -214,7 +216,6 @@ class Recorder:
         with self._news:
             if len(self._inbox) <= self._capacity + _MESSAGE_ROOM and not self._given_up:
                 self._inbox.append(message)
-                self._news.notify_all()
 
     def _mark_absent(self, first: int, last: int) -> None:
         if self._absent and self._absent[-1][1] == first - 1:
@@ -237,7 +238,7 @@ class Recorder:
     def _wait_for_news(self) -> tuple[list[Scan | Message], bool]:
         with self._news:
             self._news.wait_for(
-                lambda: self._inbox or self._closing or self._returned or self._new_details or self._failed(), _IDLE_S
+                lambda: len(self._inbox) >= self._batch or self._closing or self._returned or self._failed(), _IDLE_S
             )
             items = list(self._inbox)
             self._inbox.clear()

@@ -137,8 +137,10 @@ class Sampler:
         for _ in range(2):
             now = self._clock.monotonic_ns()
             self._run(up, now, {})
+            for supervisor in self._on_serial:
+                self._read_serial(supervisor, 0, {})
             self._clock.sleep_until(now + self._period_ns)
-        for supervisor in up:
+        for supervisor in self._supervisors.values():
             supervisor.rehearsed()
 
     def _waits_for(self, supervisor: Supervisor, others: list[Supervisor]) -> bool:

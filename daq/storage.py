@@ -92,7 +92,7 @@ class RealFile:
 
     def _must_be_there(self) -> None:
         """A file system unmounted under an open file, or a file removed, swallows writes without an error."""
-        here, named = os.fstat(self._descriptor), os.stat(self._path)
+        here, named = os.fstat(self._descriptor), self._path.stat()
         if (here.st_dev, here.st_ino) != (named.st_dev, named.st_ino):
             raise OSError(errno.ESTALE, "another file has taken its place", str(self._path))
 

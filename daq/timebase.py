@@ -61,7 +61,7 @@ class _Line:
             return
         self._contradictions.clear()
         bins = self._bins
-        if bins and monotonic_ns // NS == bins[-1][0] // NS:
+        if bins and monotonic_ns // NS <= bins[-1][0] // NS:
             if offset_ns <= bins[-1][1]:
                 return
             bins.pop()  # a larger offset came with a smaller delay: the better one of its second

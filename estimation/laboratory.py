@@ -144,7 +144,7 @@ def estimate(
     unknown = [m for m in methods if m not in METHODS]
     if unknown:
         raise EstimationError(f"method {unknown[0]!r} is unknown; known are {', '.join(METHODS)}")
-    flights = _unique(flights)
+    flights = unique_names(flights)
     tell = progress or (lambda _: None)
     done = []
     for flight in flights:
@@ -189,7 +189,7 @@ def run_method(method: str, model: Model, flights: Sequence[Flight], aircraft: A
     return estimate_ngn(aircraft, list(flights), improved=method == "ngn-improved")
 
 
-def _unique(flights: Sequence[Flight]) -> list[Flight]:
+def unique_names(flights: Sequence[Flight]) -> list[Flight]:
     """Flights with names of their own, so that no result hides another."""
     seen: dict[str, int] = {}
     result = []

@@ -42,7 +42,8 @@ def channel_fit(measured: Array, predicted: Array) -> ChannelFit:
     known = np.isfinite(measured) & np.isfinite(predicted)
     z, y = measured[known], predicted[known]
     if z.size < 3:
-        return ChannelFit(*([float("nan")] * 7), samples=int(z.size))
+        nan = float("nan")
+        return ChannelFit(nan, nan, nan, nan, nan, nan, nan, int(z.size))
     e = z - y
     mse = float(np.mean(e**2))
     spread = float(np.sum((z - z.mean()) ** 2))

@@ -114,7 +114,7 @@ class Desk:
                 self._note("INFO" if accepted else "WARN", f"command {command}: {words}")
             case ev.Refused(message=message, why=why, count=count):
                 self._note("WARN", f"refused {count} x {message}: {why}")
-            case ev.Restarted():
+            case ev.Restarted(previous=previous) if previous is not None:
                 self._note("WARN", "the aircraft's logger has started anew: scan numbers begin again")
                 self._calibrator = Calibrator(self._calibration)
             case ev.LinkStatistics():

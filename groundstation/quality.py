@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.contract.channels import COLUMN_BY_NAME
-from groundstation.calibration.uncertainty import noise
 from groundstation.flight import GAP_FACTOR, Flight
 from groundstation.manoeuvres import CONTROLS, find_manoeuvres
+from groundstation.noise import noise
 from groundstation.skew import Skew, attitude_skew, control_skew
 
 Array = NDArray[np.float64]

@@ -31,9 +31,10 @@ class Station:
         self._clock = clock
         self._make_view = make_view
         self._echo = echo
-        self._calibration = load_calibration(config.calibration.directory)
+        self.calibration = load_calibration(config.calibration.directory)
         self.desks: dict[int, Desk] = {}
         self.landed: list[int] = []
+        self.replayed: Path | None = None  # a recording that was played instead of received
         self._papers: set[str] = set()
         self._next_papers_ns = 0
         folder.mkdir(parents=True, exist_ok=True)
@@ -43,7 +44,7 @@ class Station:
         """The desk of an aircraft, opened when it is first heard."""
         if system not in self.desks:
             view = None if self._make_view is None else self._make_view(system)
-            self.desks[system] = Desk(self.config, self._calibration, view, self._sayer(system))
+            self.desks[system] = Desk(self.config, self.calibration, view, self._sayer(system))
             self._echo(f"aircraft {system} heard")
         return self.desks[system]
 
@@ -92,7 +93,7 @@ class Station:
                 continue
             self._papers.add(key)
             try:
-                chosen = CalibrationSet.from_texts("embedded", texts) if texts else self._calibration
+                chosen = CalibrationSet.from_texts("embedded", texts) if texts else self.calibration
                 self.desk(session.system).use(chosen, info.details)
             except CalibrationError as error:
                 self.desk(session.system).happened(

@@ -78,7 +78,7 @@ def verify(path: str | Path) -> Verification:
     """
     path = Path(path)
     segments = read_segments(path)
-    if all(s.info is None and not s.entries and s.foreign for s in segments):
+    if all(s.info is None and not s.entries and (s.foreign or s.metadata) for s in segments):
         return _verify_foreign(segments)
     return verify_recording(join(path, segments))
 
@@ -272,8 +272,10 @@ def info_mcap(path: str | Path) -> dict[str, Any]:
     segments = read_segments(path)
     if any(s.info is not None or s.entries for s in segments):
         return _raw_info(path, join(path, segments))
-    if any("/flight" in s.foreign for s in segments):
+    if any(_FLIGHT_TOPIC in s.foreign for s in segments):
         return _flight_info(path, segments[0])
+    if any(m.name == _FLIGHT_METADATA for s in segments for m in s.metadata):
+        raise RecordingError(f"{path}: a calibrated flight, damaged so that none of it can be read; calibrate it again")
     topics = sorted({t for s in segments for t in s.foreign})
     raise RecordingError(f"{path}: an MCAP file of another program (topics: {', '.join(topics) or 'none'})")
 

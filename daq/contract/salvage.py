@@ -22,7 +22,7 @@ HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX = ra
 ATTACHMENT, ATTACHMENT_INDEX, STATISTICS, METADATA, METADATA_INDEX, SUMMARY_OFFSET, DATA_END = range(9, 16)
 
 _MAX_HEADLESS = 1 << 12  # longer messages are found by their record heads only
-_MAX_CHUNK = 1 << 28  # uncompressed; larger is taken for damage
+MAX_CHUNK = 1 << 28  # uncompressed; larger is taken for damage
 _MESSAGE_HEAD = 9 + 22  # record head, channel, sequence, two times
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 _ZSTD_MARK = b"\x04\x00\x00\x00zstd"
@@ -42,22 +42,6 @@ class Damage:
 
 
 @dataclass(frozen=True, slots=True)
-class Attachment:
-    """A file inside the recording, its checksum proven."""
-
-    name: str
-    data: bytes
-
-
-@dataclass(frozen=True, slots=True)
-class Metadata:
-    """A metadata record; ours have proven digests."""
-
-    name: str
-    fields: Mapping[str, str]
-
-
-@dataclass(frozen=True, slots=True)
 class Closed:
     """The end mark of a file that was closed in order."""
 
@@ -65,56 +49,6 @@ class Closed:
 
 
 Item = Entry | Attachment | Metadata | Damage | Closed
-
-
-class _Bad(Exception):
-    """The record at hand is not what was written."""
-
-
-@dataclass(slots=True)
-class _Record:
-    at: int
-    opcode: int
-    body: memoryview
-
-    @property
-    def end(self) -> int:
-        return self.at + 9 + len(self.body)
-
-
-class _Cursor:
-    """Reads the fields of a record body; `_Bad` when the body is too short for them."""
-
-    def __init__(self, body: memoryview) -> None:
-        self.body = body
-        self.at = 0
-
-    def number(self, size: int) -> int:
-        return int.from_bytes(self.take(size), "little")
-
-    def take(self, size: int) -> memoryview:
-        if self.at + size > len(self.body):
-            raise _Bad("its inner lengths do not fit")
-        self.at += size
-        return self.body[self.at - size : self.at]
-
-    def text(self) -> str:
-        try:
-            return str(self.take(self.number(4)), "utf-8")
-        except UnicodeDecodeError:
-            raise _Bad("a name in it is not text") from None
-
-    def texts(self) -> dict[str, str]:
-        part = _Cursor(self.take(self.number(4)))
-        out: dict[str, str] = {}
-        while part.at < len(part.body):
-            key = part.text()
-            out[key] = part.text()
-        return out
-
-    def finish(self) -> None:
-        if self.at != len(self.body):
-            raise _Bad("its length does not fit its content")
 
 
 class Walk:
@@ -136,17 +70,17 @@ class Walk:
         else:
             yield self._damage(0, min(len(MAGIC), len(self._raw)), "the file does not begin like an MCAP file")
             at = self._next_trusted(0)
-            yield from self._sealed(0, at)
+            yield from salvage_region(self._raw[:at])
         while at < len(self._raw):
             if self._ended:
                 return
             try:
                 record = self._record(at)
                 items = list(self._items(record))
-            except _Bad as error:
+            except Bad as error:
                 resume = self._resume(at)
                 yield self._damage(at, resume - at, f"{self._name(at)}: {error}")
-                yield from self._sealed(at, resume)
+                yield from salvage_region(self._raw[at:resume])
                 at = resume
                 continue
             yield from items
@@ -157,17 +91,17 @@ class Walk:
 
     # ------------------------------------------------------------------------------------------ records
 
-    def _record(self, at: int) -> _Record:
+    def _record(self, at: int) -> Record:
         if at + 9 > len(self._raw):
-            raise _Bad("cut off")
+            raise Bad("cut off")
         opcode, length = struct.unpack_from("<BQ", self._raw, at)
         if not HEADER <= opcode <= DATA_END:
-            raise _Bad(f"no record has the code {opcode}")
+            raise Bad(f"no record has the code {opcode}")
         if at + 9 + length > len(self._raw):
-            raise _Bad("cut off, or its length altered")
-        return _Record(at, opcode, self._data[at + 9 : at + 9 + length])
+            raise Bad("cut off, or its length altered")
+        return Record(at, opcode, self._data[at + 9 : at + 9 + length])
 
-    def _items(self, record: _Record) -> Iterator[Item]:
+    def _items(self, record: Record) -> Iterator[Item]:
         if record.opcode == CHUNK:
             yield from self._chunk(record)
         elif record.opcode == MESSAGE:
@@ -175,26 +109,26 @@ class Walk:
         elif record.opcode in (SCHEMA, CHANNEL):
             self._declare(record)
         elif record.opcode == ATTACHMENT:
-            yield _attachment(record.body)
+            yield read_attachment(record.body)
         elif record.opcode == METADATA:
-            yield _metadata(record.body)
+            yield read_metadata(record.body)
         elif record.opcode == DATA_END:
             yield from self._data_end(record)
         elif record.opcode == FOOTER:
             yield from self._footer(record)
         else:
-            _check_structure(record)
+            check_structure(record)
 
-    def _chunk(self, record: _Record) -> Iterator[Entry]:
-        content = memoryview(_chunk_content(record.body))
+    def _chunk(self, record: Record) -> Iterator[Entry]:
+        content = memoryview(chunk_content(record.body))
         at = 0
         while at < len(content):
             if at + 9 > len(content):
-                raise _Bad("its content breaks off")
+                raise Bad("its content breaks off")
             opcode, length = struct.unpack_from("<BQ", content, at)
             if at + 9 + length > len(content):
-                raise _Bad("its content breaks off")
-            inner = _Record(at, opcode, content[at + 9 : at + 9 + length])
+                raise Bad("its content breaks off")
+            inner = Record(at, opcode, content[at + 9 : at + 9 + length])
             if opcode == MESSAGE:
                 yield self._message(inner.body)
             elif opcode in (SCHEMA, CHANNEL):
@@ -203,19 +137,19 @@ class Walk:
 
     def _message(self, body: memoryview) -> Entry:
         if len(body) < 22:
-            raise _Bad("shorter than a message can be")
+            raise Bad("shorter than a message can be")
         channel, sequence, log_time, publish_time = struct.unpack_from("<HIQQ", body)
         data = bytes(body[22:])
         topic = self._topics.get(channel)
         if topic is None or topic in SCHEMA_OF_TOPIC:
             sealed_as = [t for t in ([topic] if topic else SCHEMA_OF_TOPIC) if seal_holds(SCHEMA_OF_TOPIC[t], data)]
             if not sealed_as:
-                raise _Bad("a message in it fails its checksum or belongs to a channel that was not declared")
+                raise Bad("a message in it fails its checksum or belongs to a channel that was not declared")
             topic = sealed_as[0]
         return Entry(topic, log_time, publish_time, sequence, data)
 
-    def _declare(self, record: _Record) -> None:
-        cursor = _Cursor(record.body)
+    def _declare(self, record: Record) -> None:
+        cursor = Cursor(record.body)
         number = cursor.number(2)
         if record.opcode == SCHEMA:
             name = cursor.text()
@@ -231,19 +165,19 @@ class Walk:
         self._topics.setdefault(number, topic)
         self.channel_schema.setdefault(topic, schema_id)
 
-    def _data_end(self, record: _Record) -> Iterator[Damage]:
-        cursor = _Cursor(record.body)
+    def _data_end(self, record: Record) -> Iterator[Damage]:
+        cursor = Cursor(record.body)
         stated = cursor.number(4)
         cursor.finish()
         if stated and not self._seen_damage and stated != zlib.crc32(self._data[: record.at]):
             yield self._damage(0, 0, "a byte outside the chunks was altered (checksum of the data section)")
 
-    def _footer(self, record: _Record) -> Iterator[Item]:
-        cursor = _Cursor(record.body)
+    def _footer(self, record: Record) -> Iterator[Item]:
+        cursor = Cursor(record.body)
         start, _, stated = cursor.number(8), cursor.number(8), cursor.number(4)
         cursor.finish()
         if start and not len(MAGIC) <= start <= record.at:
-            raise _Bad("it points outside the file")
+            raise Bad("it points outside the file")
         covered = self._data[start or record.at : record.end - 4]
         if stated and stated != zlib.crc32(covered):
             yield self._damage(start, record.at - start, "index at the end: checksum does not match")
@@ -284,172 +218,18 @@ class Walk:
         try:
             record = self._record(at)
             if record.opcode == CHUNK:
-                _chunk_content(record.body)
+                chunk_content(record.body)
             elif record.opcode == ATTACHMENT:
-                _attachment(record.body)
+                read_attachment(record.body)
             elif record.opcode == METADATA:
-                return _metadata(record.body).name in (INFO_NAME, DETAIL_NAME)
+                return read_metadata(record.body).name in (INFO_NAME, DETAIL_NAME)
             elif record.opcode in (MESSAGE_INDEX, CHUNK_INDEX):
-                _check_structure(record)
+                check_structure(record)
                 return len(record.body) > 6
             elif record.opcode == DATA_END:
                 return len(record.body) == 4 and record.end < len(self._raw)
             else:
                 return record.opcode == FOOTER and len(record.body) == 20 and self._at_end_mark(record.end)
-        except _Bad:
+        except Bad:
             return False
         return True
-
-    def _sealed(self, start: int, end: int) -> Iterator[Entry]:
-        """Messages whose seals hold within a damaged stretch, compressed parts included."""
-        region = self._raw[start:end]
-        yield from find_sealed(region)
-        for match in re.finditer(re.escape(_ZSTD_MAGIC), region):
-            yield from find_sealed(_decompress_torn(region[match.start() :]))
-        for match in re.finditer(re.escape(_ZSTD_MARK), region):
-            frame = match.end() + 8
-            if region[frame : frame + 4] != _ZSTD_MAGIC:
-                yield from find_sealed(_decompress_torn(_ZSTD_MAGIC + region[frame + 4 :]))
-
-
-def find_sealed(region: bytes) -> Iterator[Entry]:
-    """Messages with intact content in a stretch of damaged bytes.
-
-    First by their record heads, which say where they end; then, in the gaps between those found, by content alone.
-    """
-    done = 0
-    for match in _MAYBE_MESSAGE.finditer(region):
-        at = match.start()
-        if at < done:
-            continue
-        end = at + 9 + int.from_bytes(region[at + 1 : at + 9], "little")
-        entry = _sealed_entry(region[at + _MESSAGE_HEAD : end]) if end <= len(region) else None
-        if entry is None:
-            continue
-        yield from _headless(region[done:at])
-        yield entry
-        done = end
-    yield from _headless(region[done:])
-
-
-def _headless(gap: bytes) -> Iterator[Entry]:
-    """Messages whose record head is damaged but whose content is not: from a first field to a seal that holds."""
-    done = 0
-    for match in _MAYBE_CONTENT.finditer(gap):
-        start = match.start()
-        if start < done:
-            continue
-        limit = min(len(gap), start + _MAX_HEADLESS)
-        for tail in _SEAL_TAG.finditer(gap, start, limit):
-            entry = _sealed_entry(gap[start : tail.start() + SEAL_SIZE])
-            if entry is not None:
-                yield entry
-                done = tail.start() + SEAL_SIZE
-                break
-
-
-def _sealed_entry(data: bytes) -> Entry | None:
-    for topic, schema in SCHEMA_OF_TOPIC.items():
-        if seal_holds(schema, data):
-            try:
-                return entry_of(topic, data)
-            except UserError:
-                return None
-    return None
-
-
-def _decompress_torn(data: bytes) -> bytes:
-    """As much of a zstd frame as can be decompressed."""
-    decoder = zstandard.ZstdDecompressor().decompressobj()
-    out = bytearray()
-    for at in range(0, len(data), 64):
-        try:
-            out += decoder.decompress(data[at : at + 64])
-        except zstandard.ZstdError:
-            break
-        if decoder.eof or len(out) > _MAX_CHUNK:
-            break
-    return bytes(out)
-
-
-def _chunk_content(body: memoryview) -> bytes | memoryview:
-    cursor = _Cursor(body)
-    cursor.take(16)
-    size, stated = cursor.number(8), cursor.number(4)
-    compression = cursor.text()
-    stored = cursor.take(cursor.number(8))
-    cursor.finish()
-    if size > _MAX_CHUNK:
-        raise _Bad("its size was altered")
-    content = _decompress(compression, stored, size)
-    if len(content) != size:
-        raise _Bad("its size does not match")
-    if stated and zlib.crc32(content) != stated:
-        raise _Bad("checksum does not match")
-    return content
-
-
-def _decompress(compression: str, stored: memoryview, size: int) -> bytes | memoryview:
-    if compression == "":
-        return stored
-    if compression == "zstd":
-        try:
-            return zstandard.ZstdDecompressor().decompress(bytes(stored), max_output_size=size)
-        except zstandard.ZstdError as error:
-            raise _Bad(f"cannot be decompressed ({error})") from error
-    if compression == "lz4":
-        return _decompress_lz4(bytes(stored))
-    raise _Bad(f"unknown compression {compression!r}")
-
-
-def _decompress_lz4(stored: bytes) -> bytes:
-    import lz4.frame
-
-    try:
-        return bytes(lz4.frame.decompress(stored))
-    except RuntimeError as error:
-        raise _Bad(f"cannot be decompressed ({error})") from error
-
-
-def _attachment(body: memoryview) -> Attachment:
-    cursor = _Cursor(body)
-    cursor.take(16)
-    name = cursor.text()
-    cursor.text()
-    data = bytes(cursor.take(cursor.number(8)))
-    covered = body[: cursor.at]
-    stated = cursor.number(4)
-    cursor.finish()
-    if stated and stated != zlib.crc32(covered):
-        raise _Bad("checksum does not match")
-    return Attachment(name, data)
-
-
-def _metadata(body: memoryview) -> Metadata:
-    cursor = _Cursor(body)
-    name = cursor.text()
-    fields = cursor.texts()
-    cursor.finish()
-    if name in (INFO_NAME, DETAIL_NAME) and fields.get("sha256") != metadata_digest(fields):
-        raise _Bad("digest does not match")
-    return Metadata(name, fields)
-
-
-def _check_structure(record: _Record) -> None:
-    """Records that only index others: their content is not used, their shape must fit."""
-    cursor = _Cursor(record.body)
-    if record.opcode == MESSAGE_INDEX:
-        cursor.take(2)
-        cursor.take(cursor.number(4))
-    elif record.opcode == CHUNK_INDEX:
-        cursor.take(32)
-        cursor.take(cursor.number(4))
-        cursor.take(8)
-        cursor.text()
-        cursor.take(16)
-    elif record.opcode == HEADER:
-        cursor.text()
-        cursor.text()
-    else:
-        return
-    cursor.finish()

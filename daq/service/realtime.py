@@ -39,7 +39,7 @@ def _lock_memory() -> None:
 class GarbageDiscipline:
     """Collects garbage in the slack after a scan instead of whenever Python feels like it.
 
-    Everything alive at the start is frozen, so that a collection looks only at what came later.
+    Everything alive at the first collection is frozen: later ones look only at what came after it.
     """
 
     def __init__(self, *, enabled: bool) -> None:
@@ -48,8 +48,6 @@ class GarbageDiscipline:
 
     def __enter__(self) -> "GarbageDiscipline":
         if self._enabled:
-            gc.collect()
-            gc.freeze()
             gc.disable()
         return self
 
@@ -59,7 +57,11 @@ class GarbageDiscipline:
             gc.unfreeze()
 
     def collect(self) -> None:
-        """Once a second: the young objects; once a minute all."""
-        if self._enabled:
-            self._turn += 1
-            gc.collect(2 if self._turn % _FULL_COLLECTION_EVERY == 0 else 1)
+        """Once a second: the young objects; once a minute all. The first call freezes what the start has built."""
+        if not self._enabled:
+            return
+        if self._turn == 0:
+            gc.collect()
+            gc.freeze()
+        self._turn += 1
+        gc.collect(2 if self._turn % _FULL_COLLECTION_EVERY == 0 else 1)

@@ -3,7 +3,7 @@
 Run: sideslip estimate FLIGHT.csv --model docs.examples.pitch:Pitch
 """
 
-from typing import Any
+from typing import Any, ClassVar
 
 from estimation.aircraft import Aircraft
 from estimation.models.own import cos, sin
@@ -12,10 +12,10 @@ from estimation.models.own import cos, sin
 class Pitch:
     """Four states; lift, drag polar and pitching moment; dynamic pressure measured, not V squared."""
 
-    states = {"V": "m/s", "alpha": "rad", "theta": "rad", "q": "rad/s"}
-    inputs = {"delta_e": "rad", "thrust": "N", "p_dynamic": "Pa"}
-    measured = {"V": "m/s", "alpha": "rad", "theta": "rad", "q": "rad/s", "ax": "m/s2", "az": "m/s2"}
-    parameters = {
+    states: ClassVar = {"V": "m/s", "alpha": "rad", "theta": "rad", "q": "rad/s"}
+    inputs: ClassVar = {"delta_e": "rad", "thrust": "N", "p_dynamic": "Pa"}
+    measured: ClassVar = {"V": "m/s", "alpha": "rad", "theta": "rad", "q": "rad/s", "ax": "m/s2", "az": "m/s2"}
+    parameters: ClassVar = {
         "CL_0": "1", "CL_alpha": ("1/rad", 3.0), "CL_q": ("1/rad", 3.0), "CL_de": ("1/rad", 1.0), "CD_0": ("1", 0.03),
         "CD_k": ("1", 0.2), "Cm_0": "1", "Cm_alpha": ("1/rad", -0.2), "Cm_q": ("1/rad", -1.0), "Cm_de": ("1/rad", -0.3),
     }  # fmt: skip

@@ -3,7 +3,7 @@
 Run: sideslip estimate FLIGHT.csv --model docs.examples.roll_yaw:RollYaw
 """
 
-from typing import Any
+from typing import Any, ClassVar
 
 ROLL = ("L_0", "L_beta", "L_p", "L_r", "L_da", "L_dr")
 YAW = ("N_0", "N_beta", "N_p", "N_r", "N_da", "N_dr")
@@ -14,10 +14,10 @@ BIASES = ("bias_p_dot", "bias_r_dot", "bias_p", "bias_r")
 class RollYaw:
     """Two states, five outputs, linear in everything."""
 
-    states = {"p": "rad/s", "r": "rad/s"}
-    inputs = {"beta": "rad", "delta_a": "rad", "delta_r": "rad"}
-    measured = {"p_dot": "rad/s2", "r_dot": "rad/s2", "ay": "m/s2", "p": "rad/s", "r": "rad/s"}
-    parameters = {name: ("SI", -1.0 if name in ("L_p", "N_r") else 0.0) for name in (*ROLL, *YAW, *SIDE, *BIASES)}
+    states: ClassVar = {"p": "rad/s", "r": "rad/s"}
+    inputs: ClassVar = {"beta": "rad", "delta_a": "rad", "delta_r": "rad"}
+    measured: ClassVar = {"p_dot": "rad/s2", "r_dot": "rad/s2", "ay": "m/s2", "p": "rad/s", "r": "rad/s"}
+    parameters: ClassVar = {n: ("SI", -1.0 if n in ("L_p", "N_r") else 0.0) for n in (*ROLL, *YAW, *SIDE, *BIASES)}
 
     def derivatives(self, x: Any, u: Any, p: Any) -> list[Any]:
         return [self.linear(p, names, x, u) for names in (ROLL, YAW)]

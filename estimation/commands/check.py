@@ -37,11 +37,12 @@ def check(
     from estimation.compatibility.correct import corrected
     from estimation.compatibility.present import factor_lines, fit_of, write_figure
     from estimation.compatibility.reconstruction import compatibility
+    from estimation.laboratory import unique_names
     from groundstation.flight import read_flight, write_flight
     from groundstation.quality import quality_report, worst
 
     factors = wanted_factors(factors_text)
-    read = [select_segments(read_flight(path), segments) for path in flights]
+    read = unique_names([select_segments(read_flight(path), segments) for path in flights])
     quality = [quality_report(flight) for flight in read]
     results = [(flight.name, compatibility(flight, factors)) for flight in read]
     if joint and len(read) > 1:

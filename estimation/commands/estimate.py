@@ -111,12 +111,11 @@ def select_segments(flight: "Flight", text: str | None) -> "Flight":
 def write_json(data: object, path: Path) -> None:
     """JSON to a file, in one step."""
     import json
-    import os
 
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_name(path.name + ".part")
     partial.write_text(json.dumps(data, indent=1, allow_nan=False) + "\n", encoding="utf-8")
-    os.replace(partial, path)
+    partial.replace(path)
 
 
 class _Progress:

@@ -149,7 +149,7 @@ def _build(traced: Traced, path: Path) -> bool:
             done = subprocess.run([gcc, *FLAGS, str(source), "-o", str(made), "-lm"], capture_output=True, check=False)
             if done.returncode != 0:
                 return False
-            os.replace(made, path)
+            made.replace(path)
     except OSError:  # no room, no right to write, no processes: the virtual machine does the work
         return False
     return True

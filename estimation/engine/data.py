@@ -69,7 +69,10 @@ class Preparation:
     denoise: bool = True
 
 
-def prepare(model: Model, flight: Flight, preparation: Preparation = Preparation()) -> FlightData:
+AS_USUAL = Preparation()
+
+
+def prepare(model: Model, flight: Flight, preparation: Preparation = AS_USUAL) -> FlightData:
     """Columns of `flight` as inputs, outputs and starting states of `model`.
 
     Raises MissingColumnError naming the columns that the model needs and the flight lacks, DataError when no stretch
@@ -172,10 +175,10 @@ def _denoise_columns(
     noise: dict[str, tuple[float, float]],
 ) -> None:
     heard: dict[int, list[tuple[float, float]]] = {i: [] for i in columns}
-    for a, b in pieces:
-        for i, done in zip(columns, denoise_many([u[a:b, i] for i in columns], order=order), strict=True):
-            u[a:b, i] = done.values
-            heard[i].append((done.noise, done.removed))
+    places = [(a, b, i) for a, b in pieces for i in columns]
+    for (a, b, i), done in zip(places, denoise_many([u[a:b, i] for a, b, i in places], order=order), strict=True):
+        u[a:b, i] = done.values
+        heard[i].append((done.noise, done.removed))
     for i in columns:
         if heard[i]:
             noise[names[i]] = (float(np.median([n for n, _ in heard[i]])), float(np.median([r for _, r in heard[i]])))
@@ -220,17 +223,17 @@ def _states(model: Model, flight: Flight, pieces: list[tuple[int, int]]) -> Arra
     """(samples, nx) measured states without their noise, NaN where a state is not measured."""
     states = np.full((len(flight), len(model.states)), np.nan)
     sources = [s.source if flight.measured(s.source) else s.start for s in model.states]
-    for a, b in pieces:
-        known = [
-            i
-            for i, source in enumerate(sources)
-            if isinstance(source, str)
-            and flight.measured(source)
-            and np.isfinite(flight[source][a:b]).sum() >= SHORTEST_SEGMENT // 2
-        ]
-        parts = [_bridged(flight[str(sources[i])][a:b]) for i in known]
-        for i, done in zip(known, denoise_many(parts, order=2), strict=True):
-            states[a:b, i] = done.values
+    places = [
+        (a, b, i, source)
+        for a, b in pieces
+        for i, source in enumerate(sources)
+        if isinstance(source, str)
+        and flight.measured(source)
+        and np.isfinite(flight[source][a:b]).sum() >= SHORTEST_SEGMENT // 2
+    ]
+    parts = [_bridged(flight[source][a:b]) for a, b, _, source in places]
+    for (a, b, i, _), done in zip(places, denoise_many(parts, order=2), strict=True):
+        states[a:b, i] = done.values
     return states
 
 

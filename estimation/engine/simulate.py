@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 
 from estimation.engine.compiled import cached_kernel, compile_kernel
-from estimation.engine.data import FlightData, Preparation, Segment, prepare
+from estimation.engine.data import AS_USUAL, FlightData, Preparation, Segment, prepare
 from estimation.engine.kernel import Array, Columns, Drive, Kernel, Motion
 from estimation.engine.transforms import apply_transforms, transform_derivatives
 from estimation.models.base import Model
@@ -179,7 +179,7 @@ def simulate(
     *,
     compile_: Compile = "auto",
     substeps: int = 2,
-    preparation: Preparation = Preparation(),
+    preparation: Preparation = AS_USUAL,
 ) -> Array:
     """Outputs (samples, ny) of a model over a flight with its measured inputs; NaN outside the segments.
 
@@ -203,7 +203,7 @@ def simulate_with_sensitivities(
     free: tuple[str, ...] | None = None,
     compile_: Compile = "auto",
     substeps: int = 2,
-    preparation: Preparation = Preparation(),
+    preparation: Preparation = AS_USUAL,
 ) -> tuple[Array, Array, Array]:
     """(y (samples, ny), dy/dparameters (samples, ny, n), dy/dx0 of each sample's segment (samples, ny, nx)).
 

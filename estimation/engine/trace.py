@@ -100,4 +100,4 @@ def _trace(
 
 def _nonzeros(matrix: ca.SX) -> ca.SX:
     nonzeros = matrix.nonzeros()
-    return ca.vertcat(*nonzeros) if nonzeros else ca.SX(0, 1)
+    return ca.vertcat(*nonzeros) if nonzeros else ca.SX(0, 1)  # type: ignore[call-overload]

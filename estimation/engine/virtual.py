@@ -108,15 +108,15 @@ class _Stepper:
         self._function = function
         self._buffer, self._call = function.buffer()
         for i, array in enumerate([self.state, *self.inputs]):
-            self._buffer.set_arg(i, memoryview(array))
+            self._buffer.set_arg(i, memoryview(array))  # type: ignore[call-arg,arg-type]
         for i, array in enumerate(self.results):
-            self._buffer.set_res(i, memoryview(array))
+            self._buffer.set_res(i, memoryview(array))  # type: ignore[call-arg,arg-type]
 
     def advance(
         self, drive: Drive, part: slice, p: Array, gain: Array | None, state: Array, x: Array, y: Array, dy: Array
     ) -> Array:
         size = part.stop - part.start
-        nx, nu, _, ny = self.sizes
+        _, nu, _, ny = self.sizes
         self.state[:] = state
         samples = [drive.u, drive.u_begin, drive.u_end]
         if self.nt:
@@ -199,7 +199,7 @@ class _Variation:
 
     def __init__(self, traced: Traced, n: int, parameter: tuple[int, ...], transform: tuple[int, ...], nt: int) -> None:
         self.traced, self.n, self.nt = traced, n, nt
-        nx, nu, np_, ny = traced.sizes
+        np_ = traced.sizes[2]
         self.select = ca.DM.zeros(np_, n)
         for i, column in enumerate(parameter):
             if column >= 0:

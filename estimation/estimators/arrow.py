@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Index = NDArray[np.intp]
 
 SINGULAR = 1e-11
 """Eigenvalues of the scaled information matrix below this fraction of the largest are directions the data does not see."""
@@ -56,7 +57,7 @@ class FlightBlocks:
         self.ll_inverse = pseudo_inverse(self.ll)[0] if self.ll.size else self.ll
 
     @classmethod
-    def split(cls, information: Array, gradient: Array, shared: Array, local: Array) -> "FlightBlocks":
+    def split(cls, information: Array, gradient: Array, shared: Index, local: Index) -> "FlightBlocks":
         pick = np.ix_
         return cls(
             information[pick(shared, shared)],

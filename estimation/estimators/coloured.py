@@ -53,7 +53,8 @@ def score_covariance(pieces: list[Piece], inverse: Array, nuisance_inverse: list
     size = 1 << int(np.ceil(np.log2(2 * max(p.residual.shape[0] for p in pieces))))
     lags = autocovariance([p.residual for p in pieces], [p.known for p in pieces])
     order = order_for(lags, sum(p.residual.shape[0] for p in pieces))
-    spectrum = observed = autoregressive_spectrum(lags, order, size)
+    observed = autoregressive_spectrum(lags, order, size)
+    spectrum = observed
     rng = np.random.default_rng(20)
     for _ in range(ROUNDS):
         expected = _after_fit(spectrum, pieces, projected, inverse, nuisance_inverse, order, size, rng)
@@ -111,8 +112,7 @@ def autoregressive_spectrum(lags: Array, order: int, size: int) -> Spectrum:
     for k in range(order):
         a -= coefficients[None, :, k * ny : (k + 1) * ny] * (turn ** (k + 1))[:, None, None]
     inverse = np.linalg.inv(a)
-    spectrum: Spectrum = inverse @ innovation @ inverse.conj().transpose(0, 2, 1)
-    return spectrum
+    return np.asarray(inverse @ innovation @ inverse.conj().transpose(0, 2, 1))
 
 
 def _after_fit(
@@ -144,8 +144,7 @@ def _after_fit(
 
 def _square_root(spectrum: Spectrum) -> Spectrum:
     values, vectors = np.linalg.eigh(spectrum)
-    root: Spectrum = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
-    return root
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :])
 
 
 def _coloured_noise(root: Spectrum, count: int, size: int, rng: np.random.Generator) -> Array:

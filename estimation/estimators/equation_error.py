@@ -13,19 +13,22 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from estimation.engine.data import FlightData
 from estimation.engine.kernel import Array
 from estimation.engine.simulate import Simulator, simulate
 from estimation.errors import DataError
 from estimation.estimators.arrow import pseudo_inverse
+from estimation.estimators.coloured import Piece, score_covariance
 from estimation.estimators.gauss_newton import Status
 from estimation.estimators.result import FlightFit, Result
-from estimation.estimators.coloured import Piece, score_covariance
 from estimation.estimators.uncertainty import estimates
 from estimation.models.base import Model
 from estimation.validation import fits
 from groundstation.flight import Flight
+
+Index = NDArray[np.intp]
 
 ROUNDS = 2  # of relinearisation (for parameters that enter nonlinearly) and reweighting
 F_IN = 10.0  # partial F ratio above which a term enters (20 Hz residuals are coloured: the nominal 4 is too low)
@@ -99,7 +102,7 @@ def solve(simulator: Simulator, flights: Sequence[FlightData], *, stepwise: bool
     values = simulator.model.starts()
     chosen = np.arange(len(simulator.free))
     if stepwise:
-        values |= {n: 0.0 for n in simulator.free}
+        values |= dict.fromkeys(simulator.free, 0.0)
         chosen = stepwise_choice(_regressions(simulator, flights, values))
     for _ in range(ROUNDS):
         regressions = _regressions(simulator, flights, values)
@@ -119,7 +122,9 @@ def solve(simulator: Simulator, flights: Sequence[FlightData], *, stepwise: bool
     pick = np.ix_(chosen, chosen)
     inverse, blind = pseudo_inverse(information[pick])
     covariance[pick] = inverse
-    middle = sum(score_covariance(p, covariance, [np.zeros((0, 0))] * len(p)) for p in parts)
+    middle = np.zeros((n, n))
+    for p in parts:
+        middle += score_covariance(p, covariance, [np.zeros((0, 0))] * len(p))
     coloured[pick] = inverse @ middle[pick] @ inverse
     undetermined = np.zeros(n, bool)
     if blind.size:
@@ -135,7 +140,7 @@ def _piece(regression: Regression, weights: Array) -> Piece:
     return Piece(e, J.reshape(count * equations, n), np.zeros((count * equations, 0)), known)
 
 
-def stepwise_choice(regressions: list[Regression]) -> Array:
+def stepwise_choice(regressions: list[Regression]) -> Index:
     """Indices of the parameters that a forward-backward selection by partial F keeps."""
     A, e = _stacked(regressions)
     scale = 1.0 / np.maximum(np.sqrt(np.mean(e**2, axis=0)), 1e-12)
@@ -153,7 +158,7 @@ def stepwise_choice(regressions: list[Regression]) -> Array:
         if best is None or gains[best] < F_IN:
             break
         chosen.append(best)
-        for j in [j for j in chosen[:-1]]:
+        for j in chosen[:-1]:
             without = [i for i in chosen if i != j]
             full = _rest(gram, moment, energy, chosen)
             if _partial_f(_rest(gram, moment, energy, without), full, z.size - len(chosen)) < F_OUT:
@@ -195,7 +200,7 @@ def _stacked(regressions: list[Regression]) -> tuple[Array, Array]:
     return np.where(known[:, :, None], A, 0.0), np.where(known, e, 0.0)
 
 
-def _solve(regressions: list[Regression], chosen: Array) -> tuple[Array, Array]:
+def _solve(regressions: list[Regression], chosen: Index) -> tuple[Array, Array]:
     """(change of every free parameter, weights of the equations): each equation weighted by its own misfit."""
     A, e = _stacked(regressions)
     weight = np.ones(e.shape[1])

@@ -76,6 +76,9 @@ class LoopOptions:
     most_damping: float = 1e8
 
 
+AS_USUAL_LOOP = LoopOptions()
+
+
 @dataclass(frozen=True)
 class Outcome:
     status: Status
@@ -86,7 +89,7 @@ class Outcome:
     history: tuple[float, ...]
 
 
-def minimise(problem: Problem[P], start: Array, options: LoopOptions = LoopOptions()) -> Outcome:
+def minimise(problem: Problem[P], start: Array, options: LoopOptions = AS_USUAL_LOOP) -> Outcome:
     """Lower the cost from `start` until the predicted reduction is negligible."""
     unknowns = problem.clip(start)
     point = problem.evaluate(unknowns, True)

@@ -7,14 +7,15 @@ bounds and says what the data could not tell.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
-from estimation.engine.data import FlightData, Preparation, prepare
+from estimation.engine.data import AS_USUAL, FlightData, Preparation, prepare
 from estimation.engine.kernel import Array
 from estimation.engine.simulate import Compile, Hold, Simulator
 from estimation.errors import DataError
-from estimation.estimators.gauss_newton import LoopOptions, Outcome, Status, minimise
+from estimation.estimators.gauss_newton import AS_USUAL_LOOP, LoopOptions, Outcome, Status, minimise
 from estimation.estimators.likelihood import LikelihoodPoint, Noise, OutputErrorProblem
 from estimation.estimators.result import Estimate, FlightFit, Result
 from estimation.estimators.uncertainty import estimates, uncertainty
@@ -37,15 +38,22 @@ class OutputErrorOptions:
     compile_: Compile = "auto"
     substeps: int = 2
     hold: Hold = "linear"
-    preparation: Preparation = Preparation()
-    loop: LoopOptions = LoopOptions()
+    preparation: Preparation = AS_USUAL
+    loop: LoopOptions = AS_USUAL_LOOP
+
+
+STANDARD = OutputErrorOptions()
+HOPELESS = 0.2  # median r2 below which a fit is tried again from pieces
+PIECES = (8.0, 4.0, 2.0, 1.0)  # s
+COARSE = 0.05  # of the noise: integration error that matters
+FINEST = 16  # substeps
 
 
 def output_error(
     model: Model | str,
     flights: Flight | FlightData | Sequence[Flight | FlightData],
     start: Mapping[str, float] | None = None,
-    options: OutputErrorOptions = OutputErrorOptions(),
+    options: OutputErrorOptions = STANDARD,
 ) -> Result:
     """Fit `model` to one flight or to several together.
 
@@ -53,18 +61,112 @@ def output_error(
     that cannot feed the model; a fit that fails is a Result whose status says so.
     """
     chosen = load_model(model).with_starts(start or {})
-    data = prepared(chosen, flights, options.preparation)
-    chosen, data = compared(chosen, data)
+    chosen, data = compared(chosen, prepared(chosen, flights, options.preparation))
     problem = build_problem(chosen, data, options)
-    first = _starts(problem, options)
-    outcome = minimise(problem, first, options.loop)
+    _enough(problem)
+    outcome = minimise(problem, _starts(problem, options), options.loop)
+    if _hopeless(problem, outcome):
+        problem, outcome = _rescued(chosen, data, options, problem, outcome)
+    problem, outcome = _fine_enough(problem, outcome, options)
     return describe(problem, outcome, "ml")
+
+
+def _enough(problem: OutputErrorProblem) -> None:
+    """DataError where there are fewer numbers than could ever settle the unknowns."""
+    numbers = int(sum(np.isfinite(s.z).sum() for f in problem.flights for s in f.segments))
+    if numbers < 2 * problem.size:
+        names = ", ".join(f.name for f in problem.flights)
+        raise DataError(
+            f"{names}: {numbers} measured values for {problem.size} unknowns of model {problem.model.name}; "
+            "that cannot be settled: fly longer, or fix parameters"
+        )
+
+
+def _hopeless(problem: OutputErrorProblem, outcome: Outcome) -> bool:
+    """Whether a fit failed or explains the motion no better than its mean."""
+    if outcome.status is not Status.CONVERGED:
+        return True
+    point = outcome.point
+    assert isinstance(point, LikelihoodPoint)
+    z = np.concatenate([s.z for f in problem.flights for s in f.segments])
+    r = np.concatenate([r for flight in point.residuals for r in flight])
+    with np.errstate(invalid="ignore"):
+        r2 = 1.0 - np.nanmean(r**2, axis=0) / np.maximum(np.nanvar(z, axis=0), 1e-300)
+    return bool(np.nanmedian(r2) < HOPELESS)
+
+
+def _rescued(
+    model: Model, data: list[FlightData], options: OutputErrorOptions, problem: OutputErrorProblem, outcome: Outcome
+) -> tuple[OutputErrorProblem, Outcome]:
+    """A fit on short pieces with initial states of their own, then the whole again from there.
+
+    An unstable aircraft cannot be simulated for long from anywhere; short pieces can, and their estimates are good.
+    """
+    for seconds in PIECES:
+        pieces = [cut(d, seconds) for d in data]
+        if all(len(p.segments) == len(d.segments) for p, d in zip(pieces, data, strict=True)):
+            continue
+        short = build_problem(model, pieces, options)
+        if any(len(s) * problem.ny < 3 * problem.nx for f in pieces for s in f.segments):
+            break
+        done = minimise(short, _starts(short, options), options.loop)
+        if done.status is not Status.CONVERGED or _hopeless(short, done):
+            continue
+        again = minimise(problem, problem.pack(short.values(done.unknowns, 0)), options.loop)
+        if not _hopeless(problem, again) and again.point.cost <= _cost(outcome):  # type: ignore[attr-defined]
+            return problem, again
+        return short, replace(done, status=Status.CUT)
+    return problem, outcome
+
+
+def _cost(outcome: Outcome) -> float:
+    point = outcome.point
+    assert isinstance(point, LikelihoodPoint)
+    return point.cost
+
+
+def cut(data: FlightData, seconds: float) -> FlightData:
+    """The same flight in pieces of about `seconds`, each starting from its measured state."""
+    parts = []
+    for s in data.segments:
+        count = max(1, round((s.time[-1] - s.time[0]) / seconds))
+        edges = np.linspace(0, len(s), count + 1).round().astype(int).tolist()
+        for a, b in pairwise(edges):
+            measured = data.states[s.first + a]
+            parts.append(s.part(a, b, np.where(np.isfinite(measured), measured, s.x0)))
+    return replace(data, segments=tuple(parts))
+
+
+def _fine_enough(
+    problem: OutputErrorProblem, outcome: Outcome, options: OutputErrorOptions
+) -> tuple[OutputErrorProblem, Outcome]:
+    """Refit with finer integration steps where twice as many change the outputs by more than a twentieth of the noise."""
+    while outcome.status in (Status.CONVERGED, Status.CUT) and problem.simulator.substeps < FINEST:
+        point = outcome.point
+        assert isinstance(point, LikelihoodPoint)
+        finer = replace(problem.simulator, substeps=2 * problem.simulator.substeps)
+        worst = 0.0
+        for i, flight in enumerate(problem.flights):
+            values = problem.values(outcome.unknowns, i)
+            for j, segment in enumerate(flight.segments):
+                motion = finer.run(segment, values, problem.initial_state(outcome.unknowns, i, j))
+                off = (motion.y - point.motions[i][j].y) / np.sqrt(np.diag(point.R))
+                worst = max(worst, float(np.sqrt(np.mean(off**2, axis=0)).max()))
+        if worst < COARSE:
+            break
+        options = replace(options, substeps=finer.substeps)
+        problem = build_problem(problem.model, problem.flights, options)
+        status = outcome.status
+        outcome = minimise(problem, outcome.unknowns, options.loop)
+        if status is Status.CUT and outcome.status is Status.CONVERGED:
+            outcome = replace(outcome, status=Status.CUT)
+    return problem, outcome
 
 
 def prepared(
     model: Model,
     flights: Flight | FlightData | Sequence[Flight | FlightData],
-    preparation: Preparation = Preparation(),
+    preparation: Preparation = AS_USUAL,
 ) -> list[FlightData]:
     """Flights prepared for a model, those that are so already taken as they are."""
     many = [flights] if isinstance(flights, Flight | FlightData) else list(flights)

@@ -102,11 +102,14 @@ def estimates(
     std_coloured = np.where(undetermined, np.inf, np.sqrt(np.maximum(np.diag(coloured), 0.0)))
     std_coloured = np.maximum(std, std_coloured)
     rho = correlation(covariance)
+    diagonal = np.diag(covariance)  # zero where the data holds no information at all
     movement = input_movement(model, flights)
     result = {}
     for i, name in enumerate(names):
         parameter = model.parameter(name)
         why = _why_not(model, parameter, float(values[i]), float(std_coloured[i]), rho[i], names, i, movement)
+        if not why and undetermined[i] and diagonal[i] <= 0.0:
+            why = "has no effect on any output in this data"
         if not why and undetermined[i]:
             partners = ", ".join(n for j, n in enumerate(names) if undetermined[j] and j != i) or "nothing else"
             why = f"tied exactly to {partners}: only a combination can be told; held at its start value"

@@ -38,9 +38,10 @@ class Record:
         return int(self.time.size)
 
     def segment(self, model: Model, base: Model) -> Segment:
-        """This record as `model`, a descendant of `base`, needs it."""
+        """This record as `model`, a descendant of `base`, needs it; inputs it does not have are zero."""
         count = len(self)
-        u = np.column_stack([self.inputs[n] for n in model.input_names]) if model.inputs else np.zeros((count, 0))
+        still = np.zeros(count)
+        u = np.column_stack([self.inputs.get(n, still) for n in model.input_names]) if model.inputs else np.zeros((count, 0))
         return Segment(self.first, self.time, np.ascontiguousarray(u), self.z, self.start(model, base))
 
     def start(self, model: Model, base: Model) -> Array:

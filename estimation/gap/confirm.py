@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from estimation.engine.kernel import Array
+from estimation.gap.dormant import awakened
 from estimation.gap.fitting import Fit, Problem, fit
 from estimation.gap.screen import Hypothesis, Screen, equivalent_z, extended
 from estimation.gap.whitening import Whitener
@@ -39,8 +40,8 @@ def fit_hypothesis(
     problem: Problem, base_fit: Fit, hypothesis: Hypothesis, guess: Mapping[str, float], iterations: int = 12
 ) -> tuple[Problem, Fit]:
     """Fit base and hypothesis together from `guess`; (problem, fit)."""
-    model = hypothesis.form.added_to(problem.model, _inside(hypothesis, problem.model, guess))
-    trial = Problem(model, problem.base, problem.records, problem.whiteners)
+    model = awakened(problem.model, hypothesis.form, _inside(hypothesis, problem.model, guess))
+    trial = replace(problem, model=model)
     start = {**model.starts(), **base_fit.values, **{p.name: model.parameter(p.name).start for p in hypothesis.form.parameters}}
     locals_ = [extended(local, base_fit.model, model) for local in base_fit.locals]
     return trial, fit(trial, start, locals_, iterations=iterations)

@@ -70,6 +70,7 @@ class Problem:
     base: Model
     records: tuple[Record, ...]
     whiteners: tuple[Whitener, ...]
+    work: float = 0.0  # how much simulation is coming: decides whether compiling repays
 
     @cached_property
     def coarse(self) -> tuple[Segment, ...]:
@@ -102,7 +103,7 @@ class Problem:
 
     @cached_property
     def simulator(self) -> Simulator:
-        return Simulator.build(self.model, (*self.parameters, *self.local_names), substeps=1)
+        return Simulator.build(self.model, (*self.parameters, *self.local_names), substeps=1, work=self.work)
 
     def starts(self) -> dict[str, float]:
         """Start values of everything shared, held parameters included."""
@@ -118,12 +119,12 @@ class Problem:
         inputs: (N, nu) other inputs than the record's own.
         """
         grid = self.grids[index] if inputs is None else fine_grid(replace(self.coarse[index], u=inputs))
-        motion = self.simulator.run(self._driven(grid, values), {**values, **local.parameters}, local.x0)
+        motion = self.simulator.run(self.driven(grid, values), {**values, **local.parameters}, local.x0)
         return self.coarse[index].z - motion.y[::2] if motion.finite else None
 
     def linearised(self, index: int, values: Mapping[str, float], local: Local) -> tuple[Array, Array] | None:
         """(residual (N, ny), sensitivities (N, ny, shared unknowns + local parameters + initial states)) of one record."""
-        segment = self._driven(self.grids[index], values)
+        segment = self.driven(self.grids[index], values)
         motion = self.simulator.run(segment, {**values, **local.parameters}, local.x0, sensitivities=True)
         if not motion.finite or motion.dy is None or not np.isfinite(motion.dy).all():
             return None
@@ -139,7 +140,8 @@ class Problem:
         dy[~np.isfinite(residual)] = 0.0
         return residual, dy
 
-    def _driven(self, grid: "Grid", values: Mapping[str, float]) -> Segment:
+    def driven(self, grid: "Grid", values: Mapping[str, float]) -> Segment:
+        """A grid's inputs with the edges of the controls rounded as `values` say."""
         u = grid.segment.u
         shifts = [(i, values[name]) for name, i in self.edges.items() if values.get(name, 0.0) != 0.0]
         if shifts:

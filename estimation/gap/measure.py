@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimation.engine.kernel import Array
-from estimation.gap.baseline import Baseline, Round, whiteners_for
+from estimation.gap.baseline import WORK, Baseline, Round, whiteners_for
 from estimation.gap.bench import Bench
 from estimation.gap.fitting import Fit, Problem, fit
-from estimation.gap.nulls import NullFlyer
+from estimation.gap.nulls import InputErrors, NullFlyer
 
 
 def rms_over_noise(residuals: Sequence[Array], scatter: Array) -> float:
@@ -29,7 +29,7 @@ def on_holdout(baseline: Baseline, bench: Bench) -> tuple[Problem, Fit] | None:
     model = baseline.model
     values = {**model.starts(), **baseline.fit.values}
     _, whiteners = whiteners_for(model, bench.base, records, values, baseline.noise, (), baseline.scatter)
-    problem = Problem(model, bench.base, records, whiteners)
+    problem = Problem(model, bench.base, records, whiteners, WORK)
     return problem, fit(problem, values, frozen=True)
 
 
@@ -49,7 +49,9 @@ class Floors:
         return float(np.median(self.holdout)) if self.holdout.size else None
 
 
-def floors(round_: Round, bench: Bench, held: tuple[Problem, Fit] | None, nulls: int, seed: int) -> Floors:
+def floors(
+    round_: Round, held: tuple[Problem, Fit] | None, held_errors: Sequence[InputErrors], seed: int
+) -> Floors:
     """Gap of the nulls of a round after the same refit, by linear theory about the fitted point."""
     baseline = round_.baseline
     problem, found, scatter = baseline.problem, baseline.fit, baseline.scatter
@@ -68,7 +70,7 @@ def floors(round_: Round, bench: Bench, held: tuple[Problem, Fit] | None, nulls:
     if held is None:
         return Floors(training, np.zeros(0))
     held_problem, held_fit = held
-    flyer = NullFlyer.build(held_problem, held_fit, baseline.noise, np.random.default_rng([seed, 15485863]))
+    flyer = NullFlyer.build(held_problem, held_fit, baseline.noise, held_errors)
     squares, count = np.zeros(m), 0.0
     for i in range(len(held_problem.records)):
         flown = [flyer.fly(i, np.random.default_rng([seed, 32452843, i, number])) for number in range(m)]

@@ -5,13 +5,14 @@ hypotheses and the residuals are reduced to one small Gram matrix with the recor
 eliminated. From then on scores, ties, detectable sizes, pairs, nulls and held-out predictions are small linear algebra.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import chi2, norm
 
 from estimation.engine.kernel import Array
+from estimation.gap.dormant import awakened
 from estimation.gap.effects.base import Effect, EffectParameter, Form
 from estimation.gap.fitting import Fit, Local, Problem, prior_terms
 from estimation.models.base import Model
@@ -131,9 +132,9 @@ def sensitivity(problem: Problem, fit: Fit, base_residuals: Sequence[Array], hyp
 
     Two-sided where the parameter may have either sign; None where the hypothesis makes the motion diverge.
     """
-    model = hypothesis.form.added_to(problem.model)
+    model = awakened(problem.model, hypothesis.form)
     none = column.null_value(problem.model)
-    trial = Problem(model, problem.base, problem.records, problem.whiteners)
+    trial = replace(problem, model=model)
     two_sided = column.lower < none - 0.25 * column.typical
     steps = (0.5 * column.typical, -0.5 * column.typical) if two_sided else (0.3 * column.typical,)
     found = []
@@ -159,8 +160,7 @@ def extended(local: Local, old: Model, new: Model) -> Local:
     return Local(np.array([at[n] for n in new.state_names]), local.parameters)
 
 
-def hypotheses_for(model: Model, effects: Sequence[Effect], supported: Mapping[str, bool] | None = None,
-                   available: frozenset[str] = frozenset()) -> tuple[Hypothesis, ...]:  # fmt: skip
+def hypotheses_for(model: Model, effects: Sequence[Effect], available: frozenset[str]) -> tuple[Hypothesis, ...]:
     """Every form of every effect that applies to `model` and whose inputs are at hand."""
     return tuple(
         Hypothesis(effect, form)

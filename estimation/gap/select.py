@@ -8,7 +8,7 @@ import numpy as np
 from estimation.gap.baseline import Round, whiteners_for
 from estimation.gap.bench import Bench
 from estimation.gap.confirm import Candidate, assess, fit_hypothesis, leading, linear_guess
-from estimation.gap.fitting import Problem, fit
+from estimation.gap.fitting import fit
 from estimation.gap.result import Rejected
 
 FULL_FITS = 10
@@ -71,7 +71,7 @@ def _compared_again(
     base_fit = fit(sharper, round_.baseline.fit.values, round_.baseline.fit.locals, iterations=8)
     result = []
     for candidate in sound:
-        trial = Problem(candidate.fit.model, problem.base, problem.records, whiteners)
+        trial = replace(sharper, model=candidate.fit.model)
         found = fit(trial, candidate.fit.values, candidate.fit.locals, iterations=8)
         fresh = assess(sharper, base_fit, candidate.hypothesis, found, inflation[candidate.hypothesis.key])
         result.append(replace(fresh, score=candidate.score, gain=candidate.gain))

@@ -158,7 +158,8 @@ def estimate_noise(residuals: Sequence[Array], shapes: Sequence[Shapes], start: 
     power = {
         n: np.mean([np.mean(np.sum(np.abs(sh.parts[n]) ** 2 / start, axis=1)) for sh in shapes]) / ny for n in names
     }
-    v = {n: 0.3 / max(power[n], 1e-300) for n in names}
+    names = [n for n in names if power[n] > 0.0]
+    v = {n: 0.3 / power[n] for n in names}
     for _ in range(ITERATIONS):
         up_R, down_R = np.zeros(ny), np.zeros(ny)
         up, down = dict.fromkeys(names, 0.0), dict.fromkeys(names, 0.0)
@@ -172,5 +173,5 @@ def estimate_noise(residuals: Sequence[Array], shapes: Sequence[Shapes], start: 
                 up[n] += float(w @ np.abs(np.sum(g.conj() * a, axis=1)) ** 2)
                 down[n] += float(w @ np.einsum("fi,fij,fj->f", g.conj(), inverse, g).real)
         R = np.maximum(R * np.sqrt(up_R / down_R), floor)
-        v = {n: max(v[n] * np.sqrt(up[n] / down[n]), FLOOR / max(power[n], 1e-300)) for n in names}
+        v = {n: max(v[n] * np.sqrt(up[n] / down[n]), FLOOR / power[n]) for n in names}
     return NoiseModel(R, v)

@@ -13,14 +13,17 @@ from scipy.stats import norm
 from estimation.gap.baseline import Baseline, Round, channel_noise, fit_baseline, screen_round
 from estimation.gap.bench import Bench, build_bench
 from estimation.gap.confirm import Candidate
+from estimation.gap.dormant import with_dormant
 from estimation.gap.effects.base import Effect
 from estimation.gap.effects.missing import missing_derivatives
 from estimation.gap.measure import Floors, floors, on_holdout, rms_over_noise
+from estimation.gap.nulls import InputErrors, input_errors
 from estimation.gap.nuisance import is_nuisance, with_nuisance
 from estimation.gap.result import (
     Gap, GapResult, Migration, Rejected, Step, Tie, Verdict, Weighed, Where,
 )  # fmt: skip
 from estimation.gap.select import Choice, choose, credible_set
+from estimation.gap.whitening import force_states
 from estimation.models.base import Model
 from groundstation.flight import Flight
 
@@ -68,15 +71,17 @@ def run_gap(
     records = bench.of(bench.training)
     scatter = channel_noise(records)
     interval = float(np.median([np.median(np.diff(r.time)) for r in records]))
-    working = with_nuisance(model, dict(zip(model.output_names, scatter, strict=True)), interval)
+    clean = with_nuisance(model, dict(zip(model.output_names, scatter, strict=True)), interval)
+    working = with_dormant(clean, chosen, bench.available, force_states(model))
+    errors = tuple(input_errors(r, clean, np.random.default_rng([options.seed, 104729, i])) for i, r in enumerate(bench.records))
     tell("fitting the baseline", 0.05)
-    baseline = fit_baseline(working, bench, scatter)
-    findings, rounds = _rounds(baseline, bench, chosen, options, tell)
-    return _conclude(model, bench, findings, rounds, options)
+    baseline = fit_baseline(working, clean, bench, scatter)
+    findings, rounds = _rounds(baseline, bench, chosen, errors, options, tell)
+    return _conclude(model, bench, findings, rounds, errors, options)
 
 
 def _rounds(
-    baseline: Baseline, bench: Bench, effects: Sequence[Effect], options: Options, tell: LOOK
+    baseline: Baseline, bench: Bench, effects: Sequence[Effect], errors: Sequence[InputErrors], options: Options, tell: LOOK
 ) -> tuple[list[Finding], list[Round]]:
     findings: list[Finding] = []
     rounds: list[Round] = []
@@ -87,7 +92,7 @@ def _rounds(
         def tick(done: int, start: float = start) -> None:
             tell(f"round {number + 1}: null {done} of {options.nulls}", start + 0.1 * done / options.nulls)
 
-        round_ = screen_round(baseline, bench, effects, options.nulls, options.seed + 1000 * number, options.level, tick)
+        round_ = screen_round(baseline, bench, effects, errors, options.nulls, options.seed + 1000 * number, options.level, tick)
         rounds.append(round_)
         if len(findings) == options.most:
             return findings, rounds
@@ -96,18 +101,20 @@ def _rounds(
         best = choice.best
         if best is None or best.score < round_.threshold:
             return findings, rounds
-        child = fit_baseline(best.fit.model, bench, baseline.scatter, best.fit.values, best.fit.locals, baseline.noise)
+        form, at = best.hypothesis.form, {n: v for n, (v, _) in best.estimates.items()}
+        child = fit_baseline(best.fit.model, form.added_to(baseline.clean, at), bench, baseline.scatter, best.fit.values, best.fit.locals, baseline.noise)
         findings.append(Finding(round_, choice, best, child))
         baseline = child
 
 
-def _conclude(model: Model, bench: Bench, findings: Sequence[Finding], rounds: Sequence[Round], options: Options) -> GapResult:
+def _conclude(model: Model, bench: Bench, findings: Sequence[Finding], rounds: Sequence[Round],
+              errors: Sequence[InputErrors], options: Options) -> GapResult:  # fmt: skip
     first, last = rounds[0], rounds[-1]
     scores = _effect_scores(first)
     steps = []
     for i, finding in enumerate(findings):
         after = rounds[i + 1]
-        steps.append(_step(finding, after, bench, options))
+        steps.append(_step(finding, after, bench, errors, options))
     verdict = Verdict.NO_GAP if not steps else Verdict.GAP_CLOSED
     return GapResult(
         verdict=verdict,
@@ -120,18 +127,18 @@ def _conclude(model: Model, bench: Bench, findings: Sequence[Finding], rounds: S
         rejected=tuple(r for f in findings for r in f.choice.rejected),
         ties=_ties(last),
         model_before=model,
-        model_after=last.baseline.model,
+        model_after=last.baseline.clean,
         notes=bench.notes,
         outputs=model.output_names,
     )
 
 
-def _step(finding: Finding, after: Round, bench: Bench, options: Options) -> Step:
+def _step(finding: Finding, after: Round, bench: Bench, errors: Sequence[InputErrors], options: Options) -> Step:
     effect = finding.candidate.hypothesis.effect
     members = credible_set(finding.choice.weights)
     parent, child = finding.round_.baseline, finding.child
     held_before, held_after = on_holdout(parent, bench), on_holdout(child, bench)
-    floor = floors(after, bench, held_after, len(after.null_residuals), options.seed)
+    floor = floors(after, held_after, errors[len(bench.of(bench.training)):], options.seed)
     gap = Gap(rms_over_noise(parent.fit.residuals, parent.scatter), rms_over_noise(child.fit.residuals, parent.scatter), floor.training_median)
     held = None
     if held_before is not None and held_after is not None and floor.holdout_median is not None:

@@ -143,7 +143,7 @@ class Model:
     def output_expression(self, name: str) -> str:
         """What output `name` shows: `<name>_measured` where the text defines it, else the quantity itself."""
         measured = f"{name}_measured"
-        return self.definitions[measured] if measured in self.definitions else name
+        return self.definitions.get(measured, name)
 
     # ------------------------------------------------------------------------------------------------ new models
     def plus(

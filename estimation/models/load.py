@@ -2,7 +2,6 @@
 
 import importlib
 import json
-import os
 import sys
 import tomllib
 from collections.abc import Iterator, Mapping
@@ -55,7 +54,7 @@ def write_model(model: Model, path: str | Path) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_suffix(path.suffix + ".part")
     partial.write_text("\n".join(_toml(model)) + "\n", encoding="utf-8")
-    os.replace(partial, path)
+    partial.replace(path)
 
 
 def _toml(model: Model) -> Iterator[str]:

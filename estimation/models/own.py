@@ -174,9 +174,9 @@ def model_from_class(cls: type, aircraft: Aircraft | None = None) -> Model:
     shown = _in_order(instance.outputs(x, u, p, xdot), [s.name for s in measured], f"{cls.__name__}.outputs")
     targets = [(f"{s.name}_dot", r) for s, r in zip(states, rates, strict=True)]
     taken = {s.name for s in (*states, *inputs, *parameters)} | {t for t, _ in targets}
-    for signal, value in zip(measured, shown, strict=True):
-        name = f"{signal.name}_measured" if signal.name in taken else signal.name
-        if not (value.operator == "leaf" and value.arguments == (signal.name,)):
+    for output, value in zip(measured, shown, strict=True):
+        name = f"{output.name}_measured" if output.name in taken else output.name
+        if not (value.operator == "leaf" and value.arguments == (output.name,)):
             targets.append((name, value))
     return Model(
         name=str(getattr(instance, "name", cls.__name__)),
@@ -213,7 +213,8 @@ def _parameter(name: str, value: object) -> Parameter:
     if isinstance(value, str):
         return Parameter(name, value)
     if isinstance(value, tuple) and 1 <= len(value) <= 4:
-        return Parameter(name, str(value[0]), *(float(v) for v in value[1:]))
+        numbers = dict(zip(("start", "lower", "upper"), map(float, value[1:]), strict=False))
+        return Parameter(name, str(value[0]), **numbers)  # type: ignore[arg-type]
     raise ModelError(f"parameter {name!r}: give a unit, (unit, start), (unit, start, lower, upper) or a Parameter")
 
 

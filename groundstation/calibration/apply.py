@@ -6,49 +6,35 @@ and specific force at the CG, elevator and aileron. The same recording and the s
 however many scans are calibrated at once.
 """
 
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from daq.contract.channels import CHANNEL_BY_NAME, COLUMNS, RAW_LIMITS
 from daq.contract.scan import Scan
-from groundstation.calibration import air_data, curves, flow, inertial
-from groundstation.calibration.align import COMPLETE, completeness, derivative, to_scan_time
+from groundstation.calibration import air_data, curves, inertial
+from groundstation.calibration.account import account
+from groundstation.calibration.align import COMPLETE, completeness, hold, to_scan_time, undo_lag
+from groundstation.calibration.columns import GNSS, Columns
 from groundstation.calibration.errors import CalibrationError
 from groundstation.calibration.facts import Facts
+from groundstation.calibration.readings import Readings
 from groundstation.calibration.scan_table import ScanTable, scan_table
-from groundstation.calibration.schema import Attitude, CalibrationSet, Curve, Instrument, Triad
-from groundstation.calibration.uncertainty import column_uncertainty, noise
+from groundstation.calibration.schema import CalibrationSet, Curve, Instrument, Triad
 from groundstation.flight import Flight, Provenance
 
 Array = NDArray[np.float64]
 
-_LINEAR = ("elevon_left", "elevon_right", "rudder")  # surfaces have edges: a straight line between samples, no cubic
+# surfaces have edges: a straight line between samples, no cubic
+_LINEAR = ("elevon_left", "elevon_right", "rudder", *GNSS)
 _HELD = ("pwm_1", "pwm_2", "pwm_3", "pwm_4")  # a pulse width holds until the next one: never interpolated
 _MAG_OVERFLOW = 8  # bit 3 of the magnetometer's second status byte
 _FIX_3D = 3
 
 LONGEST_HOLD = 1.0
 """How long [s] a supply voltage or chip temperature counts after it was read, where it is not read in each scan."""
-
-
-@dataclass(frozen=True)
-class Readings:
-    """Physical value of each instrument axis, with what is known of its instant.
-
-    values: name -> (N,). group: name -> sensor group. delay: name -> filter delay [s].
-    extrapolated, clipped: instrument or channel -> number of samples.
-    """
-
-    values: dict[str, Array]
-    group: dict[str, str]
-    delay: dict[str, float]
-    extrapolated: dict[str, int]
-    clipped: dict[str, int]
 
 
 class Calibrator:
@@ -73,20 +59,21 @@ class Calibrator:
         """All flight columns (N,) of the table, NaN where not measured, and the readings they were made from."""
         readings = self._readings(table)
         values = self._align(table, readings) if aligned else readings.values
-        made = _Columns(self.calibration, table, values, aligned).make()
+        made = Columns(self.calibration, table, values, aligned).make()
         nothing = np.full(len(table), np.nan)
         return {c.name: made.get(c.name, nothing) for c in COLUMNS}, readings
 
     # -------------------------------------------------------------------------------------------- counts to values
 
     def _readings(self, table: ScanTable) -> Readings:
-        out = Readings({}, {}, {}, {}, _clipped(table))
+        out = Readings({}, {}, {}, {}, {}, _clipped(table))
         for item in self.calibration.instruments.values():
             if item.curve is not None and item.channel is not None:
                 self._read_curve(item, item.curve, item.channel, table, out)
             if item.triad is not None:
                 self._read_triad(item, item.triad, table, out)
         self._read_static(table, out)
+        self._read_gnss(table, out)
         attitude = self.calibration.get("attitude")
         for axis in "wxyz":
             name = f"quaternion_{axis}"
@@ -123,9 +110,12 @@ class Calibrator:
         if outside:
             out.extrapolated[item.instrument] = outside
         delay = item.delay + self.facts.delay(item.instrument, group)
+        lag = self.facts.lag(item.instrument)
         warmth = held(table.time, self.physical(table, "imu_temperature"))
         for axis, value in zip("xyz", inertial.apply_triad(triad, reading, warmth), strict=True):
             _add(out, f"{item.instrument}_{axis}", value, group, delay)
+            if lag:
+                out.lag[f"{item.instrument}_{axis}"] = lag
 
     def _read_static(self, table: ScanTable, out: Readings) -> None:
         item = self.calibration.get("static")
@@ -143,6 +133,12 @@ class Calibrator:
         scale = self.facts.scale(channel)
         return table.raw[channel] if scale is None else table.raw[channel] * scale + CHANNEL_BY_NAME[channel].offset
 
+    def _read_gnss(self, table: ScanTable, out: Readings) -> None:
+        """Position and velocity of fixes in three dimensions; other fixes measure nothing."""
+        good = table.raw["gnss_fix"] >= _FIX_3D
+        for name in GNSS:
+            _add(out, name, np.where(good, self.physical(table, name), np.nan), "gnss", 0.0)
+
     def sensor_supply(self, table: ScanTable) -> Array:
         """Voltage of the sensor supply (N,) [V]. Raises CalibrationError when the set does not say how to read it."""
         item = self.calibration.get("sensor_supply")
@@ -158,7 +154,11 @@ class Calibrator:
         values = dict(readings.values)
         values.update(_continuous_quaternion(values))
         for name, reading in values.items():
-            if name not in _HELD:
+            if name in _HELD:
+                values[name] = hold(reading, table.number)
+            else:
+                if name in readings.lag:
+                    reading = undo_lag(reading, table.time, table.number, readings.lag[name])
                 at = table.time + known_offset(table, readings.group[name]) - readings.delay[name]
                 values[name] = to_scan_time(reading, at, table.time, table.number, smooth=name not in _LINEAR)
         return values
@@ -208,116 +208,6 @@ def _continuous_quaternion(values: Mapping[str, Array]) -> dict[str, Array]:
     return {n: q[i] * sign for i, n in enumerate(names)}
 
 
-class _Columns:
-    """The columns that combine several instruments, from their values at common instants."""
-
-    def __init__(
-        self, calibration: CalibrationSet, table: ScanTable, values: Mapping[str, Array], aligned: bool
-    ) -> None:
-        self.calibration = calibration
-        self.table = table
-        self.values = values
-        self.aligned = aligned
-        self.columns: dict[str, Array] = {}
-
-    def make(self) -> dict[str, Array]:
-        steps: tuple[Callable[[], None], ...] = (
-            self._air, self._rates, self._acceleration, self._attitude, self._flow, self._controls, self._others, self._gnss,
-        )  # fmt: skip
-        for step in steps:
-            step()
-        return self.columns
-
-    def _value(self, name: str) -> Array:
-        return self.values[name] if name in self.values else np.full(len(self.table), np.nan)
-
-    def _axes(self, instrument: str) -> inertial.Axes:
-        return self._value(f"{instrument}_x"), self._value(f"{instrument}_y"), self._value(f"{instrument}_z")
-
-    def _air(self) -> None:
-        impact, static, temperature = (self._value(n) for n in ("pitot", "static_pressure", "static_temperature"))
-        item = self.calibration.get("static")
-        site = item.static if item and item.static else None
-        if site is not None and site.position_error:
-            # the true impact pressure: the measured one is short by k q when its low side is the same port
-            true_impact = impact / (1 - site.position_error) if site.feeds_pitot else impact
-            static = static - site.position_error * true_impact
-            impact = true_impact
-        self.columns["p_dynamic"], self.columns["p_static"], self.columns["temperature"] = impact, static, temperature
-        self.columns["rho"] = air_data.density(static, temperature)
-        self.columns["V"] = air_data.true_airspeed(impact, static, temperature)
-        self.columns["V_cas"] = air_data.calibrated_airspeed(impact)
-        reference = site.sea_level_pressure if site else air_data.SEA_LEVEL_PRESSURE
-        self.columns["altitude"] = air_data.pressure_altitude(static, reference)
-
-    def _rates(self) -> None:
-        self.columns.update(zip("pqr", self._axes("gyro"), strict=True))
-
-    def _acceleration(self) -> None:
-        axes = self._axes("accelerometer")
-        item = self.calibration.get("accelerometer")
-        if item is not None and item.mount is not None and any(item.mount.position):
-            rates = self._axes("gyro")
-            slopes = None
-            if self.aligned:
-                p, q, r = (derivative(rate, self.table.time, self.table.number) for rate in rates)
-                slopes = (p, q, r)
-            axes = inertial.at_cg(axes, rates, slopes, item.mount.position)
-        self.columns.update(zip(("ax", "ay", "az"), axes, strict=True))
-
-    def _attitude(self) -> None:
-        item = self.calibration.get("attitude")
-        attitude = item.attitude if item and item.attitude else Attitude()
-        w, x, y, z = (self._value(f"quaternion_{axis}") for axis in "wxyz")
-        self.columns.update(zip(("phi", "theta", "psi"), inertial.euler_angles(w, x, y, z, attitude), strict=True))
-
-    def _flow(self) -> None:
-        alpha_item, beta_item = self.calibration.get("alpha_vane"), self.calibration.get("beta_vane")
-        alpha, beta = self._value("alpha_vane"), self._value("beta_vane")
-        if alpha_item and alpha_item.vane and beta_item and beta_item.vane:
-            alpha = flow.undo_wash(alpha, alpha_item.vane)
-            beta = flow.undo_wash(beta, beta_item.vane)
-            rates = self._axes("gyro")
-            alpha, beta = flow.flow_angles(alpha, beta, self.columns["V"], rates, alpha_item.vane, beta_item.vane)
-        self.columns["alpha"], self.columns["beta"] = alpha, beta
-
-    def _controls(self) -> None:
-        item = self.calibration.get("mixing")
-        pairs = (("delta_e", "delta_a", "elevon_left", "elevon_right"), ("cmd_e", "cmd_a", "pwm_1", "pwm_2"))
-        if item is not None and item.mixing is not None:
-            for elevator, aileron, left_name, right_name in pairs:
-                left, right = self._value(left_name), self._value(right_name)
-                for column, weights in ((elevator, item.mixing.elevator), (aileron, item.mixing.aileron)):
-                    self.columns[column] = weights[0] * left + weights[1] * right
-        self.columns["delta_r"], self.columns["cmd_r"] = self._value("rudder"), self._value("pwm_3")
-        self.columns["throttle"] = self._value("pwm_4")
-
-    def _others(self) -> None:
-        self.columns["thrust"] = self._value("thrust")
-        self.columns.update(zip(("mx", "my", "mz"), self._axes("magnetometer"), strict=True))
-        self.columns["supply_voltage"] = self._value("supply")
-        for i in range(1, 6):
-            self.columns[f"analog_{i}"] = self._value(f"analog_{i}")
-            self.columns[f"digital_{i}"] = self.table.raw[f"digital_{i}"]
-
-    def _gnss(self) -> None:
-        """Position and velocity of fixes in three dimensions; between fixes nothing is measured."""
-        good = self.table.raw["gnss_fix"] >= _FIX_3D
-        names = (
-            "latitude_e7",
-            "longitude_e7",
-            "height_msl_mm",
-            "velocity_north_mm",
-            "velocity_east_mm",
-            "velocity_down_mm",
-        )
-        for name in names:
-            for column in CHANNEL_BY_NAME[name].columns:
-                self.columns[column] = np.where(
-                    good, self.table.raw[name] * (CHANNEL_BY_NAME[name].scale or 1.0), np.nan
-                )
-
-
 # ------------------------------------------------------------------------------------------------------ whole flights
 
 
@@ -343,7 +233,7 @@ def calibrate(
         raise CalibrationError(f"{name}: only one scan in this recording; a flight needs at least two")
     aligned = completeness(table.number) >= COMPLETE if align is None else align
     columns, readings = Calibrator(calibration, facts).columns(table, aligned=aligned)
-    detail, notes = _account(table, calibration, columns, readings, aligned, align)
+    detail, notes = account(table, calibration, columns, readings, aligned, align)
     origin = provenance or Provenance()
     origin = Provenance(
         source=origin.source,
@@ -355,60 +245,3 @@ def calibrate(
         detail=MappingProxyType({**origin.detail, **detail}),
     )
     return Flight.build(name, table.time, columns, provenance=origin, notes=[*table.notes, *notes])
-
-
-def _account(
-    table: ScanTable,
-    calibration: CalibrationSet,
-    columns: Mapping[str, Array],
-    readings: Readings,
-    aligned: bool,
-    asked: bool | None,
-) -> tuple[dict[str, Any], list[str]]:
-    """What the provenance carries about this calibration, and what a person should know of it."""
-    notes = []
-    if not aligned and asked is None:
-        part = completeness(table.number)
-        notes.append(f"{part:.0%} of the scans are here: sensor groups are left at their own instants (not aligned)")
-    notes += _health_notes(table)
-    for instrument, count in readings.extrapolated.items():
-        notes.append(f"{instrument}: {count} samples outside the calibrated range, extrapolated")
-    for channel, count in readings.clipped.items():
-        notes.append(f"{channel}: {count} samples at the end of its range, clipped")
-    if np.isfinite(table.raw["static_pressure"]).any() and "static_pressure" not in readings.values:
-        notes.append(
-            "static pressure not compensated: neither recording nor logger.toml has the chip's coefficients (static.nvm)"
-        )
-    offsets = {g: float(np.nanmedian(o)) for g, o in table.offset.items() if np.isfinite(o).any()}
-    detail = {
-        "aligned": aligned,
-        "scans": {"first": int(table.number[0]), "last": int(table.number[-1]), "present": len(table)},
-        "calibration_set": calibration.name,
-        "read_offsets_s": offsets,
-        "delays_s": {n: d for n, d in readings.delay.items() if d},
-        "uncertainty": column_uncertainty(calibration, columns),
-        "noise": {n: s for n, v in columns.items() if (s := noise(v)) is not None},
-        "extrapolated": dict(readings.extrapolated),
-        "clipped": dict(readings.clipped),
-        "unusable": {g: int(np.sum(~ok)) for g, ok in table.usable.items() if not ok.all()},
-    }
-    return detail, notes
-
-
-def _health_notes(table: ScanTable) -> list[str]:
-    """Sensor groups that were not in order: while starting, at times, or throughout."""
-    never = [g for g, ok in table.usable.items() if not ok.any()]
-    starting = {g: int(np.argmax(ok)) for g, ok in table.usable.items() if ok.any() and not ok[0]}
-    notes = []
-    if starting:
-        longest = table.time[max(starting.values())] - table.time[0]
-        notes.append(
-            f"sensors not yet in order in the first {longest:.2f} s, not measured there: {', '.join(starting)}"
-        )
-    for group, ok in table.usable.items():
-        later = int(np.sum(~ok[starting.get(group, 0) :]))
-        if later and group not in never:
-            notes.append(f"sensor group {group} was not in order in {later} of {len(table)} scans: not measured there")
-    if never:
-        notes.append(f"sensors never in order, their columns not measured: {', '.join(never)}")
-    return notes

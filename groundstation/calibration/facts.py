@@ -16,11 +16,8 @@ _SCALE_KEYS = {
     "gyro_x": "imu.gyro_scale_rad_s", "gyro_y": "imu.gyro_scale_rad_s", "gyro_z": "imu.gyro_scale_rad_s",
     "mag_x": "mag.scale_t", "mag_y": "mag.scale_t", "mag_z": "mag.scale_t",
 }  # fmt: skip
-_DELAY_KEYS = {
-    "accelerometer": "imu.accel_delay_s",
-    "gyro": "imu.gyro_delay_s",
-    "attitude": "imu.gyro_delay_s",  # the filter integrates the gyro, which its own filter delays
-}
+_DELAY_KEYS = {"attitude": "imu.gyro_delay_s"}  # the filter integrates the gyro, which its own low pass delays
+_LAG_KEYS = {"accelerometer": "imu.accel_delay_s", "gyro": "imu.gyro_delay_s"}  # first-order low passes
 _LONGEST_DELAY = 1.0  # s
 
 INSTANT_STEP = 1e-3
@@ -44,8 +41,15 @@ class Facts:
 
     def delay(self, instrument: str, group: str) -> float:
         """How far the chip's own filter makes an instrument's reading lag [s]; 0 when not known."""
+        if instrument in _LAG_KEYS:
+            return 0.0
         key = _DELAY_KEYS.get(instrument, f"{group}.filter_delay_s")
         return self._number(key, -_LONGEST_DELAY, _LONGEST_DELAY) or 0.0
+
+    def lag(self, instrument: str) -> float:
+        """Time constant of an instrument's first-order low pass [s]; 0 when it has none or it is not known."""
+        key = _LAG_KEYS.get(instrument)
+        return (self._number(key, 0.0, _LONGEST_DELAY) or 0.0) if key else 0.0
 
     def after(self, channel: str) -> float:
         """How long after its group's instant a channel was sampled [s], to INSTANT_STEP; 0 when not known."""

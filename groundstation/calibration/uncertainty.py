@@ -1,4 +1,4 @@
-"""One sigma of each calibrated column: from the calibration (systematic), and of the samples (noise)."""
+"""One sigma of each calibrated column from its calibration: what all samples of a flight have in common."""
 
 from collections.abc import Mapping
 
@@ -9,23 +9,6 @@ from groundstation.calibration import curves
 from groundstation.calibration.schema import CalibrationSet, Curve, Instrument
 
 Array = NDArray[np.float64]
-
-_MAD_TO_SIGMA = 1.482602218505602  # of a normal distribution
-_THIRD_DIFFERENCE_GAIN = 20.0  # variance of y3 - 3 y2 + 3 y1 - y0 for white y of variance 1
-_FEWEST = 12
-
-
-def noise(values: Array) -> float | None:
-    """Standard deviation of the sample-to-sample noise, None for too few samples.
-
-    Third differences remove motion up to a parabola through four samples; their median absolute deviation is not
-    moved by edges and spikes. A channel that mostly repeats its value (quantised, commanded) has noise 0.
-    """
-    third = np.diff(values, 3)
-    third = third[np.isfinite(third)]
-    if third.size < _FEWEST:
-        return None
-    return float(_MAD_TO_SIGMA * np.median(np.abs(third - np.median(third))) / np.sqrt(_THIRD_DIFFERENCE_GAIN))
 
 
 def column_uncertainty(calibration: CalibrationSet, columns: Mapping[str, Array]) -> dict[str, float]:

@@ -65,6 +65,11 @@ class WebPage:
         self.close()
         raise ViewerError(f"rerun's web server did not answer on {address} within {START_TIMEOUT_S:g} s")
 
+    def wait(self, timeout: float | None = None) -> None:
+        """Until the page's process ends or the time is over."""
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._process.wait(timeout)
+
     def close(self) -> None:
         """End the page. rerun has been seen to survive one SIGTERM, so it is killed after a grace time."""
         self._process.terminate()
@@ -96,9 +101,10 @@ class NativeWindow:
         """Whether the window is still there."""
         return self._process.poll() is None
 
-    def wait(self) -> None:
-        """Until the person closes the window."""
-        self._process.wait()
+    def wait(self, timeout: float | None = None) -> None:
+        """Until the person closes the window or the time is over."""
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._process.wait(timeout)
 
     def close(self) -> None:
         """Close the window."""

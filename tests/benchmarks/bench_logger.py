@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from daq.contract.accounting import verify
+from daq.health import HealthSummary
 from firmware_sim.flight import prepare_flight
 from firmware_sim.scenario import load_scenario
 from tests.benchmarks.replayed_bus import RecordingBus
@@ -27,7 +28,15 @@ def record_answers(folder: Path) -> Path:
     sampler = flight.assembly.sampler
     recorder = RecordingBus(flight.aircraft.bus)
     for supervisor in sampler._on_bus:
-        supervisor.driver._bus = recorder
+        supervisor.driver._bus = recorder  # type: ignore[attr-defined]
+    start = sampler.start
+
+    def started() -> HealthSummary:
+        summary = start()
+        recorder.scans_begin()
+        return summary
+
+    sampler.start = started  # type: ignore[method-assign]
     flight.run()
     path = folder / "answers.json"
     recorder.save(path)
@@ -53,7 +62,7 @@ def test_logger_in_real_time(tmp_path: Path) -> None:
     script = ROOT / "tests/benchmarks/logger_process.py"
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
     command = [sys.executable, str(script), str(config), str(answers), str(SECONDS)]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True)
+    done = subprocess.run(command, check=False, env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     result = json.loads(done.stdout)
     print(json.dumps(result, indent=1))

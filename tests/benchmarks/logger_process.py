@@ -14,6 +14,7 @@ from daq.assembly import Edge, assemble
 from daq.clock import NS, RealClock
 from daq.config import load_config
 from daq.contract.ports import memory_pair
+from daq.health import HealthSummary
 from daq.service.realtime import GarbageDiscipline
 from daq.timing import describe
 from tests.benchmarks.replayed_bus import ReplayedBus
@@ -43,8 +44,17 @@ def main(config_path: Path, answers: Path, seconds: float) -> None:
             ground.read()
             seen.append((clock.monotonic_ns() / NS, cpu_s(), resident_mb()))
 
-        edge = Edge(clock, ReplayedBus(answers), None, "simulated", radio=air)
+        bus = ReplayedBus(answers)
+        edge = Edge(clock, bus, None, "simulated", radio=air)
         made = assemble(config, text, edge, session="bench", folder="", housekeeping=every_second)
+        start = made.sampler.start
+
+        def started() -> HealthSummary:
+            summary = start()
+            bus.scans_begin()
+            return summary
+
+        made.sampler.start = started  # type: ignore[method-assign]
         books = made.logger.run(_after(clock, seconds))
     first, last = seen[min(5, len(seen) - 1)], seen[-1]
     result = {

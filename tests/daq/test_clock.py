@@ -40,7 +40,8 @@ def test_another_thread_sleeps_simulated_time() -> None:
         clock.advance(NS // 100)
         time.sleep(0)
     thread.join()
-    assert woke and woke[0] >= 3 * NS
+    assert woke
+    assert woke[0] >= 3 * NS
 
 
 def test_time_waits_for_a_busy_follower() -> None:

@@ -23,7 +23,9 @@ from tests.daq.synthetic import START_UTC_NS, make_info
 class FakeSampler:
     """Takes `duration_ns(number)` of simulated time for each scan."""
 
-    def __init__(self, clock: SimulatedClock | RealClock, duration_ns: Callable[[int], int] = lambda _: 2_000_000) -> None:
+    def __init__(
+        self, clock: SimulatedClock | RealClock, duration_ns: Callable[[int], int] = lambda _: 2_000_000
+    ) -> None:
         self.on_event: Callable[[EventMark], None] = lambda _: None
         self.state = SensorState.OK
         self.starts: list[int] = []
@@ -131,7 +133,8 @@ def test_a_late_scan_costs_only_the_slots_it_overran(tmp_path: Path) -> None:
     assert books.absent == ((11, 12),)
     assert books.late_scans == 1
     result = verify(tmp_path / "s1")
-    assert result.ok and result.missed == 2, result.text
+    assert result.ok, result.text
+    assert result.missed == 2
 
 
 def test_a_change_of_health_reaches_file_ground_and_log(tmp_path: Path) -> None:
@@ -195,7 +198,8 @@ def test_recording_ends_and_begins_by_command_without_reusing_numbers(tmp_path: 
     rig.logger.run(stop)
     assert read_recording(tmp_path / "s1").numbers == list(range(40))
     assert read_recording(tmp_path / "s2").numbers == list(range(60, 100))
-    assert verify(tmp_path / "s1").ok and verify(tmp_path / "s2").ok
+    assert verify(tmp_path / "s1").ok
+    assert verify(tmp_path / "s2").ok
 
 
 def test_a_programming_fault_still_ends_the_recording_in_order(tmp_path: Path) -> None:
@@ -220,5 +224,6 @@ def test_clock_runs_in_real_time_too(tmp_path: Path) -> None:
     timer.start()
     books = Logger(100.0, clock, sampler, recorder).run(stop.is_set)
     timer.join()
-    assert books.closes and books.written == len(sampler.numbers)
+    assert books.closes
+    assert books.written == len(sampler.numbers)
     assert verify(tmp_path).ok

@@ -1,18 +1,23 @@
 """Scans of the simulated aircraft: complete, in time, truthful, and true to each fault."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from daq.clock import SimulatedClock
 from daq.contract.channels import CHANNELS, GROUP_NAMES, channels_of
 from daq.contract.scan import SensorState, decode_scan, encode_scan
-from daq.sensors.config import AnalogConfig, ImuConfig, SensorsConfig, cdfp_sensors
+from daq.sampler import Sampler
+from daq.sensors.config import AnalogConfig, ImuConfig, SensorsConfig, ThrustConfig, cdfp_sensors
 from firmware_sim.bus import BusModel
 from firmware_sim.instruments import AT
 from firmware_sim.scenario import load_scenario
+from firmware_sim.truth import Truth
 from firmware_sim.truth_log import TruthLog
 from firmware_sim.world import World
+from tests.daq.fakes import FakeBus, FakeChip
 from tests.daq.rig import UTC0, moment, rig, states
 
 OK = SensorState.OK
@@ -300,3 +305,55 @@ def test_without_start_the_sensors_come_up_one_step_a_scan() -> None:
     scans = r.fly(6.0)
     assert r.longest_ns < 50_000_000
     assert all(st.state is OK for st in scans[-1].groups.values())
+
+
+class Switched:
+    """The frozen moment with somebody pressing the event switch for 0.2 s at 2, 4 and 6 s."""
+
+    def advance(self, to_time: float) -> Truth:
+        pressed = 1.0 if to_time >= 1.9 and to_time % 2.0 < 0.2 else 0.0
+        return replace(moment(), time=to_time, digital=(pressed, 0.0, 0.0, 0.0, 0.0))
+
+
+def test_event_switch_marks_its_time_once_and_shows_in_the_bits() -> None:
+    r = rig(source=Switched())
+    scans = r.fly(7.0)
+    assert [e.source for e in r.events] == ["switch"] * 3
+    pressed = [(e.time_monotonic_ns - 5_000_000_000) * 1e-9 for e in r.events]
+    assert pressed == pytest.approx([2.01, 4.01, 6.01], abs=0.012)  # after 10 ms of debouncing
+    for event in r.events:
+        scan = next(s for s in scans if s.number == event.scan_number)
+        assert scan.values["digital_1"] == 1
+        assert 0 <= scan.time_monotonic_ns - event.time_monotonic_ns < 60_000_000
+    assert sum(s.values["digital_1"] for s in scans) == pytest.approx(15, abs=3)
+
+
+def test_audit_finds_a_chip_that_lost_its_settings_but_goes_on_talking() -> None:
+    """A load-cell converter that still delivers samples after a dip, at the wrong supply and gain."""
+    chip = FakeChip({0x1F: 0x0F})
+
+    def after_write(register: int, value: int) -> None:
+        if register == 0x00 and value & 0x02:
+            chip.registers[0x00] = value | 0x28  # powered up, conversion ready
+        elif register == 0x02:
+            chip.registers[0x02] = value & ~0x04
+
+    chip.after_write = after_write
+    count = iter(range(10**6))
+    chip.before_read = lambda register: chip.put(0x12, next(count).to_bytes(3, "big"))
+    clock = SimulatedClock()
+    sampler = Sampler(SensorsConfig(thrust=ThrustConfig()), FakeBus({0x2A: chip}), None, clock)
+
+    def fly(scans: int) -> list[SensorState]:
+        seen = []
+        for _ in range(scans):
+            clock.advance(50_000_000)
+            seen.append(sampler.scan(0, clock.monotonic_ns()).groups["thrust"].state)
+        return seen
+
+    sampler.start()
+    assert fly(10) == [OK] * 10
+    chip.registers[0x00] = 0x20  # only conversion ready is left
+    assert SensorState.FAULT in fly(4)
+    assert fly(60)[-1] is OK
+    assert sampler.health().group("thrust").setups == 2

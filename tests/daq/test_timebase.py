@@ -85,3 +85,14 @@ def test_inverse(rng: np.random.Generator) -> None:
     back = base.monotonic_ns(utc)
     assert back is not None
     assert abs(back - now) < 100
+
+
+def test_late_arrivals_do_not_pull_the_relation() -> None:
+    """In every second a stalled scan reads three fixes at once, up to 0.25 s late: the prompt ones decide."""
+    base = TimeBase(60 * MS, 50 * MS)
+    for k in range(300):
+        sent = k * 100 * MS
+        late = {5: 250, 6: 150, 7: 50}.get(k % 10, 0) * MS if k > 20 else 0
+        base.observe_fix(sent + 85 * MS + late, true_utc(sent), 30)
+    utc, _ = base.utc(30 * NS)
+    assert abs(utc - true_utc(30 * NS)) < 5 * MS

@@ -25,7 +25,8 @@ def fly_and_kill(folder: Path, seed: int) -> tuple[int, int]:
     command = [sys.executable, str(ROOT / "tests/process/flying.py"), str(folder), str(SPEED), str(seed)]
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"}
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment)
-    assert process.stdout is not None and process.stderr is not None
+    assert process.stdout is not None
+    assert process.stderr is not None
     with process.stdout, process.stderr:
         process.stdout.readline()  # the first scan: only now it flies
         time.sleep(instant)
@@ -37,7 +38,8 @@ def fly_and_kill(folder: Path, seed: int) -> tuple[int, int]:
     taken = int(told[-1])
     onboard = folder / "onboard"
     result = verify(onboard)
-    assert not result.ok and not result.closed
+    assert not result.ok
+    assert not result.closed
     assert result.slots == result.scans == result.written, result.text
     assert result.missing == ()
     saved = recover(onboard, folder / "recovered.mcap")

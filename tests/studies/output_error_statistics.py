@@ -46,7 +46,8 @@ def main() -> None:
             plain, corrected, relative = (z[k][:, i] for k in ("plain", "corrected", "relative"))
             print(
                 f"{parameter:<10}{np.sqrt(np.mean(plain**2)):12.2f}{np.sqrt(np.mean(corrected**2)):20.2f}"
-                f"{100 * np.mean(np.abs(corrected) < 1.96):22.1f}{100 * relative.mean():18.2f}{100 * np.sqrt(np.mean(relative**2)):9.2f}"
+                f"{100 * np.mean(np.abs(corrected) < 1.96):22.1f}{100 * relative.mean():18.2f}"
+                f"{100 * np.sqrt(np.mean(relative**2)):9.2f}"
             )
         c = z["corrected"]
         print(f"all: corrected rms {np.sqrt(np.mean(c**2)):.2f}, coverage {100 * np.mean(np.abs(c) < 1.96):.1f} %")

@@ -109,7 +109,8 @@ SENSOR = (
         "bench step of the vane; turning flight where r ≠ −β̇",
         (Form("beta_lag", (EffectParameter("beta_lag", "s", 0.07, 0.015, 0.5, meaning="time constant"),),
               states=(Signal("beta_vane", "rad", "sideslip the vane shows", column="beta", start="beta"),),
-              lines=("beta_vane_dot = (beta - beta_vane)/beta_lag",), outputs={"beta": "beta_vane"}),),
+              lines=("beta_vane_dot = (beta - beta_vane)/beta_lag", "beta_now = beta"),
+              outputs={"beta": "beta + beta_vane - beta_now"}),),
     ),
     Effect(
         "vane_position", "sideslip vane away from the centre of gravity", Group.SENSOR,
@@ -170,7 +171,8 @@ SENSOR = (
         "turn by hand on the bench, comparing gyro and attitude",
         (Form("attitude_lag", (EffectParameter("attitude_lag", "s", 0.10, 0.015, 0.6, meaning="time constant"),),
               states=(Signal("phi_shown", "rad", "bank the attitude filter shows", column="phi", start="phi"),),
-              lines=("phi_shown_dot = (phi - phi_shown)/attitude_lag",), outputs={"phi": "phi_shown"}),),
+              lines=("phi_shown_dot = (phi - phi_shown)/attitude_lag", "phi_now = phi"),
+              outputs={"phi": "phi + phi_shown - phi_now"}),),
     ),
     Effect(
         "airspeed_scale", "airspeed reading too high or too low", Group.SENSOR,

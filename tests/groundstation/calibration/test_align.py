@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from groundstation.calibration.align import completeness, derivative, runs, to_scan_time
+from groundstation.calibration.align import completeness, derivative, hold, runs, to_scan_time, undo_lag
 
 PERIOD = 0.05
 
@@ -62,6 +62,39 @@ def test_a_channel_of_every_fourth_scan_is_filled_within_its_runs() -> None:
     values = np.where(number % 4 == 0, 2.0 * time, np.nan)
     out = to_scan_time(values, time, time, number, smooth=False)
     np.testing.assert_allclose(out[:41], 2.0 * time, atol=1e-12)
+
+
+def test_a_held_quantity_keeps_its_last_value_within_its_runs() -> None:
+    number = np.concatenate([np.arange(12), np.arange(30, 34)])
+    values = np.where(number % 4 == 0, number.astype(float), np.nan)
+    values[number >= 30] = [np.nan, np.nan, 32.0, np.nan]
+    out = hold(values, number)
+    np.testing.assert_array_equal(out, [0, 0, 0, 0, 4, 4, 4, 4, 8, 8, 8, 8, np.nan, np.nan, 32, 32])
+    every_scan = np.array([1.0, np.nan, 3.0, 4.0, 5.0])
+    np.testing.assert_array_equal(hold(every_scan, np.arange(5)), every_scan)  # a missing value stays missing
+
+
+@pytest.mark.parametrize(("hertz", "tolerance"), [(0.5, 2e-4), (1.5, 4e-3), (3.0, 0.012)])
+def test_first_order_low_pass_is_undone_in_amplitude_and_phase(hertz: float, tolerance: float) -> None:
+    """Steady answer of a 11.6 Hz low pass to a sine: at 3 Hz 3 % smaller and 14 ms late."""
+    lag, omega = 1 / (2 * np.pi * 11.6), 2 * np.pi * hertz
+    time = np.arange(200) * PERIOD
+    gain = 1 / (1 + 1j * omega * lag)
+    seen = np.imag(gain * np.exp(1j * omega * time))
+    back = undo_lag(seen, time, np.arange(200), lag)
+    assert np.max(np.abs(back - np.sin(omega * time))[3:-3]) < tolerance
+    assert np.max(np.abs(seen - np.sin(omega * time))) > 10 * tolerance
+
+
+def test_undoing_a_lag_hardly_adds_noise(rng: np.random.Generator) -> None:
+    """Variance 1 + (lag/dt)^2 (2 (8^2 + 1)/12^2) for the five-point slope."""
+    time = np.arange(20_000) * PERIOD
+    out = undo_lag(rng.standard_normal(time.size), time, np.arange(time.size), 0.0137)
+    assert np.std(out[3:-3]) == pytest.approx(np.sqrt(1 + (0.0137 / PERIOD) ** 2 * 130 / 144), rel=0.02)
+
+
+def test_short_runs_keep_their_values() -> None:
+    np.testing.assert_array_equal(undo_lag(np.array([1.0, 2.0]), np.array([0.0, 0.05]), np.arange(2), 0.01), [1.0, 2.0])
 
 
 def test_runs_and_completeness() -> None:

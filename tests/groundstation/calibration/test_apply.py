@@ -86,14 +86,18 @@ def test_groups_read_at_different_instants_share_one_time_base(make_scans: MakeS
     assert aligned.provenance.detail["read_offsets_s"]["analog_b"] == 0.012
 
 
-def test_filter_delays_of_the_recording_are_taken_out(make_scans: MakeScans, nominal: CalibrationSet) -> None:
-    def delayed(t: float) -> dict[str, float]:
-        return {"p": np.sin(5 * (t - 0.0137))}
+def test_filters_of_the_recording_are_taken_out(make_scans: MakeScans, nominal: CalibrationSet) -> None:
+    """The gyro's low pass in amplitude and phase, the static pressure's conversion as a delay."""
+    gain = 1 / (1 + 5j * 0.0137)
 
-    scans = make_scans(200, delayed)
-    flight = calibrate(scans, nominal, facts={"imu.gyro_delay_s": "0.0137"})
-    assert np.max(np.abs(flight["p"] - np.sin(5 * flight.time))[2:-2]) < 2e-3
-    assert flight.provenance.detail["delays_s"]["gyro_x"] == 0.0137
+    def lagging(t: float) -> dict[str, float]:
+        return {"p": np.imag(gain * np.exp(5j * t))}
+
+    facts = {"imu.gyro_delay_s": "0.0137", "static.filter_delay_s": "0.018"}
+    flight = calibrate(make_scans(200, lagging), nominal, facts=facts)
+    assert np.max(np.abs(flight["p"] - np.sin(5 * flight.time))[3:-3]) < 1e-3
+    assert flight.provenance.detail["lags_s"]["gyro_x"] == 0.0137
+    assert flight.provenance.detail["delays_s"]["static_pressure"] == 0.018
 
 
 def test_recorded_range_takes_precedence(make_scans: MakeScans, nominal: CalibrationSet) -> None:
@@ -162,10 +166,27 @@ def test_gnss_counts_only_with_a_fix(make_scans: MakeScans, nominal: Calibration
            "velocity_east_mm": -1000, "velocity_down_mm": 0}  # fmt: skip
     scans[1] = replace(scans[1], values={**scans[1].values, **fix, "gnss_fix": 3})
     scans[2] = replace(scans[2], values={**scans[2].values, **fix, "gnss_fix": 0})
-    flight = calibrate(scans, nominal)
+    flight = calibrate(scans, nominal, align=False)
     assert flight["latitude"][1] == pytest.approx(47.0)
     assert (flight["vn"][1], flight["ve"][1], flight["altitude_gnss"][1]) == (15.0, -1.0, 60.0)
     assert np.isnan(flight["latitude"][[0, 2, 3]]).all()
+
+
+def test_fixes_of_every_second_scan_are_brought_to_the_scan_time(
+    make_scans: MakeScans, nominal: CalibrationSet
+) -> None:
+    """A velocity that rises by 2 m/s2, fixes 60 ms old when they arrive: aligned, every scan has its own."""
+    scans = make_scans(60)
+    for i in range(0, 60, 2):
+        scan = scans[i]
+        north = round(1000 * 2.0 * (scan.time - 0.06))
+        groups = {**scan.groups, "gnss": GroupStatus(SensorState.OK, -60_000)}
+        scans[i] = replace(scan, values={**scan.values, "velocity_north_mm": north, "gnss_fix": 3}, groups=groups)
+    flight = calibrate(scans, nominal)
+    np.testing.assert_allclose(flight["vn"][:-2], 2.0 * flight.time[:-2], atol=2e-3)
+    plain = calibrate(scans, nominal, align=False)
+    assert np.isnan(plain["vn"][1::2]).all()
+    assert plain["vn"][10] == pytest.approx(2.0 * (plain.time[10] - 0.06), abs=1e-3)
 
 
 def test_extrapolation_and_clipping_are_flagged(make_scans: MakeScans, nominal: CalibrationSet) -> None:

@@ -69,8 +69,8 @@ def test_facts_are_checked() -> None:
     with pytest.raises(CalibrationError, match="hexadecimal"):
         Facts({"static.nvm": "xyz"}).nvm("static")
     with pytest.raises(CalibrationError, match=r"imu\.gyro_delay_s"):
-        Facts({"imu.gyro_delay_s": "long"}).delay("gyro", "imu")
-    assert Facts({}).delay("gyro", "imu") == 0.0
+        Facts({"imu.gyro_delay_s": "long"}).lag("gyro")
+    assert Facts({}).lag("gyro") == Facts({}).delay("pitot", "pitot") == 0.0
     assert Facts({"analog_a.beta_vane_after_s": "-0.000858"}).after("beta_vane") == -0.001
 
 

@@ -90,6 +90,19 @@ def test_thinned_stream_equals_the_recording_where_both_exist(flown: Path) -> No
         np.testing.assert_array_equal(thin[column], whole[column][rows], err_msg=column)
 
 
+def test_thinned_stream_can_be_aligned_at_its_own_rate(flown: Path, flight: Flight) -> None:
+    """Between samples 50 or 100 ms apart: the gyro's filter is taken out, what is left is interpolation of noise."""
+    recording = read_recording(flown / "onboard")
+    kept = [s for i, s in enumerate(recording.scans()) if int(i * 0.575) != int((i - 1) * 0.575)]
+    thin = calibrate(kept, embedded_calibration(recording), align=True)
+    rows = np.isin(flight.time, thin.time)
+    error = thin["p"] - flight["p"][rows]
+    assert np.isfinite(error).mean() > 0.85
+    assert np.nanstd(error) < 0.006
+    plain = calibrate(kept, embedded_calibration(recording))
+    assert np.nanstd(plain["p"] - flight["p"][rows]) > 1.5 * np.nanstd(error)
+
+
 def test_complete_stream_without_facts_equals_the_recording_aligned(flown: Path, flight: Flight) -> None:
     recording = read_recording(flown / "onboard")
     again = calibrate(recording.scans(), embedded_calibration(recording))

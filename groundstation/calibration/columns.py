@@ -1,0 +1,119 @@
+"""The flight columns that several instruments make together, from their values at common instants.
+
+Air data, rates, specific force at the CG, attitude, flow angles at the CG, elevator and aileron.
+"""
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.contract.channels import CHANNEL_BY_NAME
+from groundstation.calibration import air_data, flow, inertial
+from groundstation.calibration.align import derivative
+from groundstation.calibration.scan_table import ScanTable
+from groundstation.calibration.schema import Attitude, CalibrationSet
+
+Array = NDArray[np.float64]
+
+GNSS = (
+    "latitude_e7", "longitude_e7", "height_msl_mm", "velocity_north_mm", "velocity_east_mm", "velocity_down_mm",
+)  # fmt: skip
+
+
+class Columns:
+    """The columns that combine several instruments, from their values at common instants."""
+
+    def __init__(
+        self, calibration: CalibrationSet, table: ScanTable, values: Mapping[str, Array], aligned: bool
+    ) -> None:
+        self.calibration = calibration
+        self.table = table
+        self.values = values
+        self.aligned = aligned
+        self.columns: dict[str, Array] = {}
+
+    def make(self) -> dict[str, Array]:
+        steps: tuple[Callable[[], None], ...] = (
+            self._air, self._rates, self._acceleration, self._attitude, self._flow, self._controls, self._others, self._gnss,
+        )  # fmt: skip
+        for step in steps:
+            step()
+        return self.columns
+
+    def _value(self, name: str) -> Array:
+        return self.values[name] if name in self.values else np.full(len(self.table), np.nan)
+
+    def _axes(self, instrument: str) -> inertial.Axes:
+        return self._value(f"{instrument}_x"), self._value(f"{instrument}_y"), self._value(f"{instrument}_z")
+
+    def _air(self) -> None:
+        impact, static, temperature = (self._value(n) for n in ("pitot", "static_pressure", "static_temperature"))
+        item = self.calibration.get("static")
+        site = item.static if item and item.static else None
+        if site is not None and site.position_error:
+            # the true impact pressure: the measured one is short by k q when its low side is the same port
+            true_impact = impact / (1 - site.position_error) if site.feeds_pitot else impact
+            static = static - site.position_error * true_impact
+            impact = true_impact
+        self.columns["p_dynamic"], self.columns["p_static"], self.columns["temperature"] = impact, static, temperature
+        self.columns["rho"] = air_data.density(static, temperature)
+        self.columns["V"] = air_data.true_airspeed(impact, static, temperature)
+        self.columns["V_cas"] = air_data.calibrated_airspeed(impact)
+        reference = site.sea_level_pressure if site else air_data.SEA_LEVEL_PRESSURE
+        self.columns["altitude"] = air_data.pressure_altitude(static, reference)
+
+    def _rates(self) -> None:
+        self.columns.update(zip("pqr", self._axes("gyro"), strict=True))
+
+    def _acceleration(self) -> None:
+        axes = self._axes("accelerometer")
+        item = self.calibration.get("accelerometer")
+        if item is not None and item.mount is not None and any(item.mount.position):
+            rates = self._axes("gyro")
+            slopes = None
+            if self.aligned:
+                p, q, r = (derivative(rate, self.table.time, self.table.number) for rate in rates)
+                slopes = (p, q, r)
+            axes = inertial.at_cg(axes, rates, slopes, item.mount.position)
+        self.columns.update(zip(("ax", "ay", "az"), axes, strict=True))
+
+    def _attitude(self) -> None:
+        item = self.calibration.get("attitude")
+        attitude = item.attitude if item and item.attitude else Attitude()
+        w, x, y, z = (self._value(f"quaternion_{axis}") for axis in "wxyz")
+        self.columns.update(zip(("phi", "theta", "psi"), inertial.euler_angles(w, x, y, z, attitude), strict=True))
+
+    def _flow(self) -> None:
+        alpha_item, beta_item = self.calibration.get("alpha_vane"), self.calibration.get("beta_vane")
+        alpha, beta = self._value("alpha_vane"), self._value("beta_vane")
+        if alpha_item and alpha_item.vane and beta_item and beta_item.vane:
+            alpha = flow.undo_wash(alpha, alpha_item.vane)
+            beta = flow.undo_wash(beta, beta_item.vane)
+            rates = self._axes("gyro")
+            alpha, beta = flow.flow_angles(alpha, beta, self.columns["V"], rates, alpha_item.vane, beta_item.vane)
+        self.columns["alpha"], self.columns["beta"] = alpha, beta
+
+    def _controls(self) -> None:
+        item = self.calibration.get("mixing")
+        pairs = (("delta_e", "delta_a", "elevon_left", "elevon_right"), ("cmd_e", "cmd_a", "pwm_1", "pwm_2"))
+        if item is not None and item.mixing is not None:
+            for elevator, aileron, left_name, right_name in pairs:
+                left, right = self._value(left_name), self._value(right_name)
+                for column, weights in ((elevator, item.mixing.elevator), (aileron, item.mixing.aileron)):
+                    self.columns[column] = weights[0] * left + weights[1] * right
+        self.columns["delta_r"], self.columns["cmd_r"] = self._value("rudder"), self._value("pwm_3")
+        self.columns["throttle"] = self._value("pwm_4")
+
+    def _others(self) -> None:
+        self.columns["thrust"] = self._value("thrust")
+        self.columns.update(zip(("mx", "my", "mz"), self._axes("magnetometer"), strict=True))
+        self.columns["supply_voltage"] = self._value("supply")
+        for i in range(1, 6):
+            self.columns[f"analog_{i}"] = self._value(f"analog_{i}")
+            self.columns[f"digital_{i}"] = self.table.raw[f"digital_{i}"]
+
+    def _gnss(self) -> None:
+        for name in GNSS:
+            for column in CHANNEL_BY_NAME[name].columns:
+                self.columns[column] = self._value(name)

@@ -1,0 +1,160 @@
+"""The downlink: exact average rate, byte budget, heartbeat always, radio adaptation within bounds, honest books."""
+
+from collections import Counter
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from daq.clock import NS, SimulatedClock
+from daq.contract.mavlink_codec import Frame, FrameDecoder, frames_of, padded
+from daq.contract.scan import Scan
+from daq.contract.signing import Signer
+from daq.contract.wire import SCAN_FAST_ID, layouts, unpack_scan
+from daq.downlink import Downlink
+from daq.downlink_config import HEARTBEAT_BYTES, SCAN_FRAME_BYTES, DownlinkConfig
+from tests.link_rig import PERIOD_NS, quiet_scan, random_scan
+
+KEY = bytes(range(32))
+
+
+class Wire:
+    """A port that takes so many bytes a call (None: all)."""
+
+    def __init__(self, room: int | None = None) -> None:
+        self.room = room
+        self.data = b""
+
+    def read(self, limit: int = 65536) -> bytes:
+        return b""
+
+    def write(self, data: bytes) -> int:
+        taken = len(data) if self.room is None else min(self.room, len(data))
+        self.data += data[:taken]
+        return taken
+
+    def close(self) -> None:
+        pass
+
+
+def fly(downlink: Downlink, clock: SimulatedClock, seconds: float, *, worst: bool = False, first: int = 0) -> None:
+    rng = np.random.default_rng(5)
+    for n in range(first, first + round(seconds * 20)):
+        clock.advance(PERIOD_NS)
+        now = clock.monotonic_ns()
+        scan: Scan = random_scan(n, rng, time_ns=now) if worst else quiet_scan(n, rng, time_ns=now)
+        downlink.offer(scan)
+        downlink.service(now)
+
+
+def number_of(frame: Frame) -> int:
+    layout = layouts()[frame.msg_id]
+    return unpack_scan(layout, padded(frame.payload, layout.size)).number
+
+
+def frames(wire: Wire) -> list[Frame]:
+    return frames_of(FrameDecoder().feed(wire.data))
+
+
+def make(wire: Wire, clock: SimulatedClock, *, signed: bool = False, **settings: object) -> Downlink:
+    signer = Signer(KEY, clock.utc_ns, link_id=1) if signed else None
+    return Downlink(DownlinkConfig(**settings), wire, clock, boot=5, signer=signer)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("rate", [2.0, 11.5, 12.0])
+def test_average_rate_is_exact(rate: float) -> None:
+    wire, clock = Wire(), SimulatedClock(NS)
+    fly(make(wire, clock, rate_hz=rate), clock, 60)
+    sent = sum(f.msg_id == SCAN_FAST_ID for f in frames(wire))
+    assert abs(sent - 60 * rate) <= 1
+
+
+@pytest.mark.parametrize("worst", [False, True])
+def test_default_fits_a_signed_error_corrected_radio(worst: bool) -> None:
+    wire, clock = Wire(), SimulatedClock(1_800_000_000 * NS)
+    downlink = make(wire, clock, signed=True)
+    fly(downlink, clock, 60, worst=worst)
+    found = Counter(f.name for f in frames(wire))
+    assert len(wire.data) <= 60 * 1636 + 600
+    assert found["SCAN_FAST"] >= 60 * 11.5 - 1
+    assert downlink.outbox.scans_dropped == 0
+    assert found["HEARTBEAT"] == 60
+    for name in ("ATTITUDE", "GPS_RAW_INT"):
+        assert found[name] >= (55 if not worst else 30), found
+    assert found["SCAN_SLOW"] >= 55
+    assert found["SCAN_RARE"] >= 45
+    assert max(len(f.raw) for f in frames(wire) if f.msg_id == SCAN_FAST_ID) <= SCAN_FRAME_BYTES
+
+
+def test_configuration_beyond_the_budget_is_refused_with_the_rate_that_fits() -> None:
+    with pytest.raises(ValidationError, match=r"allows at most 13\.6 Hz"):
+        DownlinkConfig(rate_hz=20)
+    assert HEARTBEAT_BYTES == 34
+
+
+def test_heartbeat_goes_on_through_a_port_that_hardly_takes_anything() -> None:
+    wire, clock = Wire(room=7), SimulatedClock(NS)
+    downlink = make(wire, clock)
+    fly(downlink, clock, 30)
+    found = Counter(f.name for f in frames(wire))
+    # 7 bytes a scan are 140 bytes/s: a heartbeat of 21 bytes every second fits, most scans do not.
+    assert found["HEARTBEAT"] >= 25
+    assert downlink.outbox.scans_dropped > 200
+    assert len(downlink.sent) == found["SCAN_FAST"]
+
+
+def test_sent_map_tells_sent_from_dropped_from_waiting() -> None:
+    wire, clock = Wire(room=40), SimulatedClock(NS)
+    downlink = make(wire, clock)
+    fly(downlink, clock, 30)
+    received = {number_of(f) for f in frames(wire) if f.msg_id == SCAN_FAST_ID}
+    assert set(downlink.sent) == received
+    assert downlink.settled < 599
+    assert not {n for n in received if n > downlink.settled}
+
+
+def test_dropped_frames_leave_no_gap_in_the_sequence() -> None:
+    wire, clock = Wire(room=40), SimulatedClock(NS)
+    fly(make(wire, clock), clock, 30)
+    sequences = [f.sequence for f in frames(wire)]
+    assert all((b - a) & 255 == 1 for a, b in zip(sequences, sequences[1:], strict=False))
+
+
+def test_rate_follows_the_radio_between_2_hz_and_the_configured_rate() -> None:
+    wire, clock = Wire(), SimulatedClock(NS)
+    downlink = make(wire, clock)
+    fly(downlink, clock, 2)
+    now = clock.monotonic_ns()
+    downlink.radio_status(10, now)
+    assert downlink.rate_hz == pytest.approx(5.75)
+    downlink.radio_status(10, now + 1000)  # a burst of reports counts once
+    assert downlink.rate_hz == pytest.approx(5.75)
+    for i in range(1, 6):
+        downlink.radio_status(0, now + i * NS)
+    assert downlink.rate_hz == 2.0
+    wire.data = b""
+    fly(downlink, clock, 4, first=40)
+    assert Counter(f.name for f in frames(wire))["HEARTBEAT"] == 4
+    for i in range(30):
+        downlink.radio_status(95, clock.monotonic_ns() + i * NS)
+    assert downlink.rate_hz == 11.5
+
+
+def test_a_silent_radio_is_not_feared_for_ever() -> None:
+    wire, clock = Wire(), SimulatedClock(NS)
+    downlink = make(wire, clock)
+    fly(downlink, clock, 1)
+    for i in range(5):
+        downlink.radio_status(0, clock.monotonic_ns() + i * NS)
+    fly(downlink, clock, 60, first=20)
+    assert downlink.rate_hz == 11.5
+
+
+def test_slow_parts_go_before_the_fast_part_of_the_same_scan() -> None:
+    wire, clock = Wire(), SimulatedClock(NS)
+    fly(make(wire, clock), clock, 5)
+    slow = [i for i, f in enumerate(frames(wire)) if f.name == "SCAN_SLOW"]
+    assert len(slow) >= 4
+    for i in slow:
+        following = [f for f in frames(wire)[i:] if f.msg_id == SCAN_FAST_ID][0]
+        assert number_of(frames(wire)[i]) == number_of(following)

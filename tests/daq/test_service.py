@@ -1,0 +1,124 @@
+"""The service edge: systemd notification, scheduling rights, signals, and what importing the logger drags in."""
+
+import configparser
+import gc
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+
+from daq.assembly import Edge
+from daq.clock import RealClock
+from daq.config import ConfigError, ScanConfig, parse_config
+from daq.contract.accounting import verify
+from daq.service import realtime
+from daq.service.notify import Notifier
+from daq.service.run import run_until_signal
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def test_notifications_reach_the_socket_systemd_names(tmp_path: Path) -> None:
+    path = str(tmp_path / "notify")
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as systemd:
+        systemd.bind(path)
+        notifier = Notifier({"NOTIFY_SOCKET": path})
+        notifier.ready("recording x")
+        notifier.alive("20 scans")
+        notifier.stopping()
+        got = [systemd.recv(200).decode() for _ in range(3)]
+        notifier.close()
+    assert got == ["READY=1\nSTATUS=recording x", "WATCHDOG=1\nSTATUS=20 scans", "STOPPING=1"]
+
+
+def test_notifications_without_systemd_or_with_it_gone(tmp_path: Path) -> None:
+    Notifier({}).alive()
+    notifier = Notifier({"NOTIFY_SOCKET": str(tmp_path / "absent")})
+    notifier.alive()
+    assert notifier.lost == 1
+    notifier.close()
+
+
+def test_abstract_socket_names() -> None:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as systemd:
+        systemd.bind("\0sideslip-test-notify")
+        notifier = Notifier({"NOTIFY_SOCKET": "@sideslip-test-notify"})
+        notifier.alive()
+        assert systemd.recv(100) == b"WATCHDOG=1"
+        notifier.close()
+
+
+def test_missing_rights_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refused(*_: object) -> None:
+        raise PermissionError(1, "Operation not permitted")
+
+    monkeypatch.setattr(os, "sched_setscheduler", refused)
+    with pytest.raises(ConfigError, match=r"scan\.realtime_priority 50: not permitted"):
+        realtime.prepare_process(ScanConfig(realtime_priority=50))
+
+
+def test_garbage_is_collected_when_asked_only() -> None:
+    assert gc.isenabled()
+    with realtime.GarbageDiscipline(enabled=True) as garbage:
+        assert not gc.isenabled()
+        cycle: list[object] = []
+        cycle.append(cycle)
+        del cycle
+        garbage.collect()
+        assert gc.get_freeze_count() > 0
+    assert gc.isenabled()
+    assert gc.get_freeze_count() == 0
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_ends_the_recording_in_order(tmp_path: Path, number: signal.Signals) -> None:
+    """With no sensor fitted at all: the logger still runs, records that everything is off, and ends when told."""
+    text = '[recorder]\ndirectories = ["rec"]\n[scan]\nrate_hz = 100\n[sensors]\n'
+    config = parse_config(text, tmp_path / "logger.toml")
+    before = signal.getsignal(number)
+    timer = threading.Timer(0.4, os.kill, (os.getpid(), number))
+    timer.start()
+    outcome = run_until_signal(config, text, Edge(RealClock(), None, None, "simulated"), [])
+    timer.join()
+    assert signal.getsignal(number) is before
+    assert outcome.signal_name == number.name
+    assert outcome.exit_status == 0, outcome.text
+    result = verify(outcome.directory)
+    assert result.ok
+    assert result.scans == outcome.books.written > 10
+    assert outcome.to_dict()["written"] == result.scans
+
+
+def test_unit_file_fits_the_service() -> None:
+    parser = configparser.ConfigParser(strict=False, interpolation=None)
+    parser.optionxform = str  # type: ignore[assignment,method-assign]
+    parser.read(ROOT / "daq/service/sideslip.service")
+    service = parser["Service"]
+    assert service["Type"] == "notify"
+    assert "sideslip record" in service["ExecStart"]
+    assert float(service["WatchdogSec"]) > 2
+    assert float(service["TimeoutStopSec"]) > 60, "longer than the recorder tries at the end"
+    assert parser["Install"]["WantedBy"] == "multi-user.target"
+
+
+@pytest.mark.parametrize("module", ["daq.logger", "daq.recorder", "daq.contract.accounting", "daq.commands"])
+def test_importing_the_logger_drags_nothing_heavy_in(module: str) -> None:
+    heavy = (
+        "torch",
+        "casadi",
+        "rerun",
+        "matplotlib",
+        "scipy",
+        "pyarrow",
+        "firmware_sim",
+        "groundstation",
+        "estimation",
+    )
+    code = f"import sys, {module}; print(*[m for m in {heavy!r} if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, check=True)
+    assert done.stdout.split() == []
