@@ -159,7 +159,7 @@ def fly_scenario(
     from groundstation.receive import Receiver
     from groundstation.station import Station
 
-    config = GroundConfig(link=LinkConfig(ports=(), backfill="lost"))
+    config = GroundConfig(link=LinkConfig(ports=(), backfill="lost" if backfill else "off"))
     calibration = NOMINAL_DIRECTORY / config.calibration.directory
     with prepare_flight(scenario, folder, seed=seed, speed=speed, calibration=calibration) as flight:
         ground_folder = folder / "ground"
@@ -175,6 +175,8 @@ def fly_scenario(
         flight.each_scan = in_step
         files = flight.run()
         agreed = False
+        if receiver.systems:  # the radio stays on until the aircraft has told of every scan whether it was sent
+            flight.serve(lambda: not any(a.unknown for a in receiver.accounting()), limit_s=60.0)
         if backfill and receiver.systems:
             receiver.set_backfill("all")
             agreed = flight.serve(lambda: all(receiver.backfill_agreed(s) for s in receiver.systems), limit_s=3600.0)

@@ -7,7 +7,9 @@ from typing import Any
 
 import click
 
-_JSON = click.option("--json", "json_path", type=click.Path(path_type=Path), help="Also write the result as JSON to PATH.")
+_JSON = click.option(
+    "--json", "json_path", type=click.Path(path_type=Path), help="Also write the result as JSON to PATH."
+)
 _RECORDING = click.argument("recording", metavar="FILE", type=click.Path(path_type=Path))
 
 

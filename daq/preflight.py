@@ -151,11 +151,15 @@ def _clock_check(config: LoggerConfig, clock: Clock, last: Scan) -> Check:
         return Check("clock", bad, "UTC is not known: no resolved GPS time yet; wait for a fix under open sky")
     accuracy = last.utc_accuracy_ns / 1e6
     if accuracy > limit:
-        text = f"UTC is known to {accuracy:.2f} ms only (limit {limit:g} ms); wait, or connect the pulse-per-second line"
+        text = (
+            f"UTC is known to {accuracy:.2f} ms only (limit {limit:g} ms); wait, or connect the pulse-per-second line"
+        )
         return Check("clock", bad, text)
     off = (clock.utc_ns() - clock.monotonic_ns() + last.time_monotonic_ns - last.time_utc_ns) / NS
     if abs(off) > 2:
-        text = f"UTC known to {accuracy:.3g} ms; this computer's own clock is {off:+.0f} s off, which file names will show"
+        text = (
+            f"UTC known to {accuracy:.3g} ms; this computer's own clock is {off:+.0f} s off, which file names will show"
+        )
         return Check("clock", Verdict.CAUTION, text)
     return Check("clock", Verdict.GO, f"UTC from GPS, known to {accuracy:.3g} ms")
 

@@ -11,13 +11,13 @@ import math
 import threading
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import cast
 
+from daq.books import Books
 from daq.clock import NS, Clock
 from daq.contract.messages import Event, Health, LogLevel, LogLine, Message, Statistics
-from daq.contract.ranges import ranges
 from daq.contract.recording import Entry, RecordingInfo, message_entry, scan_entry
 from daq.contract.scan import SCAN_TOPIC, Scan
 from daq.recorder_config import RecorderConfig
@@ -30,25 +30,6 @@ _LOG = logging.getLogger("sideslip.recorder")
 _MESSAGE_ROOM = 256  # places in memory for events and log lines beyond those for scans
 _IDLE_S = 0.2  # longest wait of the writer before it looks what there is to do
 _LAST_WORDS_S = 2.0  # given to the writer to end after it has been told to give up
-
-
-@dataclass(slots=True)
-class _Counters:
-    """The books of a session; every scan slot is in exactly one of written, dropped, lost, missed and pending."""
-
-    first: int | None = None
-    next: int = 0
-    offered: int = 0
-    written: int = 0
-    dropped: int = 0
-    lost: int = 0
-    missed: int = 0
-    write_errors: int = 0
-    high_water: int = 0
-
-    @property
-    def pending(self) -> int:
-        return self.offered - self.written - self.dropped - self.lost
 
 
 class Recorder:
@@ -78,8 +59,7 @@ class Recorder:
         self._capacity = math.ceil(config.queue_s * info.scan_rate_hz)
         self._news = threading.Condition()
         self._inbox: deque[Scan | Message] = deque()
-        self._books = _Counters()
-        self._absent: list[tuple[int, int]] = []
+        self._books = Books()
         self._pending: deque[Entry] = deque()  # encoded, in order, not yet in a file
         self._returned: deque[Entry] = deque()  # were in a file that failed after it was closed
         self._details: dict[str, str] = {}
@@ -111,18 +91,11 @@ class Recorder:
         """Take a scan; False when the memory is full and the scan was dropped (and counted)."""
         with self._news:
             books = self._books
-            if books.first is None:
-                books.first = books.next = scan.number
-            if scan.number > books.next:
-                books.missed += scan.number - books.next
-                self._mark_absent(books.next, scan.number - 1)
-            books.next = scan.number + 1
-            books.offered += 1
+            books.offer(scan.number)
             held = books.pending
             books.high_water = max(books.high_water, min(held, self._capacity))
             if held > self._capacity or self._given_up:
-                books.dropped += 1
-                self._mark_absent(scan.number, scan.number)
+                books.drop(scan.number)
                 return False
             self._inbox.append(scan)
             if len(self._inbox) >= self._batch:
@@ -154,8 +127,7 @@ class Recorder:
     def statistics(self, *, final: bool = False) -> Statistics:
         """The books and the timing as they are now."""
         with self._news:
-            books = replace(self._books)
-            absent = tuple(self._absent)
+            books = replace(self._books, absent=list(self._books.absent))
         loop = self._timing
         return Statistics(
             time_monotonic_ns=self._clock.monotonic_ns(),
@@ -169,7 +141,7 @@ class Recorder:
             lost=books.lost,
             missed=books.missed,
             pending=books.pending,
-            absent=absent,
+            absent=tuple(books.absent),
             write_errors=books.write_errors,
             queue_high_water=books.high_water,
             late_scans=loop.late,
@@ -216,12 +188,6 @@ class Recorder:
         with self._news:
             if len(self._inbox) <= self._capacity + _MESSAGE_ROOM and not self._given_up:
                 self._inbox.append(message)
-
-    def _mark_absent(self, first: int, last: int) -> None:
-        if self._absent and self._absent[-1][1] == first - 1:
-            self._absent[-1] = (self._absent[-1][0], last)
-        else:
-            self._absent.append((first, last))
 
     # ------------------------------------------------------------------------------------------ the writer's thread
 
@@ -440,8 +406,7 @@ class Recorder:
         with self._news:
             numbers = [i.number for i in self._inbox if isinstance(i, Scan)]
             numbers += [e.sequence for e in (*self._pending, *self._returned) if e.topic == SCAN_TOPIC]
-            self._books.lost += len(numbers)
-            self._absent = list(ranges([*numbers, *(n for a, b in self._absent for n in range(a, b + 1))]))
+            self._books.lose(numbers)
             self._inbox.clear()
 
     def _complain(self, text: str, level: LogLevel = LogLevel.ERROR) -> None:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 LONGEST_PIECE = 80  # samples; longer quiet stretches are joined from pieces, at little cost in noise
+QUIET = 3e-4  # of the range of a signal: noise below this is left alone
 BLOCK = 640  # samples of a long signal treated at once
 RESCALE = 12  # steps between rescalings of the recursions
 ROWS = 24  # blocks treated at once
@@ -53,7 +54,7 @@ def denoise(values: Array, *, order: int = 1, noise: float | None = None) -> Den
 def denoise_many(signals: Sequence[Array], *, order: int = 1, noise: float | None = None) -> list[Denoised]:
     """`denoise` of several signals; those of equal length cost together little more than one."""
     sigmas = [noise_level(v) if noise is None else noise for v in signals]
-    noisy = [i for i, (v, s) in enumerate(zip(signals, sigmas, strict=True)) if v.size >= 8 and s > 1e-9 * np.ptp(v)]
+    noisy = [i for i, (v, s) in enumerate(zip(signals, sigmas, strict=True)) if v.size >= 8 and s > QUIET * np.ptp(v)]
     result = [Denoised(v.copy(), s, 0.0) for v, s in zip(signals, sigmas, strict=True)]
     smooth = _in_blocks([signals[i] / sigmas[i] for i in noisy], order)
     for row, i in zip(smooth, noisy, strict=True):

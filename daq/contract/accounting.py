@@ -251,9 +251,7 @@ def recover(path: str | Path, out: str | Path) -> Recovery:
     return Recovery(out, len(recording.numbers), verification)
 
 
-def _recovered_info(
-    recording: Recording, segments: Sequence[Segment], verification: Verification
-) -> RecordingInfo:
+def _recovered_info(recording: Recording, segments: Sequence[Segment], verification: Verification) -> RecordingInfo:
     origin = "; ".join(f"{s.path.name} sha256 {hashlib.sha256(s.path.read_bytes()).hexdigest()}" for s in segments)
     lost = json.dumps([list(r) for r in verification.unexplained])
     details = {**recording.info.details, "recovered_from": origin, _LOST_TO_DAMAGE: lost}

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from daq.contract.mcap_records import Attachment, Metadata
 from daq.contract.messages import (
     EVENT_TOPIC,
     HEALTH_TOPIC,
@@ -32,7 +33,7 @@ from daq.contract.recording import (
     info_from_metadata,
     metadata_digest,
 )
-from daq.contract.salvage import Attachment, Closed, Damage, Metadata, Walk
+from daq.contract.salvage import Closed, Damage, Walk
 from daq.contract.scan import SCAN_TOPIC, Scan, decode_scan
 
 
@@ -176,13 +177,17 @@ def join(path: Path, segments: list[Segment]) -> Recording:
     known = [s.info for s in segments if s.info is not None]
     sessions = sorted({i.session for i in known})
     if len(sessions) > 1:
-        raise RecordingError(f"{path}: recordings of {len(sessions)} sessions ({', '.join(sessions)}); name one of the files")
+        raise RecordingError(
+            f"{path}: recordings of {len(sessions)} sessions ({', '.join(sessions)}); name one of the files"
+        )
     entries = unique(e for s in segments for e in s.entries)
     if not known and not entries:
         damaged = any(s.damages for s in segments)
         what = "nothing in it is intact; there is nothing to recover" if damaged else "not a raw recording of Sideslip"
         raise RecordingError(f"{path}: {what}")
-    info = known[0] if known else RecordingInfo(session=path.stem, source="unknown", role="recovered", software="unknown")
+    info = (
+        known[0] if known else RecordingInfo(session=path.stem, source="unknown", role="recovered", software="unknown")
+    )
     details = {k: v for i in known for k, v in i.details.items()}
     attachments = {k: v for i in reversed(known) for k, v in i.attachments.items()}
     info = replace(info, details=details, attachments=attachments)

@@ -8,28 +8,37 @@ on at the next record that can be trusted. Record layout: MCAP specification, ht
 import re
 import struct
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 
-import zstandard
+from daq.contract.mcap_records import (
+    ATTACHMENT,
+    CHANNEL,
+    CHUNK,
+    CHUNK_INDEX,
+    DATA_END,
+    FOOTER,
+    HEADER,
+    MAGIC,
+    MESSAGE,
+    MESSAGE_INDEX,
+    METADATA,
+    SCHEMA,
+    Attachment,
+    Bad,
+    Cursor,
+    Metadata,
+    Record,
+    check_structure,
+    chunk_content,
+    read_attachment,
+    read_metadata,
+)
+from daq.contract.recording import DETAIL_NAME, INFO_NAME, SCHEMA_OF_TOPIC, Entry
+from daq.contract.seal import seal_holds
+from daq.contract.torn import salvage_region
 
-from daq.contract.errors import UserError
-from daq.contract.recording import DETAIL_NAME, INFO_NAME, SCHEMA_OF_TOPIC, Entry, entry_of, metadata_digest
-from daq.contract.seal import SEAL_SIZE, seal_holds
-
-MAGIC = b"\x89MCAP0\r\n"
-HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX = range(1, 9)
-ATTACHMENT, ATTACHMENT_INDEX, STATISTICS, METADATA, METADATA_INDEX, SUMMARY_OFFSET, DATA_END = range(9, 16)
-
-_MAX_HEADLESS = 1 << 12  # longer messages are found by their record heads only
-MAX_CHUNK = 1 << 28  # uncompressed; larger is taken for damage
-_MESSAGE_HEAD = 9 + 22  # record head, channel, sequence, two times
-_ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
-_ZSTD_MARK = b"\x04\x00\x00\x00zstd"
 _MAYBE_RECORD = re.compile(rb"[\x01-\x0f](?=.{5}\x00{3})", re.DOTALL)
-_MAYBE_MESSAGE = re.compile(rb"\x05(?=..\x00{6})", re.DOTALL)
-_MAYBE_CONTENT = re.compile(rb"[\x08\x0a]")  # tag of field 1, a number or a timestamp: all our messages begin so
-_SEAL_TAG = re.compile(rb"\x7d")
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +61,7 @@ Item = Entry | Attachment | Metadata | Damage | Closed
 
 
 class Walk:
-    """One pass over the bytes of a file. Iterate it; `closed` and `damages` are complete afterwards."""
+    """One pass over the bytes of a file: iterate it. Afterwards `schemas` and `channel_schema` hold what was declared."""
 
     def __init__(self, data: bytes) -> None:
         self._data = memoryview(data)

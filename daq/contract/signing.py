@@ -179,7 +179,7 @@ class Signer:
 
     def save(self) -> None:
         """Save the state; a file-system call, so not for a loop that must not wait."""
-        reserved = self._last + RESERVE
+        reserved = max(self._last, stamp_of(self._now())) + RESERVE
         heard = self.state.heard
         if self._path is not None:
             save_state(SigningState(reserved, heard, dict(self.state.streams)), self._path)

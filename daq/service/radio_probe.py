@@ -21,7 +21,9 @@ def listen(port: BytePort, clock: Clock, *, seconds: float = 3.0, system_id: int
     while now - start < seconds * NS:
         if now >= next_heartbeat:
             next_heartbeat += NS
-            port.write(encoder.message("HEARTBEAT", type=_FIXED_WING, system_status=_STANDBY, mavlink_version=_MAVLINK_2))
+            port.write(
+                encoder.message("HEARTBEAT", type=_FIXED_WING, system_status=_STANDBY, mavlink_version=_MAVLINK_2)
+            )
         for found in decoder.feed(port.read()):
             if isinstance(found, Frame) and found.msg_id == RADIO_STATUS_ID:
                 return _report(found)

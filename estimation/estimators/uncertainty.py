@@ -14,7 +14,7 @@ from estimation.estimators.coloured import Piece, score_covariance
 from estimation.estimators.likelihood import LikelihoodPoint, OutputErrorProblem, whiten_all
 from estimation.estimators.result import Estimate, correlation
 from estimation.models.base import Model, Parameter
-from estimation.models.expressions import parse
+from estimation.models.expressions import products_in
 
 Array = NDArray[np.float64]
 
@@ -190,17 +190,6 @@ def input_movement(model: Model, flights: list[FlightData]) -> dict[str, tuple[f
 
 def companions(model: Model, parameter: str) -> frozenset[str]:
     """Input names that stand in a product with the parameter in some line of the model."""
-    import ast
-
     inputs = set(model.input_names)
-    found: set[str] = set()
-    for expression in model.definitions.values():
-        for node in ast.walk(parse(expression)):
-            if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Mult):
-                names = {n.id for n in ast.walk(node) if isinstance(n, ast.Name)}
-                plain = not any(
-                    isinstance(n, ast.BinOp) and isinstance(n.op, ast.Add | ast.Sub) for n in ast.walk(node)
-                )
-                if parameter in names and plain:
-                    found |= names & inputs
-    return frozenset(found)
+    together = (names for line in model.definitions.values() for names in products_in(line) if parameter in names)
+    return frozenset(name for names in together for name in names if name in inputs)

@@ -61,6 +61,7 @@ def parse(expression: str) -> ast.expr:
     return tree
 
 
+@lru_cache(maxsize=4096)
 def names_in(expression: str) -> frozenset[str]:
     """Names an expression refers to, functions and pi left out."""
     called = {
@@ -68,6 +69,18 @@ def names_in(expression: str) -> frozenset[str]:
     }
     used = {n.id for n in ast.walk(parse(expression)) if isinstance(n, ast.Name)}
     return frozenset(used - called - set(NUMBERS))
+
+
+@lru_cache(maxsize=4096)
+def products_in(expression: str) -> tuple[frozenset[str], ...]:
+    """Names that stand together in a product, for every product of an expression without a sum inside."""
+    found = []
+    for node in ast.walk(parse(expression)):
+        if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Mult):
+            inner = list(ast.walk(node))
+            if not any(isinstance(n, ast.BinOp) and isinstance(n.op, ast.Add | ast.Sub) for n in inner):
+                found.append(frozenset(n.id for n in inner if isinstance(n, ast.Name)))
+    return tuple(found)
 
 
 def evaluate(expression: str, symbols: Mapping[str, Any], functions: Mapping[str, Callable[..., Any]]) -> Any:

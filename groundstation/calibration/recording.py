@@ -23,6 +23,10 @@ def calibrate_recording(
     calibration: a set or directory that takes the place of the embedded one. salvage: use what is intact of a damaged
     recording. Raises RecordingError or CalibrationError with one sentence.
     """
+    if Path(path).suffix.lower() == ".tlog":
+        raise CalibrationError(
+            f"{path}: a telemetry log, not a recording; 'sideslip ground CONFIG --replay {path}' makes recording and flight of it"
+        )
     recording = read_recording(path, salvage=salvage)
     chosen = _chosen(recording, calibration)
     flight = calibrate(

@@ -145,7 +145,7 @@ def _columns(log: Log, chosen: Map, time: Array) -> tuple[dict[str, Array], dict
     for name, sources in chosen.columns.items():
         source = next((s for s in sources if all(t.column in log.series for t in s.parts)), None)
         if source is None:
-            absent.append(f"{name} ({' or '.join(' + '.join(t.column for t in s.parts) for s in sources)})")
+            absent.append(f"{name} ({' + '.join(t.column for t in sources[0].parts)})")
             continue
         columns[name] = _value(log, source, name, time)
         used[name] = source

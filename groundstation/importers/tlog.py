@@ -16,12 +16,22 @@ from groundstation.importers.errors import ImportDataError
 from groundstation.importers.series import Log, Series
 
 _MAGIC = (0xFD, 0xFE)
+_OUR_FRAME = "UNKNOWN_44100"
+# Values that mean "not known" in the message definitions, by message and field.
+_NOT_KNOWN = {
+    ("SYS_STATUS", "voltage_battery"): 65535, ("SYS_STATUS", "current_battery"): -1, ("GPS_RAW_INT", "vel"): 65535,
+    ("GPS_RAW_INT", "cog"): 65535, ("GPS_RAW_INT", "eph"): 65535, ("GPS_RAW_INT", "epv"): 65535,
+    ("GLOBAL_POSITION_INT", "hdg"): 65535,
+}  # fmt: skip
+_FIX_3D = 3
 _V1_EXTRA, _V2_EXTRA, _SIGNATURE = 8, 12, 13
 
 
 def read_tlog(path: Path) -> Log:
     """All numeric fields of the standard messages of one aircraft. Raises ImportDataError when nothing can be read."""
-    messages = [(stamp, m) for stamp, m in _messages(path) if not m.get_type().startswith(("BAD_DATA", "UNKNOWN"))]
+    everything = list(_messages(path))
+    ours = sum(m.get_type() == _OUR_FRAME for _, m in everything)
+    messages = [(stamp, m) for stamp, m in everything if not m.get_type().startswith(("BAD_DATA", "UNKNOWN"))]
     if not messages:
         raise ImportDataError(f"{path}: no MAVLink message in it; is it a telemetry log (.tlog)?")
     systems = Counter(m.get_srcSystem() for _, m in messages if m.get_srcSystem() != 255)
@@ -37,17 +47,29 @@ def read_tlog(path: Path) -> Log:
             value = getattr(message, field)
             values = value if isinstance(value, (list, tuple)) else [value]
             for i, item in enumerate(values):
-                if isinstance(item, (int, float)):
+                if isinstance(item, (int, float)) and not _unknown(message, field, item):
                     name = f"{message.get_type()}.{field}" + (f"[{i}]" if isinstance(value, (list, tuple)) else "")
                     times, items = collected.setdefault(name, ([], []))
                     times.append(stamp - offset if time is None else time)
                     items.append(float(item))
     series = {name: Series(np.array(t), np.array(v)) for name, (t, v) in collected.items()}
     others = sorted(set(systems) - {system})
-    notes = (
-        (f"messages of systems {', '.join(map(str, others))} left out; system {system} is imported",) if others else ()
-    )
-    return Log("tlog", series, notes=notes, detail={"system": str(system)})
+    notes = []
+    if ours:
+        notes.append(
+            f"{ours} frames of Sideslip's own downlink are not used here: 'sideslip ground --replay' makes the flight of them"
+        )
+    if others:
+        notes.append(f"messages of systems {', '.join(map(str, others))} left out; system {system} is imported")
+    return Log("tlog", series, notes=tuple(notes), detail={"system": str(system)})
+
+
+def _unknown(message: Any, field: str, value: float) -> bool:
+    """Whether the definition of the message says that this value is none."""
+    kind = message.get_type()
+    if kind == "GPS_RAW_INT" and field in ("lat", "lon", "alt") and message.fix_type < _FIX_3D:
+        return True
+    return _NOT_KNOWN.get((kind, field)) == value
 
 
 def _own_time(message: Any) -> float | None:

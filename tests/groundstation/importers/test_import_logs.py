@@ -278,6 +278,27 @@ def test_tlog_imports(tmp_path: Path, flown: Columns, damage: bool) -> None:
     assert flight.provenance.detail["system"] == "7"
 
 
+def test_tlog_values_that_mean_not_known(tmp_path: Path, flown: Columns) -> None:
+    """65535 mV is 'no voltage', and a position without a fix is none (MAVLink common.xml)."""
+    from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+    mav = dialect.MAVLink(None, srcSystem=7, srcComponent=1)
+    data = tlog_bytes(flown)
+    for i in range(40):
+        stamp = struct.pack(">Q", round((1.7e9 + i * 0.5) * 1e6))
+        status = mav.sys_status_encode(0, 0, 0, 0, 65535 if i < 20 else 12_000, -1, -1, 0, 0, 0, 0, 0, 0)
+        fix = mav.gps_raw_int_encode(
+            int(60e6 + i * 5e5), 3 if i >= 20 else 1, 470_000_000, 85_000_000, 0, 0, 0, 0, 0, 9
+        )
+        data += stamp + bytes(status.pack(mav)) + stamp + bytes(fix.pack(mav))
+    path = tmp_path / "flight.tlog"
+    path.write_bytes(data)
+    flight = import_data(path)
+    assert np.nanmax(flight["supply_voltage"]) == pytest.approx(12.0)
+    assert np.isnan(flight["latitude"][flight.time < 65]).all()
+    assert np.nanmin(flight["latitude"]) == pytest.approx(47.0)
+
+
 def test_tlog_that_is_none(tmp_path: Path) -> None:
     path = tmp_path / "x.tlog"
     path.write_bytes(bytes(range(256)) * 8)
