@@ -170,17 +170,24 @@ class Recorder:
             self._closing = True
             self._news.notify_all()
         deadline = self._clock.monotonic_ns() + round(timeout_s * NS)
-        while self._thread.is_alive():
-            self._thread.join(0.005)
-            now = self._clock.monotonic_ns()
-            if self._thread.is_alive() and now >= deadline:
-                self._given_up = True
-            if now >= deadline + round(_LAST_WORDS_S * NS):
-                break  # the card holds the writer inside a system call; the end of the process frees it
-            self._clock.sleep_until(now + (NS // 10 if self._thread.is_alive() else 0))
+        if not self._wait_for(self._thread, deadline):
+            self._given_up = True
+            self._wait_for(self._thread, deadline + round(_LAST_WORDS_S * NS))
         self._syncer.stop()
+        self._wait_for(self._syncer.thread, deadline)
         self._count_lost()
         return self.statistics(final=True)
+
+    def _wait_for(self, thread: threading.Thread, deadline_ns: int) -> bool:
+        """Wait for a thread to end; False when the card still holds it in a system call at the deadline."""
+        while thread.is_alive():
+            thread.join(0.005)
+            now = self._clock.monotonic_ns()
+            if thread.is_alive():
+                if now >= deadline_ns:
+                    return False
+                self._clock.sleep_until(now + NS // 10)
+        return True
 
     # ------------------------------------------------------------------------------------------ bookkeeping
 

@@ -114,12 +114,15 @@ class Syncer:
         self._add(_Job(file))
 
     def stop(self) -> None:
-        """End the thread after the jobs it has; a thread that the card blocks is left behind after a second."""
+        """End the thread after the jobs it has; returns at once."""
         with self._news:
             self._stopping = True
             self._news.notify_all()
-        if self._thread.ident is not None:
-            self._thread.join(1.0)
+
+    @property
+    def thread(self) -> threading.Thread:
+        """The thread, to be waited for after `stop`."""
+        return self._thread
 
     def _add(self, job: _Job) -> None:
         with self._news:

@@ -186,7 +186,7 @@ def run_method(method: str, model: Model, flights: Sequence[Flight], aircraft: A
         return filter_error(model, flights)
     from estimation.estimators.neural_gauss_newton import estimate_ngn
 
-    return estimate_ngn(aircraft, list(flights), improved=method == "ngn-improved")
+    return estimate_ngn(aircraft, list(flights), model=model, improved=method == "ngn-improved")
 
 
 def unique_names(flights: Sequence[Flight]) -> list[Flight]:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from groundstation import events as ev
-from groundstation.decode import SessionBooks
+from groundstation.books import SessionBooks
 from groundstation.recording import SessionRecorder
 from groundstation.timeline import NS
 
@@ -27,6 +27,7 @@ RETRY_NS = 2 * NS
 MAX_RETRY_NS = 16 * NS
 SUMMARY_NS = 2 * NS
 PROGRESS_NS = NS
+LOOK_NS = NS // 2
 PAPERS_PART_BYTES = 8192
 _ALL_FRAGMENTS = 2**64 - 1
 _MAX_ANSWER = 1 << 20
@@ -83,6 +84,8 @@ class BackfillClient:
         self._summary: tuple[int, int, int, bytes] | None = None  # first, last, count, hash
         self._summary_ns: int | None = None
         self._progress_ns = 0
+        self._look_ns = 0  # nothing was wanted: when to look again
+        self._cursor: int | None = None  # every scan before it is held, or cannot be had
         self._final_papers = False
         for number in recorder.journal.complete:
             books.see(number)
@@ -94,11 +97,13 @@ class BackfillClient:
         """Messages to send now (name, fields without targets)."""
         out = [self._again(key, o, now_ns) for key, o in self._open.items() if now_ns - o.asked_ns >= o.retry_ns]
         room = WINDOW - len(self._open)
-        if room > 0 and not out:
+        if room > 0 and not out and now_ns >= self._look_ns:
             for key in self._next_wanted(room):
                 if key not in self._open:
                     self._open[key] = _Open(now_ns)
                     out.append(self._request(key, _ALL_FRAGMENTS))
+            if not out:
+                self._look_ns = now_ns + LOOK_NS
         if self.mode == "all" and not self.agreed and not self._open and self._summary_due(now_ns):
             self._summary_ns = now_ns
             out.append(("BACKFILL_SUMMARY_REQUEST", {"through_number": _LAST, "boot": self._boot}))
@@ -136,15 +141,24 @@ class BackfillClient:
 
     def _wanted_numbers(self, busy: set[int]) -> Iterable[int]:
         if self.mode == "lost":
-            candidates = (n for a, b in self._books.accounting().missing for n in range(a, b + 1))
+            candidates: Iterable[int] = (n for a, b in self._books.accounting().missing for n in range(a, b + 1))
         elif self._summary is None:
             return
         else:
-            candidates = (n for n in range(self._summary[0], self._summary[1] + 1))
+            candidates = self._from_cursor(*self._summary[:2])
         held = self._recorder.journal
         for n in candidates:
             if n not in busy and n not in self.unavailable and not held.has_complete(n):
                 yield n
+
+    def _from_cursor(self, first: int, last: int) -> Iterable[int]:
+        """Numbers from the first that is neither held nor given up; a long flight is not gone through again."""
+        held = self._recorder.journal
+        at = first if self._cursor is None else max(first, self._cursor)
+        while at <= last and (held.has_complete(at) or at in self.unavailable):
+            at += 1
+        self._cursor = at
+        return range(at, last + 1)
 
     # ------------------------------------------------------------------------------------------ answers
 
@@ -216,7 +230,7 @@ class BackfillClient:
         summary = (f["first_number"], f["last_number"], f["count"], bytes(f["sha256"]))
         if summary != self._summary:
             self._summary = summary
-            self.unavailable = {n for n in self.unavailable if n <= summary[1]}
+            self._look_ns = 0
         if not f["count"] or self._open:
             return
         journal = self._recorder.journal

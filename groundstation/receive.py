@@ -16,9 +16,10 @@ from daq.contract.scan_map import BLOCK
 from groundstation import events as ev
 from groundstation.backfill import BackfillClient, Mode
 from groundstation.command import Commander
-from groundstation.decode import AircraftDecoder, RateMeter
+from groundstation.decode import AircraftDecoder
 from groundstation.link import open_port, receive
 from groundstation.link_config import LinkConfig
+from groundstation.link_quality import RateMeter
 from groundstation.loglist import LogFetcher
 from groundstation.recording import SessionRecorder
 from groundstation.security import Gate, make_signer
@@ -33,6 +34,7 @@ _MAP_NS = 2 * NS
 _MAPS_AT_ONCE = 4
 _SAVE_NS = 10 * NS
 _MAX_DECODERS = 32
+_MAX_RECORDERS = 8  # sessions of one aircraft with open files
 _GCS, _NO_AUTOPILOT = 6, 8
 
 
@@ -78,6 +80,7 @@ class Receiver:
         self._bytes_sent = 0
         self._port_faults: dict[str, str] = {}
         self._written: list[Path] = []
+        self._put_away_paths: list[Path] = []
         self._closed = False
 
     @classmethod
@@ -217,8 +220,17 @@ class Receiver:
         aircraft = self._aircraft[session.system]
         if session not in aircraft.recorders:
             assert self._folder is not None
+            if len(aircraft.recorders) >= _MAX_RECORDERS:
+                self._put_away(aircraft)
             aircraft.recorders[session] = SessionRecorder(self._folder, session)
         return aircraft.recorders[session]
+
+    def _put_away(self, aircraft: _Aircraft) -> None:
+        """Write and close the oldest session of an aircraft: the number of open files is bounded."""
+        recorder = aircraft.recorders.pop(next(iter(aircraft.recorders)))
+        path = recorder.write()
+        self._put_away_paths += [] if path is None else [path]
+        recorder.close()
 
     # ------------------------------------------------------------------------------------------ sending
 
@@ -343,7 +355,7 @@ class Receiver:
         """Write the recordings of all sessions as they are now; returns their paths."""
         with self._lock:
             written = [r.write() for a in self._aircraft.values() for r in a.recorders.values()]
-            self._written = [p for p in written if p is not None]
+            self._written = [*self._put_away_paths, *(p for p in written if p is not None)]
             return list(self._written)
 
     def summary(self) -> dict[str, Any]:

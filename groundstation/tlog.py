@@ -8,10 +8,14 @@ sees exactly the byte stream that came in.
 import struct
 from collections.abc import Iterator
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
+from daq.contract.channels import CHANNELS
 from daq.contract.errors import UserError
 from daq.contract.mavlink_codec import Frame, FrameDecoder, FrameEncoder, Junk
+from daq.contract.wire import layouts
+from groundstation.decode import AircraftDecoder
+from groundstation.events import ScanReceived
 
 JUNK_PAYLOAD_TYPE = 44100
 """TUNNEL payload type of wrapped bytes, from the range of types in private use."""
@@ -112,3 +116,43 @@ def _unwrapped(frame: Frame) -> bytes:
             if isinstance(payload, tuple) and isinstance(size, int):
                 return bytes(int(b) for b in payload[:size])
     return frame.raw
+
+
+def info_tlog(path: str | Path) -> dict[str, Any]:
+    """What is in a telemetry log, as `info --json` gives it; TlogError for a file that is none."""
+    decoder = FrameDecoder()
+    aircraft: dict[int, AircraftDecoder] = {}
+    samples: dict[str, int] = {}
+    first_utc = last_utc = 0
+    span: list[int] = []
+    for utc, data in read_tlog(path):
+        first_utc, last_utc = first_utc or utc, utc
+        for found in decoder.feed(data):
+            if isinstance(found, Frame) and found.msg_id in layouts():
+                known = aircraft.setdefault(found.system, AircraftDecoder(found.system))
+                for event in known.take(found, utc, utc):
+                    if isinstance(event, ScanReceived):
+                        span.append(event.scan.number)
+                        for name in event.scan.values:
+                            samples[name] = samples.get(name, 0) + 1
+    books = [b for a in aircraft.values() for b in a.sessions]
+    scans = sum(len(b.received) for b in books)
+    duration = (last_utc - first_utc) * 1e-9
+    return {
+        "file": str(path),
+        "kind": "tlog",
+        "source": "unknown",
+        "aircraft": ", ".join(f"system {s}" for s in sorted(aircraft)),
+        "duration_s": duration,
+        "rate_hz": scans / duration if duration > 0 else 0.0,
+        "scans": scans,
+        "first_scan": min(span, default=None),
+        "last_scan": max(span, default=None),
+        "channels": [
+            {"name": c.name, "unit": c.unit, "samples": samples[c.name]} for c in CHANNELS if c.name in samples
+        ],
+        "software": "",
+        "frames": decoder.counts.frames,
+        "frames_damaged": decoder.counts.damaged,
+        "sessions": len(books),
+    }

@@ -34,7 +34,9 @@ def random_scan(number: int, rng: np.random.Generator, *, time_ns: int | None = 
             high = 2**24 - 1
         if c.name == "thrust_load":
             low, high = -(2**23), 2**23 - 1
-        values[c.name] = int(rng.integers(int(low), int(high), endpoint=True, dtype=np.uint64 if low >= 0 else np.int64))
+        values[c.name] = int(
+            rng.integers(int(low), int(high), endpoint=True, dtype=np.uint64 if low >= 0 else np.int64)
+        )
     groups = {g: GroupStatus(SensorState(int(rng.integers(0, 8))), int(rng.integers(0, 12000))) for g in GROUP_NAMES}
     at = number * PERIOD_NS + int(rng.integers(0, 100_000)) if time_ns is None else time_ns
     return Scan(number, at, START_UTC_NS + at, 25_000, int(rng.integers(0, 3000)), groups, values)
@@ -114,7 +116,9 @@ class Rig:
         self.ground = Receiver(self.ground_config, {"memory": self._ground_end}, self.clock, folder=folder)
 
     def _link(self, boot: int) -> RadioLink:
-        info = RecordingInfo("flight1", "simulated", "cdfp", details={"static.t1": "27504"}, attachments={"config.toml": b"x=1"})
+        info = RecordingInfo(
+            "flight1", "simulated", "cdfp", details={"static.t1": "27504"}, attachments={"config.toml": b"x=1"}
+        )
         return radio_link(
             self.aircraft_config,
             self._aircraft_end,

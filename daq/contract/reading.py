@@ -182,9 +182,7 @@ def join(path: Path, segments: list[Segment]) -> Recording:
         )
     entries = unique(e for s in segments for e in s.entries)
     if not known and not entries:
-        damaged = any(s.damages for s in segments)
-        what = "nothing in it is intact; there is nothing to recover" if damaged else "not a raw recording of Sideslip"
-        raise RecordingError(f"{path}: {what}")
+        raise RecordingError(f"{path}: {_why_not_raw(segments)}")
     info = (
         known[0] if known else RecordingInfo(session=path.stem, source="unknown", role="recovered", software="unknown")
     )
@@ -192,6 +190,14 @@ def join(path: Path, segments: list[Segment]) -> Recording:
     attachments = {k: v for i in reversed(known) for k, v in i.attachments.items()}
     info = replace(info, details=details, attachments=attachments)
     return Recording(path, info, tuple(segments), entries)
+
+
+def _why_not_raw(segments: list[Segment]) -> str:
+    if any(s.foreign or s.metadata for s in segments):
+        return "not a raw recording but a calibrated flight or a file of another program"
+    if any(s.damages for s in segments):
+        return "nothing in it is intact; there is nothing to recover"
+    return "not a raw recording of Sideslip"
 
 
 def unique(entries: Iterable[Entry]) -> tuple[Entry, ...]:

@@ -16,11 +16,12 @@ out of the frame.
 """
 
 import struct
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
+from operator import itemgetter
 
-from daq.contract.channels import CHANNELS, GROUP_NAMES, Channel, Rate
+from daq.contract.channels import CHANNELS, Channel, Rate
 from daq.contract.scan import GroupStatus, RawValue, Scan, SensorState
 
 SCAN_FAST_ID, SCAN_SLOW_ID, SCAN_RARE_ID = 44100, 44101, 44102
@@ -78,6 +79,10 @@ class Layout:
     bits: tuple[Channel, ...]
     split: Mapping[str, int]  # name of a split quantity -> its bits
     limits: Mapping[str, tuple[float, float]] = field(repr=False)
+    scalars: Mapping[str, int] = field(repr=False)  # field -> its place in the struct's output
+    arrays: Mapping[str, slice] = field(repr=False)
+    plain: tuple[str, ...] = field(repr=False)  # channels that are one field each
+    pick_plain: Callable[[Sequence[RawValue]], tuple[RawValue, ...]] = field(repr=False)
 
     @property
     def size(self) -> int:
@@ -137,7 +142,36 @@ def _layout(
     split = {c.name: _CONVERTER_BITS[c.name] for c in channels if c.name in _CONVERTER_BITS}
     split["time_monotonic_ns"] = _TIME_BITS
     limits = {c.name: _limits(c) for c in channels}
-    return Layout(msg_id, name, meaning, tuple(channels), tuple(groups), ordered, codec, bits, split, limits)
+    scalars, arrays, at = {}, {}, 0
+    for f in ordered:
+        if f.count:
+            arrays[f.name] = slice(at, at + f.count)
+        else:
+            scalars[f.name] = at
+        at += f.count or 1
+    plain = tuple(c.name for c in channels if c.name in scalars)
+    pick = itemgetter(*(scalars[n] for n in plain)) if len(plain) > 1 else _pick_all(tuple(scalars[n] for n in plain))
+    return Layout(
+        msg_id,
+        name,
+        meaning,
+        tuple(channels),
+        tuple(groups),
+        ordered,
+        codec,
+        bits,
+        split,
+        limits,
+        scalars,
+        arrays,
+        plain,
+        pick,
+    )
+
+
+def _pick_all(places: tuple[int, ...]) -> Callable[[Sequence[RawValue]], tuple[RawValue, ...]]:
+    """What `itemgetter` would be for fewer than two places."""
+    return lambda numbers: tuple(numbers[i] for i in places)
 
 
 @cache
@@ -236,59 +270,60 @@ def unpack_scan(layout: Layout, payload: bytes) -> ScanPart:
     if len(payload) != layout.codec.size:
         raise ValueError(f"{layout.name} payload has {len(payload)} bytes, not {layout.codec.size}")
     numbers = layout.codec.unpack(payload)
-    found: dict[str, RawValue] = {}
-    arrays: dict[str, tuple[int, ...]] = {}
-    at = 0
-    for f in layout.fields:
-        if f.count:
-            arrays[f.name] = numbers[at : at + f.count]
-            at += f.count
-        else:
-            found[f.name] = numbers[at]
-            at += 1
+    values = dict(zip(layout.plain, layout.pick_plain(numbers), strict=True))
     for name, bits in layout.split.items():
-        found[name] = _joined(found, name, bits, signed=layout.limits.get(name, (0,))[0] < 0)
-    word = int.from_bytes(bytes(arrays.get("bits", ())), "little")
-    for i, channel in enumerate(layout.bits):
-        found[channel.name] = word >> i & 1
-    missing = int.from_bytes(bytes(arrays["missing"]), "little")
-    states = int.from_bytes(bytes(arrays.get("states", ())), "little")
-    groups = {
-        group: GroupStatus(SensorState(states >> (_STATE_BITS * i) & 7), 0 if offset == UNFIT_OFFSET else offset)
-        for i, (group, offset) in enumerate(zip(layout.groups, arrays.get("offset_us", ()), strict=True))
-        if offset != NOT_IN_SCAN
-    }
-    return ScanPart(
-        layout.msg_id,
-        **{name: int(found[name]) for name in _PART_HEADER if name in found},
-        groups=groups,
-        values={c.name: found[c.name] for i, c in enumerate(layout.channels) if not missing >> i & 1},
-    )
+        values[name] = _joined(layout, numbers, name, bits)
+    time_ns = int(values.pop("time_monotonic_ns"))
+    if layout.bits:
+        word = int.from_bytes(bytes(numbers[layout.arrays["bits"]]), "little")
+        for i, channel in enumerate(layout.bits):
+            values[channel.name] = word >> i & 1
+    missing = int.from_bytes(bytes(numbers[layout.arrays["missing"]]), "little")
+    if missing:
+        for i, channel in enumerate(layout.channels):
+            if missing >> i & 1:
+                del values[channel.name]
+    at = layout.scalars
+    rest = tuple(int(numbers[at[f.name]]) for f in _REST_OF_HEADER) if _REST_OF_HEADER[0].name in at else (0, 0, 0)
+    groups = _unpack_groups(layout, numbers)
+    return ScanPart(layout.msg_id, numbers[at["boot"]], numbers[at["number"]], time_ns, values, groups, *rest)
 
 
-_PART_HEADER = ("boot", "number", "time_monotonic_ns", *(f.name for f in _REST_OF_HEADER))
+_STATES = tuple(SensorState)
 
 
-def _joined(found: Mapping[str, RawValue], name: str, bits: int, *, signed: bool) -> int:
+def _unpack_groups(layout: Layout, numbers: Sequence[int]) -> dict[str, GroupStatus]:
+    if not layout.groups:
+        return {}
+    states = int.from_bytes(bytes(numbers[layout.arrays["states"]]), "little")
+    groups = {}
+    for group, offset in zip(layout.groups, numbers[layout.arrays["offset_us"]], strict=True):
+        if offset != NOT_IN_SCAN:
+            groups[group] = GroupStatus(_STATES[states & 7], 0 if offset == UNFIT_OFFSET else offset)
+        states >>= _STATE_BITS
+    return groups
+
+
+def _joined(layout: Layout, numbers: Sequence[int], name: str, bits: int) -> int:
     word = shift = 0
     for i, kind in enumerate(_SPLIT[bits]):
-        word |= int(found[f"{name}_{i}"]) << shift
+        word |= numbers[layout.scalars[f"{name}_{i}"]] << shift
         shift += 8 * _SIZE[kind]
+    signed = name in layout.limits and layout.limits[name][0] < 0
     return word - 2**bits if signed and word >> (bits - 1) else word
 
 
 def join_parts(parts: Iterable[ScanPart]) -> Scan:
     """One scan from the parts of it that arrived; all of the same number and boot."""
-    ordered = sorted(parts, key=lambda p: p.msg_id)
-    found: dict[str, GroupStatus] = {}
+    first, *others = parts
+    if not others and first.msg_id != SCAN_SLOW_ID:
+        return Scan(first.number, first.time_monotonic_ns, groups=first.groups, values=first.values)
+    groups: dict[str, GroupStatus] = {}
     values: dict[str, RawValue] = {}
     utc = accuracy = lateness = 0
-    for part in ordered:
-        found.update(part.groups)
+    for part in (first, *others):
+        groups.update(part.groups)
         values.update(part.values)
         if part.msg_id == SCAN_SLOW_ID:
             utc, accuracy, lateness = part.time_utc_ns, part.utc_accuracy_ns, part.lateness_us
-    groups = {g: found[g] for g in GROUP_NAMES if g in found}
-    in_order = {c.name: values[c.name] for c in CHANNELS if c.name in values}
-    first = ordered[0]
-    return Scan(first.number, first.time_monotonic_ns, utc, accuracy, lateness, groups, in_order)
+    return Scan(first.number, first.time_monotonic_ns, utc, accuracy, lateness, groups, values)

@@ -158,9 +158,9 @@ def result_lines(result: "Result") -> Iterator[str]:
     """Estimate, Cramer-Rao bound, corrected bound and prior belief, parameter by parameter; then the fit."""
     yield f"  {'parameter':<12}{'estimate':>11}{'bound':>10}{'corrected':>11}{'before':>10}"
     for name, e in result.parameters.items():
-        before = "" if e.reference is None else f"{e.reference:10.4f} {e.reference_source}"
+        before = "" if e.reference is None else f"{e.reference:10.4g} {e.reference_source}"
         if e.identifiable:
-            yield f"  {name:<12}{e.estimate:11.5f}{e.std:10.5f}{e.std_coloured:11.5f}{before}"
+            yield f"  {name:<12}{e.estimate:11.4g}{e.std:10.2g}{e.std_coloured:11.2g}{before}"
         else:
             yield f"  {name:<12}{'cannot tell':>32}{before}: {e.why}"
     for flight in result.flights:
@@ -176,4 +176,4 @@ def _mean_lines(session: "Session") -> Iterator[str]:
         yield f"mean over flights, {method}"
         yield f"  {'parameter':<12}{'mean':>11}{'scatter':>10}{'bound':>11}{'flights':>9}"
         for name, s in table.items():
-            yield f"  {name:<12}{s.mean:11.5f}{s.std:10.5f}{s.bound:11.5f}{s.count:9d}  {s.text}".rstrip()
+            yield f"  {name:<12}{s.mean:11.4g}{s.std:10.2g}{s.bound:11.2g}{s.count:9d}  {s.text}".rstrip()

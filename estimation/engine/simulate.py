@@ -18,10 +18,19 @@ from estimation.models.base import Model
 from groundstation.flight import Flight
 
 Compile = Literal["auto", "always", "never"]
-Hold = Literal["linear", "hold"]
+Hold = Literal["smooth", "linear", "hold"]
+"""Inputs between samples: on a monotone cubic, on straight lines, or held. See `usual_hold`."""
 
 WORTH_COMPILING = 200_000.0
 """Samples x evaluations x columns / 20 from which gcc (about 0.4 s) repays itself."""
+
+
+def usual_hold(model: Model) -> Hold:
+    """A monotone cubic where servos drive the model, straight lines otherwise.
+
+    A servo's edge is a curve; straight lines through its samples make roll derivatives up to 2 % large at 20 Hz.
+    """
+    return "smooth" if any(s.servo for s in model.inputs) else "linear"
 
 
 @lru_cache(maxsize=128)
@@ -73,9 +82,11 @@ class Simulator:
         work: float = 0.0,
         compile_: Compile = "auto",
         substeps: int = 2,
-        hold: Hold = "linear",
+        hold: Hold | None = None,
     ) -> "Simulator":
-        return cls(model, model.free_names if free is None else free, kernel_for(model, work, compile_), substeps, hold)
+        """hold: as `usual_hold` says unless given."""
+        chosen = hold or usual_hold(model)
+        return cls(model, model.free_names if free is None else free, kernel_for(model, work, compile_), substeps, chosen)
 
     def vector(self, values: Mapping[str, float]) -> Array:
         """Parameters and constants in the order of the traced functions."""
@@ -132,7 +143,11 @@ class Simulator:
         drive = self.drive(segment, values, sensitivities)
         columns = self.columns(gain_free) if sensitivities else None
         x0 = np.ascontiguousarray(x0, float)
-        motion = self.kernel.run(drive, self.vector(values), x0, self.substeps, columns, gain)
+        if self.hold == "smooth" and gain is None and len(segment) > 2:
+            fine = self.kernel.run(_halved(drive), self.vector(values), x0, max(1, self.substeps // 2), columns, None)
+            motion = _every_second(fine)
+        else:
+            motion = self.kernel.run(drive, self.vector(values), x0, self.substeps, columns, gain)
         if self.model.output_delays and motion.finite:
             motion = self._delayed(motion, segment.time, values)
         return motion
@@ -152,8 +167,53 @@ class Simulator:
         return Motion(motion.x, y, dy, motion.reached)
 
 
+def _halved(drive: Drive) -> Drive:
+    """The drive on a grid twice as fine: inputs half-way between samples from a monotone cubic, the rest on lines."""
+    step = drive.dt[:-1]
+    u = _between(drive.u, _midpoints(drive.u, step))
+    du = _between(drive.du, 0.5 * (drive.du[1:] + drive.du[:-1]))
+    z = _between(drive.z, np.full_like(drive.z[1:], np.nan))
+    dt = np.append(np.repeat(0.5 * step, 2), 0.0)
+    return Drive(dt, u, u, _following(u), z, du, du, _following(du))
+
+
+def _between(values: Array, middle: Array) -> Array:
+    result = np.empty((2 * len(values) - 1, *values.shape[1:]))
+    result[0::2], result[1::2] = values, middle
+    return result
+
+
+def _following(values: Array) -> Array:
+    return np.ascontiguousarray(np.concatenate([values[1:], values[-1:]]))
+
+
+def _midpoints(u: Array, step: Array) -> Array:
+    """(N - 1, nu) values half-way between samples of the monotone piecewise cubic (Fritsch and Butland 1984).
+
+    Between two equal samples it is flat, and it never overshoots: an edge stays where it is.
+    """
+    chord = np.diff(u, axis=0) / step[:, None]
+    slope = np.zeros_like(u)
+    slope[0], slope[-1] = chord[0], chord[-1]
+    before, after = chord[:-1], chord[1:]
+    same = before * after > 0
+    w1 = (2 * step[1:] + step[:-1])[:, None]
+    w2 = (step[1:] + 2 * step[:-1])[:, None]
+    safe = np.where(same, before, 1.0), np.where(same, after, 1.0)
+    slope[1:-1] = np.where(same, (w1 + w2) / (w1 / safe[0] + w2 / safe[1]), 0.0)
+    return np.asarray(0.5 * (u[1:] + u[:-1]) + 0.125 * step[:, None] * (slope[:-1] - slope[1:]))
+
+
+def _every_second(fine: Motion) -> Motion:
+    """The samples of a motion that was computed on the finer grid."""
+    reached = (fine.reached + 1) // 2
+    dy = None if fine.dy is None else np.ascontiguousarray(fine.dy[0::2])
+    return Motion(np.ascontiguousarray(fine.x[0::2]), np.ascontiguousarray(fine.y[0::2]), dy, reached)
+
+
 def _cubic(time: Array, wanted: Array) -> tuple[Array, np.ndarray, Array]:  # type: ignore[type-arg]
     """Lagrange weights (N, 4), sample indices (N, 4) and weights of the derivative for values at `wanted` times."""
+    outside = (wanted < time[0]) | (wanted > time[-1])
     wanted = np.clip(wanted, time[0], time[-1])
     left = np.clip(np.searchsorted(time, wanted, side="right") - 2, 0, time.size - 4)
     at = left[:, None] + np.arange(4)
@@ -165,6 +225,7 @@ def _cubic(time: Array, wanted: Array) -> tuple[Array, np.ndarray, Array]:  # ty
         terms = [(wanted - knots[:, m]) / gap for m, gap in zip(others, gaps, strict=True)]
         weights[:, j] = terms[0] * terms[1] * terms[2]
         slope[:, j] = terms[1] * terms[2] / gaps[0] + terms[0] * terms[2] / gaps[1] + terms[0] * terms[1] / gaps[2]
+    slope[outside] = 0.0
     return weights, at, slope
 
 

@@ -1,12 +1,12 @@
 """Equation error: parameters by least squares at the measured states, no simulation (`ls`).
 
-At each sample the model's rates and outputs at the measured (smoothed) states are compared with the smoothed
-derivatives of those states and with the measured outputs; where parameters enter linearly this is one least-squares
+The increments of the measured (smoothed) states over each interval are compared with the mean of the model's rates at
+both ends, and the measured outputs with the model's at each sample; where parameters enter linearly this is one least-squares
 solution. Any model whose states are all measured can be treated so, from its text alone. `stepwise` chooses among
 the parameters by partial F ratios (V. Klein and E. A. Morelli, Aircraft System Identification, 2nd ed., section 5.4).
 
-Known error: at 20 Hz a roll mode of 20 rad/s lies near the sampling rate, and derivatives of measured rates are
-flattened by smoothing; the roll derivatives come out some 10 % off. It is a start value and a second opinion.
+Known error: at 20 Hz a roll mode of 20 rad/s lies near the sampling rate, and increments of measured
+rates are flattened by smoothing; the roll derivatives come out some 10 % off. It is a start value and a second opinion.
 """
 
 from collections.abc import Mapping, Sequence
@@ -23,7 +23,7 @@ from estimation.estimators.arrow import pseudo_inverse
 from estimation.estimators.coloured import Piece, score_covariance
 from estimation.estimators.gauss_newton import Status
 from estimation.estimators.result import FlightFit, Result
-from estimation.estimators.uncertainty import estimates
+from estimation.estimators.uncertainty import TIED, estimates
 from estimation.models.base import Model
 from estimation.validation import fits
 from groundstation.flight import Flight
@@ -31,8 +31,8 @@ from groundstation.flight import Flight
 Index = NDArray[np.intp]
 
 ROUNDS = 2  # of relinearisation (for parameters that enter nonlinearly) and reweighting
-F_IN = 10.0  # partial F ratio above which a term enters (20 Hz residuals are coloured: the nominal 4 is too low)
-F_OUT = 8.0
+F_IN = 25.0  # partial F ratio above which a term enters (residuals at 20 Hz are coloured: the nominal 4 is too low)
+F_OUT = 20.0
 
 
 @dataclass
@@ -128,7 +128,7 @@ def solve(simulator: Simulator, flights: Sequence[FlightData], *, stepwise: bool
     coloured[pick] = inverse @ middle[pick] @ inverse
     undetermined = np.zeros(n, bool)
     if blind.size:
-        undetermined[chosen] = np.any(np.abs(blind) > 0.05, axis=1)
+        undetermined[chosen] = np.any(np.abs(blind) > TIED, axis=1)
     return EquationError(simulator.free, values, covariance, coloured, undetermined, weights)
 
 
@@ -186,10 +186,17 @@ def _regressions(simulator: Simulator, flights: Sequence[FlightData], values: Ma
             x = flight.states[segment.first : segment.first + len(segment)]
             u = simulator.drive(segment, values, False).u
             f, fp, y, yp = simulator.kernel.evaluate(x, u, simulator.vector(values))
-            rates = np.gradient(x, segment.time, axis=0)
-            A = np.concatenate([fp[:, :, free], yp[:, :, free]], axis=1)
-            e = np.concatenate([rates - f, segment.z - y], axis=1)
+            A = np.concatenate([_means(fp[:, :, free]), yp[:, :, free]], axis=1)
+            rates = np.diff(x, axis=0, append=np.nan) / np.append(np.diff(segment.time), 1.0)[:, None]
+            e = np.concatenate([rates - _means(f), segment.z - y], axis=1)
             result.append(Regression(np.where(np.all(np.isfinite(A), axis=2), e, np.nan), np.nan_to_num(A)))
+    return result
+
+
+def _means(values: Array) -> Array:
+    """Mean of each sample and the next: what belongs to the increment over the interval (NaN after the last)."""
+    result = np.full_like(values, np.nan)
+    result[:-1] = 0.5 * (values[:-1] + values[1:])
     return result
 
 

@@ -23,7 +23,8 @@ from estimation.models import load_model
 from estimation.models.base import Model, Parameter
 from groundstation.flight import Flight
 
-LOOP = LoopOptions(iterations=120, tolerance=1e-4)  # relaxation of the full covariance converges slowly
+FIRST_GAIN = 0.2  # of each measured state on itself: a filter that follows from the first step
+LOOP = LoopOptions(iterations=150, tolerance=1e-3)  # relaxation of the full covariance converges slowly
 GAIN_PRIOR = 1.0  # standard deviation of a gain, in units of the noise of state over the noise of output
 
 
@@ -74,7 +75,7 @@ def filter_error(
     noise = first.noise
     fallback = float(np.median(list(noise.values())))
     parameters = [
-        Parameter(name, start=0.0, prior_mean=0.0, prior_std=GAIN_PRIOR * noise.get(state, fallback) / noise[output])
+        Parameter(name, start=FIRST_GAIN if state == output else 0.0, prior_mean=0.0, prior_std=GAIN_PRIOR * noise.get(state, fallback) / noise[output])
         for state, row in zip(chosen.state_names, names, strict=True)
         for output, name in zip(chosen.output_names, row, strict=True)
         if name

@@ -29,7 +29,8 @@ from groundstation.flight import Flight
 class OutputErrorOptions:
     """noise: diagonal or full residual covariance. sigma: given noise per output instead. free_states: names of the
     states whose initial values are estimated (default: all). improve_start: try the equation-error solution too.
-    compile_: auto uses gcc where it repays. substeps: Runge-Kutta steps per sample."""
+    compile_: auto uses gcc where it repays. substeps: Runge-Kutta steps per sample. hold: inputs
+    between samples, by default as `engine.simulate.usual_hold`."""
 
     noise: Noise = "diagonal"
     sigma: Mapping[str, float] | None = None
@@ -37,7 +38,7 @@ class OutputErrorOptions:
     improve_start: bool = True
     compile_: Compile = "auto"
     substeps: int = 2
-    hold: Hold = "linear"
+    hold: Hold | None = None
     preparation: Preparation = AS_USUAL
     loop: LoopOptions = AS_USUAL_LOOP
 

@@ -20,6 +20,7 @@ Array = NDArray[np.float64]
 
 COLLINEAR = 0.95  # correlation from which two estimates are called collinear
 LISTED = 0.9
+TIED = 1e-3  # share in a direction the data does not see, in scaled coordinates
 USEFUL = 0.3  # a bound wider than this part of what is believed tells nothing new
 STILL = 3.0  # an input that moves less than this many noise levels has not moved
 
@@ -40,7 +41,7 @@ def uncertainty(problem: OutputErrorProblem, unknowns: Array, point: LikelihoodP
     blocks = [problem.flight_blocks(unknowns, point, i) for i in range(len(problem.flights))]
     information, _ = problem.shared_information(unknowns, blocks)
     covariance, blind = pseudo_inverse(information)
-    undetermined = np.any(np.abs(blind) > 0.05, axis=1) if blind.size else np.zeros(len(problem.shared), bool)
+    undetermined = np.any(np.abs(blind) > TIED, axis=1) if blind.size else np.zeros(len(problem.shared), bool)
     ns = len(problem.shared)
     middle = np.zeros((ns, ns))
     local_covariance, local_coloured = [], []

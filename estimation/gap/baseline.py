@@ -56,7 +56,7 @@ class Baseline:
 def whiteners_for(problem_model: Model, base: Model, records: Sequence[Record], values: Mapping[str, float], noise: NoiseModel | None,
                   residuals: Sequence[Array], scatter: Array) -> tuple[NoiseModel, tuple[Whitener, ...]]:  # fmt: skip
     """Noise model from `residuals` (or `noise` where given) and the whitener of every record."""
-    simulator = Simulator.build(problem_model, (), substeps=1)
+    simulator = Simulator.build(problem_model, (), substeps=1, hold="linear")
     shapes = [shapes_of(problem_model, simulator, r.segment(problem_model, base), values, force_states(base)) for r in records]
     if noise is None:
         noise = estimate_noise(residuals, shapes, scatter**2, LEAST_NOISE * scatter**2)
@@ -71,6 +71,7 @@ def fit_baseline(
     start: Mapping[str, float] | None = None,
     locals_: Sequence[Local] | None = None,
     noise: NoiseModel | None = None,
+    passes: int = PASSES,
 ) -> Baseline:
     """Fit `model` to the training flights, noise and parameters in turn.
 
@@ -82,7 +83,7 @@ def fit_baseline(
     own = None if locals_ is None else list(locals_)
     found: Fit | None = None
     level = noise or NoiseModel(scatter**2, {})
-    for turn in range(PASSES + 1):
+    for turn in range(passes + 1):
         at = {**model.starts(), **values}
         if turn == 0:
             _, whiteners = whiteners_for(model, bench.base, records, at, level, (), scatter)

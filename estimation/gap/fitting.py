@@ -103,7 +103,7 @@ class Problem:
 
     @cached_property
     def simulator(self) -> Simulator:
-        return Simulator.build(self.model, (*self.parameters, *self.local_names), substeps=1, work=self.work)
+        return Simulator.build(self.model, (*self.parameters, *self.local_names), substeps=1, work=self.work, hold="linear")
 
     def starts(self) -> dict[str, float]:
         """Start values of everything shared, held parameters included."""

@@ -10,6 +10,7 @@ from estimation.gap.baseline import WORK, Baseline, Round, whiteners_for
 from estimation.gap.bench import Bench
 from estimation.gap.fitting import Fit, Problem, fit
 from estimation.gap.nulls import InputErrors, NullFlyer
+from estimation.gap.whitening import NoiseModel
 
 
 def rms_over_noise(residuals: Sequence[Array], scatter: Array) -> float:
@@ -18,7 +19,7 @@ def rms_over_noise(residuals: Sequence[Array], scatter: Array) -> float:
     return float(np.sqrt(np.nanmean(squares)))
 
 
-def on_holdout(baseline: Baseline, bench: Bench) -> tuple[Problem, Fit] | None:
+def on_holdout(baseline: Baseline, bench: Bench, noise: NoiseModel | None = None) -> tuple[Problem, Fit] | None:
     """The fitted model on the held-out flights: parameters frozen, initial states and biases fitted.
 
     None where there is no held-out flight.
@@ -28,7 +29,7 @@ def on_holdout(baseline: Baseline, bench: Bench) -> tuple[Problem, Fit] | None:
         return None
     model = baseline.model
     values = {**model.starts(), **baseline.fit.values}
-    _, whiteners = whiteners_for(model, bench.base, records, values, baseline.noise, (), baseline.scatter)
+    _, whiteners = whiteners_for(model, bench.base, records, values, noise or baseline.noise, (), baseline.scatter)
     problem = Problem(model, bench.base, records, whiteners, WORK)
     return problem, fit(problem, values, frozen=True)
 

@@ -20,6 +20,7 @@ from estimation.gap.whitening import NoiseModel
 from estimation.models.base import Model
 from estimation.preprocess import denoise_many
 
+EDGE_FREEDOM = 0.25  # of the change over an interval: how a surface really moved between two samples is not recorded
 BANK = 6  # de-noised realisations kept per input; a null draws one of them and its sign
 
 
@@ -77,6 +78,7 @@ class NullFlyer:
         grid, coarse = problem.grids[index], problem.coarse[index]
         driven = problem.driven(grid, self.fit.values)
         shaken = driven.u.copy()
+        self._loosen_edges(shaken, rng)
         self._disturb(shaken, grid.segment.time, rng)
         motion = problem.simulator.run(replace(driven, u=shaken), {**self.fit.values, **local.parameters}, local.x0)
         if not motion.finite:
@@ -89,6 +91,13 @@ class NullFlyer:
         residual = motion.y[::2] + noise - (coarse.z - modelled)
         residual[~np.isfinite(coarse.z)] = np.nan
         return residual
+
+    def _loosen_edges(self, u: Array, rng: np.random.Generator) -> None:
+        """Move the controls' mid-interval values (odd rows of (2N - 1, nu)) at random between their neighbours."""
+        for j, signal in enumerate(self.problem.model.inputs):
+            if signal.control:
+                step = u[2::2, j] - u[:-2:2, j]
+                u[1::2, j] += EDGE_FREEDOM * rng.uniform(-1.0, 1.0, size=step.size) * step
 
     def _disturb(self, u: Array, time: Array, rng: np.random.Generator) -> None:
         """Add disturbances of the rates with the spectra of the noise model to the inputs (2N - 1, nu)."""

@@ -13,8 +13,8 @@ import numpy as np
 from estimation.engine.kernel import Array
 from estimation.gap.baseline import Round
 from estimation.gap.dormant import DISTURBANCE
-from estimation.gap.screen import reduce_record
 from estimation.gap.fitting import Fit, Problem, prior_terms
+from estimation.gap.screen import reduce_record
 
 SHAPES = {"linear": "{}", "odd": "{0}|{0}|", "even": "{}^2", "rate": "d{}/dt"}
 WINDOW = 1.0  # s

@@ -84,6 +84,28 @@ class Screen:
         raw = np.diag(G)[n : n + k]
         return Projected(rest[:k, :k], rest[:k, k:], np.diag(rest)[k:].copy(), raw.copy())
 
+    def cross_gain(self, hypothesis: int, column: int = 0) -> float | None:
+        """Twice the log-likelihood gained on each flight by a hypothesis fitted to all the others, summed; linear theory.
+
+        None where there is only one flight.
+        """
+        names = sorted(set(self.flights))
+        if len(names) < 2:
+            return None
+        n, r = self.n, self.n + self.k + column
+        theta = list(range(n))
+        both = theta + [n + c for c in self.span(hypothesis)]
+        total = 0.0
+        for held in names:
+            others = self.total([f for f in names if f != held])
+            own = self.total([held]) - self.prior
+            costs = []
+            for index in (theta, both):
+                x = np.linalg.pinv(others[np.ix_(index, index)], hermitian=True, rcond=1e-12) @ others[index, r]
+                costs.append(x @ own[np.ix_(index, index)] @ x - 2 * x @ own[index, r])
+            total += float(costs[0] - costs[1])
+        return total
+
     def span(self, hypothesis: int) -> list[int]:
         """Column indices of one hypothesis."""
         return [i for i, c in enumerate(self.columns) if c.hypothesis == hypothesis]

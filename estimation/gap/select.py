@@ -36,7 +36,7 @@ def choose(round_: Round, bench: Bench) -> Choice:
     if not screen.hypotheses:
         return Choice((), {}, ())
     standardised = round_.gains / round_.inflation
-    inflation = {screen.hypotheses[h].key: float(round_.inflation[h]) for h in range(len(screen.hypotheses))}
+    inflation = comparable(round_)
     first = []
     for h in leading(screen, standardised, FULL_FITS):
         hypothesis = screen.hypotheses[h]
@@ -48,6 +48,17 @@ def choose(round_: Round, bench: Bench) -> Choice:
         return Choice(tuple(sound), _weights(sound), tuple(rejected))
     again = _compared_again(round_, bench, sound[:KEEP], inflation)
     return Choice(again, _weights(again), tuple(rejected))
+
+
+def comparable(round_: Round) -> dict[tuple[str, str], float]:
+    """Inflation by which the gains of the hypotheses are divided when they are weighed against each other.
+
+    Rivals with nearly the same signature must be divided by the same number, or its chance differences decide between
+    them: that of the leading hypothesis, unless a hypothesis' own is more than twice as large.
+    """
+    common = float(round_.inflation[int(np.argmax(round_.gains / round_.inflation))])
+    own = {h.key: float(v) for h, v in zip(round_.screen.hypotheses, round_.inflation, strict=True)}
+    return {key: value if value > 2.0 * common else common for key, value in own.items()}
 
 
 def _material(candidate: Candidate) -> Candidate:

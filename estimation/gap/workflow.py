@@ -4,30 +4,43 @@ Rounds of: baseline fit, nulls flown through the whole chain, score-test screen,
 held-out check, one effect added; until nothing is significant. Then the earlier effects are questioned again.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import norm
 
+from estimation.engine.kernel import Array
 from estimation.gap.baseline import Baseline, Round, channel_noise, fit_baseline, screen_round
 from estimation.gap.bench import Bench, build_bench
-from estimation.gap.confirm import Candidate
-from estimation.gap.dormant import with_dormant
+from estimation.gap.confirm import Candidate, assess, fit_hypothesis, linear_gains, linear_guess
+from estimation.gap.dormant import awakened, with_dormant
+from estimation.gap.effects import catalogue
 from estimation.gap.effects.base import Effect
 from estimation.gap.effects.missing import missing_derivatives
-from estimation.gap.measure import Floors, floors, on_holdout, rms_over_noise
-from estimation.gap.nulls import InputErrors, input_errors
+from estimation.gap.errors import GapError
+from estimation.gap.lineage import fitted
+from estimation.gap.locate import disagreement, locate
+from estimation.gap.measure import floors, on_holdout, rms_over_noise
 from estimation.gap.nuisance import is_nuisance, with_nuisance
-from estimation.gap.result import (
-    Gap, GapResult, Migration, Rejected, Step, Tie, Verdict, Weighed, Where,
-)  # fmt: skip
+from estimation.gap.nulls import InputErrors, input_errors
+from estimation.gap.omnibus import Omnibus, examine
+from estimation.gap.result import Gap, GapResult, Migration, Rejected, Step, Tie, Verdict, Weighed, Where
+from estimation.gap.screen import build_screen, hypotheses_for
 from estimation.gap.select import Choice, choose, credible_set
 from estimation.gap.whitening import force_states
+from estimation.gap.words import BANDS, conclude, describe_step
 from estimation.models.base import Model
 from groundstation.flight import Flight
 
 LOOK = Callable[[str, float], None]
+
+NAMED_SHARE = 0.75  # of what the best nameless term gains: an effect that gains less does not get to give its name
+NAMED_CLOSED = 0.7  # of the gap: below, the rest is larger than noise
+MARGIN = 1.25  # over the null threshold from which a nameless rest is called an unknown effect
+BLIND_SHARE = 0.3  # of the effects asked about: more that could not have been seen, and the answer is "cannot tell"
+RIVALS = 6
+EXCHANGE = 8.0  # in twice the log-likelihood, by which a rival must beat an accepted effect
 
 
 @dataclass(frozen=True)
@@ -37,17 +50,60 @@ class Options:
     seed: int = 1
     nulls: int = 200
     most: int = 4
-    level: float = 0.95
+    level: float = 0.975
 
 
 @dataclass(frozen=True)
 class Finding:
-    """An effect accepted in some round."""
+    """An effect accepted in some round: the hypothesis, its rivals, the model before and after."""
 
     round_: Round
     choice: Choice
     candidate: Candidate
     child: Baseline
+
+
+@dataclass(frozen=True)
+class Trail:
+    """All that the rounds left. unknown: what is still there, nameless; stopped: why no more was added."""
+
+    findings: tuple[Finding, ...]
+    rounds: tuple[Round, ...]
+    omnibus: Omnibus
+    unknown: bool
+    rejected: tuple[Rejected, ...]
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What stays the same over all rounds."""
+
+    base: Model
+    clean: Model
+    working: Model
+    bench: Bench
+    effects: tuple[Effect, ...]
+    errors: tuple[InputErrors, ...]
+    scatter: Array
+    options: Options
+    tell: LOOK
+
+    def child(self, parent: Baseline, candidate: Candidate) -> Baseline:
+        """The parent with a candidate's form, fitted afresh with its own noise."""
+        at = {n: v for n, (v, _) in candidate.estimates.items()}
+        clean = candidate.hypothesis.form.added_to(parent.clean, at)
+        return fit_baseline(candidate.fit.model, clean, self.bench, self.scatter, candidate.fit.values, candidate.fit.locals, parent.noise)
+
+    def screened(self, baseline: Baseline, number: int) -> Round:
+        """One round of nulls and screen about a fitted model."""
+        start = 0.1 + 0.8 * number / (self.options.most + 1)
+
+        def tick(done: int) -> None:
+            if done % 10 == 0:
+                self.tell(f"round {number + 1}: null {done} of {self.options.nulls}", start + 0.1 * done / self.options.nulls)
+
+        return screen_round(baseline, self.bench, self.effects, self.errors, self.options.nulls, self.options.seed + 1000 * number,
+                            self.options.level, tick)  # fmt: skip
 
 
 def run_gap(
@@ -62,8 +118,8 @@ def run_gap(
 
     Raises MissingColumnError, DataError or GapError (one sentence each) where the flights cannot be used.
     """
-    from estimation.gap.effects.catalogue import catalogue
-
+    if not training:
+        raise GapError("no training flight given; name at least one flight file before --holdout")
     chosen = tuple(effects) if effects is not None else catalogue()
     chosen += missing_derivatives(model, {e.name for e in chosen})
     tell("preparing the flights", 0.0)
@@ -73,92 +129,256 @@ def run_gap(
     interval = float(np.median([np.median(np.diff(r.time)) for r in records]))
     clean = with_nuisance(model, dict(zip(model.output_names, scatter, strict=True)), interval)
     working = with_dormant(clean, chosen, bench.available, force_states(model))
-    errors = tuple(input_errors(r, clean, np.random.default_rng([options.seed, 104729, i])) for i, r in enumerate(bench.records))
+    errors = tuple(
+        input_errors(r, clean, np.random.default_rng([options.seed, 104729, i])) for i, r in enumerate(bench.records)
+    )
+    setting = Setting(model, clean, working, bench, chosen, errors, scatter, options, tell)
     tell("fitting the baseline", 0.05)
-    baseline = fit_baseline(working, clean, bench, scatter)
-    findings, rounds = _rounds(baseline, bench, chosen, errors, options, tell)
-    return _conclude(model, bench, findings, rounds, errors, options)
+    trail = _rounds(setting, fit_baseline(working, clean, bench, scatter))
+    tell("measuring what is closed", 0.95)
+    return conclude_trail(setting, trail)
 
 
-def _rounds(
-    baseline: Baseline, bench: Bench, effects: Sequence[Effect], errors: Sequence[InputErrors], options: Options, tell: LOOK
-) -> tuple[list[Finding], list[Round]]:
+def _rounds(setting: Setting, baseline: Baseline) -> Trail:
     findings: list[Finding] = []
     rounds: list[Round] = []
+    rejected: list[Rejected] = []
     while True:
-        number = len(rounds)
-        start = 0.1 + 0.8 * number / (options.most + 1)
-
-        def tick(done: int, start: float = start) -> None:
-            tell(f"round {number + 1}: null {done} of {options.nulls}", start + 0.1 * done / options.nulls)
-
-        round_ = screen_round(baseline, bench, effects, errors, options.nulls, options.seed + 1000 * number, options.level, tick)
+        round_ = setting.screened(baseline, len(rounds))
         rounds.append(round_)
-        if len(findings) == options.most:
-            return findings, rounds
-        tell(f"round {number + 1}: full fits", start + 0.12)
-        choice = choose(round_, bench)
-        best = choice.best
-        if best is None or best.score < round_.threshold:
-            return findings, rounds
-        form, at = best.hypothesis.form, {n: v for n, (v, _) in best.estimates.items()}
-        child = fit_baseline(best.fit.model, form.added_to(baseline.clean, at), bench, baseline.scatter, best.fit.values, best.fit.locals, baseline.noise)
-        findings.append(Finding(round_, choice, best, child))
-        baseline = child
+        omnibus = examine(round_)
+        if len(findings) == setting.options.most:
+            break
+        setting.tell(f"round {len(rounds)}: full fits", 0.1 + 0.8 * len(rounds) / (setting.options.most + 1))
+        choice = choose(round_, setting.bench)
+        finding, words = _accept(setting, round_, choice, omnibus)
+        rejected += [*choice.rejected, *words]
+        if finding is None:
+            break
+        findings.append(finding)
+        if len(findings) > 1:
+            questioned = _questioned(setting, findings)
+            if questioned is not None:
+                findings, said = questioned
+                rejected += said
+        baseline = findings[-1].child
+    unknown = omnibus.score > MARGIN * omnibus.threshold
+    return Trail(tuple(findings), tuple(rounds), omnibus, unknown, tuple(rejected))
 
 
-def _conclude(model: Model, bench: Bench, findings: Sequence[Finding], rounds: Sequence[Round],
-              errors: Sequence[InputErrors], options: Options) -> GapResult:  # fmt: skip
-    first, last = rounds[0], rounds[-1]
-    scores = _effect_scores(first)
-    steps = []
-    for i, finding in enumerate(findings):
-        after = rounds[i + 1]
-        steps.append(_step(finding, after, bench, errors, options))
-    verdict = Verdict.NO_GAP if not steps else Verdict.GAP_CLOSED
+def _accept(
+    setting: Setting, round_: Round, choice: Choice, omnibus: Omnibus
+) -> tuple[Finding | None, list[Rejected]]:
+    """The best candidate that is significant, explains what a nameless term can, and holds on flights it was not fitted to."""
+    said: list[Rejected] = []
+    nameless = max((s.gain for s in omnibus.leading if s.kind == "term"), default=0.0)
+    for candidate in choice.candidates:
+        label = candidate.hypothesis.label
+        if candidate.score < round_.threshold:
+            break
+        if candidate.gain < NAMED_SHARE * nameless:
+            said.append(Rejected(label, f"explains only {candidate.gain / nameless:.0%} of what a nameless term does"))
+            continue
+        index = round_.screen.hypotheses.index(candidate.hypothesis)
+        cross = round_.screen.cross_gain(index)
+        if cross is not None and cross <= 0.0:
+            said.append(Rejected(label, "does not hold on the training flights it was not fitted to"))
+            continue
+        child = setting.child(round_.baseline, candidate)
+        held = held_gain(round_.baseline, child, setting.bench)
+        if held is not None and held <= 0.0:
+            said.append(Rejected(label, "does not hold on the held-out flights"))
+            continue
+        return Finding(round_, choice, candidate, child), said
+    return None, said
+
+
+def held_gain(parent: Baseline, child: Baseline, bench: Bench) -> float | None:
+    """Twice the log-likelihood the child gains on the held-out flights, both weighed with the child's noise."""
+    after = on_holdout(child, bench, child.noise)
+    before = on_holdout(parent, bench, child.noise)
+    return None if after is None or before is None else 2.0 * (before[1].cost - after[1].cost)
+
+
+def _questioned(setting: Setting, findings: Sequence[Finding]) -> tuple[list[Finding], list[Rejected]] | None:
+    """Every earlier effect asked again with the later ones in the model: dropped where it has become insignificant,
+    exchanged where a rival now explains the same flights better. None where all stand."""
+    last = findings[-1]
+    said: list[Rejected] = []
+    for i in range(len(findings) - 1):
+        others = [f for j, f in enumerate(findings) if j != i]
+        model, clean = setting.working, setting.clean
+        for f in others:
+            at = {n: v for n, (v, _) in f.candidate.estimates.items()}
+            model, clean = awakened(model, f.candidate.hypothesis.form, at), f.candidate.hypothesis.form.added_to(clean, at)
+        without = fit_baseline(model, clean, setting.bench, setting.scatter, None, None, last.child.noise, passes=0)
+        old = findings[i].candidate
+        gain = 2.0 * (without.fit.cost - last.child.fit.cost)
+        if np.sqrt(max(gain, 0.0)) < findings[i].round_.threshold:
+            said.append(Rejected(old.hypothesis.label, f"no longer needed once {last.candidate.hypothesis.label} is in the model"))
+            fresh = fit_baseline(model, clean, setting.bench, setting.scatter, without.fit.values, without.fit.locals, without.noise)
+            return [replace(f, child=fresh) if f is others[-1] else f for f in others], said
+        rival = _rival(setting, without, old, gain)
+        if rival is not None:
+            said.append(Rejected(old.hypothesis.label, f"{rival.hypothesis.label} explains the same better with the other effects in the model"))
+            child = setting.child(without, rival)
+            choice = Choice((rival,), {rival.hypothesis.effect.name: 1.0}, ())
+            return [*others, Finding(last.round_, choice, rival, child)], said
+    return None
+
+
+def _rival(setting: Setting, without: Baseline, old: Candidate, gain: float) -> Candidate | None:
+    """A hypothesis that beats `old` by a clear margin where it was taken out, or None."""
+    problem = without.problem
+    hypotheses = hypotheses_for(without.clean, setting.effects, setting.bench.available)
+    screen = build_screen(problem, without.fit, hypotheses)
+    gains = linear_gains(screen, problem)
+    best: Candidate | None = None
+    for h in np.argsort(-gains)[:RIVALS]:
+        hypothesis = screen.hypotheses[int(h)]
+        if hypothesis.key == old.hypothesis.key:
+            continue
+        _, found = fit_hypothesis(problem, without.fit, hypothesis, linear_guess(screen, problem, int(h)))
+        candidate = assess(problem, without.fit, hypothesis, found, 1.0)
+        if not candidate.why_not and candidate.gain > gain + EXCHANGE and (best is None or candidate.gain > best.gain):
+            best = candidate
+    return best
+
+
+def conclude_trail(setting: Setting, trail: Trail) -> GapResult:
+    """Verdict, steps and words from what the rounds left."""
+    bench, options = setting.bench, setting.options
+    first, last = trail.rounds[0], trail.rounds[-1]
+    steps = [_step(setting, f, last) for f in trail.findings]
+    unknown = trail.unknown
+    if unknown and steps and steps[-1].gap.closed < NAMED_CLOSED:
+        dropped = steps.pop()
+        trail = replace(trail, rejected=(*trail.rejected, Rejected(dropped.effect, f"closes only {dropped.gap.closed:.0%} of the gap")))
+    kept = trail.findings[: len(steps)]
+    cannot = undetectable(first, setting.base)
+    if unknown:
+        steps.append(_unknown_step(trail, kept[-1].child if kept else first.baseline, last))
+        verdict = Verdict.UNKNOWN
+    elif steps:
+        verdict = Verdict.GAP_CLOSED if min(s.gap.closed for s in steps) >= NAMED_CLOSED else Verdict.GAP_REDUCED
+    else:
+        asked = {h.effect.name for h in first.screen.hypotheses if not h.effect.tied_to}
+        verdict = Verdict.CANNOT_TELL if len(cannot) > BLIND_SHARE * max(len(asked), 1) else Verdict.NO_GAP
+    steps = [replace(s, text=describe_step(s)) for s in steps]
+    detectable = _detectable(last)
+    tied = tuple(e for e in setting.effects if e.tied_to and any(h.effect.name == e.name for h in first.screen.hypotheses))
+    before = fitted(setting.base, first.baseline.fit.values)
+    after = before
+    if kept:
+        child, plain = kept[-1].child, setting.base
+        for f in kept:
+            plain = f.candidate.hypothesis.form.added_to(plain)
+        names = "+".join(f.candidate.hypothesis.effect.name for f in kept)
+        after = replace(fitted(plain, child.fit.values), name=f"{setting.base.name}+{names}")
     return GapResult(
         verdict=verdict,
-        text="",
-        minimum_detectable=_detectable(last),
+        text=conclude(verdict, steps, detectable, cannot, tied, bool(bench.holdout)),
+        minimum_detectable=detectable,
         steps=tuple(steps),
-        scores=scores,
+        scores=_effect_scores(first),
         threshold=first.threshold,
         nominal_threshold=float(norm.isf(0.025 / max(len(first.screen.hypotheses), 1))),
-        rejected=tuple(r for f in findings for r in f.choice.rejected),
-        ties=_ties(last),
-        model_before=model,
-        model_after=last.baseline.clean,
+        rejected=trail.rejected,
+        ties=_ties(first),
+        model_before=before,
+        model_after=after,
         notes=bench.notes,
-        outputs=model.output_names,
-    )
+        outputs=setting.base.output_names,
+        details={
+            "cannot_tell": [{"effect": e.name, "separate_by": e.separate_by} for e in cannot],
+            "left": [{"kind": s.kind, "place": s.place, "what": s.what, "score": round(s.score, 2)} for s in trail.omnibus.leading[:5]],
+            "left_threshold": round(float(trail.omnibus.threshold), 2),
+            "map": {"before": disagreement(first.baseline), "after": disagreement(last.baseline)},
+            "nulls": options.nulls, "seed": options.seed,
+        },
+    )  # fmt: skip
 
 
-def _step(finding: Finding, after: Round, bench: Bench, errors: Sequence[InputErrors], options: Options) -> Step:
-    effect = finding.candidate.hypothesis.effect
+def undetectable(round_: Round, model: Model) -> list[Effect]:
+    """Effects of which not even twice the usual size would have passed the threshold on these flights."""
+    projected = round_.screen.projected()
+    seen: dict[str, float] = {}
+    effects = {h.effect.name: h.effect for h in round_.screen.hypotheses}
+    for c, column in enumerate(round_.screen.columns):
+        name = round_.screen.hypotheses[column.hypothesis].effect.name
+        power = np.sqrt(max(float(projected.B[c, c]), 0.0) / round_.inflation[column.hypothesis]) * column.parameter.typical
+        seen[name] = max(seen.get(name, 0.0), float(power))
+    return [effects[n] for n, power in seen.items() if power < 0.5 * round_.threshold and not effects[n].tied_to]
+
+
+def _unknown_step(trail: Trail, baseline: Baseline, last: Round) -> Step:
+    """Where and how the nameless rest shows."""
+    leading = [s for s in trail.omnibus.leading if s.score > trail.omnibus.threshold]
+    channels = tuple(dict.fromkeys(s.place for s in leading))
+    spans = tuple(s.span for s in trail.omnibus.leading if s.span is not None and s.score > trail.omnibus.threshold)
+    shape = "; ".join(f"{s.place}: like {s.what}" if s.kind == "term" else f"{s.place}: {s.what}" for s in leading[:3])
+    here = rms_over_noise(last.baseline.fit.residuals, last.baseline.scatter)
+    floor = float(np.median(floors(last, None, (), 0).training))
+    return Step(
+        effect="unknown", title="an effect the catalogue does not hold", form="", confidence=0.0, members=(),
+        separate_by="repeat the manoeuvre and vary one signal at a time around the regime named here", estimates={}, units={},
+        score=trail.omnibus.score, threshold=trail.omnibus.threshold,
+        where=Where(leading[0].place if leading else "", channels, tuple(s for s in spans if s is not None)[:4], shape),
+        gap=Gap(here, here, floor), holdout=None, migrated={},
+    )  # fmt: skip
+
+
+def _step(setting: Setting, finding: Finding, last: Round) -> Step:
+    bench = setting.bench
+    effect, form = finding.candidate.hypothesis.effect, finding.candidate.hypothesis.form
     members = credible_set(finding.choice.weights)
+    if effect.name not in dict(members):
+        members = [(effect.name, finding.choice.weights.get(effect.name, 0.0)), *members]
+    members.sort(key=lambda m: m[0] != effect.name)
     parent, child = finding.round_.baseline, finding.child
     held_before, held_after = on_holdout(parent, bench), on_holdout(child, bench)
-    floor = floors(after, held_after, errors[len(bench.of(bench.training)):], options.seed)
-    gap = Gap(rms_over_noise(parent.fit.residuals, parent.scatter), rms_over_noise(child.fit.residuals, parent.scatter), floor.training_median)
+    floor = floors(last, on_holdout(last.baseline, bench), setting.errors[len(bench.of(bench.training)) :], setting.options.seed)
+    gap = Gap(rms_over_noise(parent.fit.residuals, parent.scatter), rms_over_noise(child.fit.residuals, parent.scatter),
+              floor.training_median)  # fmt: skip
     held = None
     if held_before is not None and held_after is not None and floor.holdout_median is not None:
-        held = Gap(
-            rms_over_noise(held_before[1].residuals, parent.scatter),
-            rms_over_noise(held_after[1].residuals, parent.scatter),
-            floor.holdout_median,
-        )
+        held = Gap(rms_over_noise(held_before[1].residuals, parent.scatter), rms_over_noise(held_after[1].residuals, parent.scatter),
+                   floor.holdout_median)  # fmt: skip
     std = child.fit.std()
+    inflation = {h.key: v for h, v in zip(finding.round_.screen.hypotheses, finding.round_.inflation, strict=True)}
+    wider = float(np.sqrt(inflation.get(finding.candidate.hypothesis.key, 1.0)))
+    titles = {e.name: e for e in setting.effects}
     return Step(
-        effect=effect.name, title=effect.title, form=finding.candidate.hypothesis.form.label,
-        confidence=members[0][1],
-        members=tuple(Weighed(n, w) for n, w in members),
-        separate_by=effect.separate_by,
-        estimates={p.name: (float(child.fit.values[p.name]), float(std[p.name])) for p in finding.candidate.hypothesis.form.parameters},
-        units={p.name: p.unit for p in finding.candidate.hypothesis.form.parameters},
+        effect=effect.name, title=effect.title, form=form.label,
+        confidence=dict(members)[effect.name],
+        members=tuple(Weighed(n, w, titles[n].title, titles[n].separate_by) for n, w in members),
+        separate_by=_separate(effect, [n for n, _ in members]),
+        estimates={p.name: (float(child.fit.values[p.name]), wider * float(std[p.name])) for p in form.parameters},
+        units={p.name: p.unit for p in form.parameters},
         score=finding.candidate.score, threshold=finding.round_.threshold,
-        where=Where("", (), (), ""),
+        where=locate(parent, child, bench, form),
         gap=gap, holdout=held, migrated=_migrated(parent, child), equation=effect.equation,
+        practical=practical(parent, child),
     )  # fmt: skip
+
+
+def _separate(effect: Effect, names: Sequence[str]) -> str:
+    """What tells the effect from the other members of its set."""
+    return next((effect.confusions[n] for n in names if n in effect.confusions), effect.separate_by)
+
+
+def practical(parent: Baseline, child: Baseline) -> str:
+    """What the effect is worth against the tolerances of flight-simulator qualification."""
+    words = []
+    for name, (tolerance, said) in BANDS.items():
+        if name not in parent.model.output_names:
+            continue
+        c = parent.model.output_names.index(name)
+        change = np.concatenate([(p - q)[:, c] for p, q in zip(parent.fit.residuals, child.fit.residuals, strict=True)])
+        worth = float(np.nanmax(np.abs(change)))
+        words.append(f"{name} {np.degrees(worth):.2g} against {said}" + (" (beyond it)" if worth > tolerance else ""))
+    beyond = any("beyond" in w for w in words)
+    return ("matters: " if beyond else "real but within simulator tolerances: ") + ", ".join(words)
 
 
 def _migrated(parent: Baseline, child: Baseline) -> dict[str, Migration]:

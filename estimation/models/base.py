@@ -28,7 +28,8 @@ class Signal:
     """A state, input or output. `column` names the flight column it is read from (its own name by default).
 
     `start` (states): the column or number from which the initial value is guessed where the state itself is not
-    measured. `control` (inputs): True for a control surface or other input that may step, False for a motion variable
+    measured. `servo` (inputs): True where a servo moves it, so that it runs on a curve between samples, not on a line.
+    `control` (inputs): True for a control surface or other input that may step, False for a motion variable
     that is smooth; it decides how measurement noise is taken off. `optional`: where the flight has no such column, an
     input is taken as zero and an output is not compared, and the result says so.
     """
@@ -39,6 +40,7 @@ class Signal:
     column: str | None = None
     start: str | float | None = None
     control: bool = False
+    servo: bool = False
     optional: bool = False
 
     @property

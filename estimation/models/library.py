@@ -24,9 +24,9 @@ NORMAL_ACCELERATION = Signal("az", "m/s2", "specific force at the CG, z", option
 DENSITY = Signal("rho", "kg/m3", "air density")
 THRUST = Signal("thrust", "N", "thrust along x")
 AIRSPEED_RATE = Signal("V_dot", "m/s2", "rate of change of true airspeed")
-ELEVATOR = Signal("delta_e", "rad", "elevator (mean elevon)", control=True)
-AILERON = Signal("delta_a", "rad", "aileron (antisymmetric elevon)", control=True)
-RUDDER = Signal("delta_r", "rad", "rudder", control=True)
+ELEVATOR = Signal("delta_e", "rad", "elevator (mean elevon)", control=True, servo=True)
+AILERON = Signal("delta_a", "rad", "aileron (antisymmetric elevon)", control=True, servo=True)
+RUDDER = Signal("delta_r", "rad", "rudder", control=True, servo=True)
 
 LATERAL_AERODYNAMICS = (
     "q_dyn = 0.5*rho*V^2",

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from tests.link_rig import random_scan
 
 from daq.contract.dialect import sideslip_dialect
 from daq.contract.mavlink_codec import Frame, FrameDecoder, FrameEncoder, Junk, frames_of, message_types
 from daq.contract.wire import SCAN_FAST_ID, layouts, pack_scan
+from tests.link_rig import random_scan
 
 
 def stream(count: int, seed: int = 1, noise: bool = True) -> list[bytes]:
@@ -19,7 +19,8 @@ def stream(count: int, seed: int = 1, noise: bool = True) -> list[bytes]:
     layout = layouts()[SCAN_FAST_ID]
     constant = random_scan(0, rng)
     return [
-        encoder.frame(SCAN_FAST_ID, pack_scan(layout, random_scan(n, rng) if noise else constant, 9)) for n in range(count)
+        encoder.frame(SCAN_FAST_ID, pack_scan(layout, random_scan(n, rng) if noise else constant, 9))
+        for n in range(count)
     ]
 
 

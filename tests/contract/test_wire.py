@@ -5,7 +5,6 @@ from importlib import import_module
 
 import numpy as np
 import pytest
-from tests.link_rig import random_scan
 
 from daq.contract.channels import CHANNELS, GROUP_NAMES, Channel, Rate
 from daq.contract.dialect import generate, sideslip_dialect
@@ -20,6 +19,7 @@ from daq.contract.wire import (
     pack_scan,
     unpack_scan,
 )
+from tests.link_rig import random_scan
 
 SENT = tuple(c for c in CHANNELS if c.downlink != "none")
 
@@ -82,7 +82,11 @@ def test_round_trip_is_exact(seed: int) -> None:
 
 @pytest.mark.parametrize("extreme", [0, 1])
 def test_extremes_of_every_raw_type_survive(extreme: int) -> None:
-    narrow = {"static_pressure": (0, 2**24 - 1), "static_temperature": (0, 2**24 - 1), "thrust_load": (-(2**23), 2**23 - 1)}
+    narrow = {
+        "static_pressure": (0, 2**24 - 1),
+        "static_temperature": (0, 2**24 - 1),
+        "thrust_load": (-(2**23), 2**23 - 1),
+    }
     values = {c.name: int(narrow.get(c.name, c.limits())[extreme]) for c in SENT}
     scan = Scan(2**32 - 1, 2**56 - 1, 2**64 - 1, 2**32 - 1, 2**32 - 1, {}, values)
     assert join_parts(unpack_scan(la, pack_scan(la, scan, 1)) for la in layouts().values()).values == values

@@ -8,7 +8,8 @@ import numpy as np
 
 from daq.clock import NS, Clock
 from daq.contract.channels import CHANNELS, GROUP_NAMES
-from daq.contract.recording import RecordingInfo
+from daq.contract.messages import Event, LogLevel, LogLine, Statistics
+from daq.contract.recording import RecordingInfo, RecordingWriter
 from daq.contract.scan import GroupStatus, Scan, SensorState
 from daq.storage import RealStorage, StorageFile
 
@@ -80,3 +81,22 @@ def failing_between(clock: Clock, start_s: float, end_s: float, number: int = er
             raise OSError(number, errno.errorcode[number])
 
     return fault
+
+
+SCANS = 240
+PER_CHUNK = 10
+
+
+def write_recording(path: Path, *, compress: bool = False, scans: int = SCANS) -> None:
+    """A small recording as the recorder would leave it."""
+    with path.open("wb") as stream:
+        writer = RecordingWriter(stream, make_info(), compress=compress)
+        for n in range(scans):
+            writer.write_scan(make_scan(n))
+            if n % PER_CHUNK == PER_CHUNK - 1:
+                writer.flush()
+        end = scans * PERIOD_NS
+        writer.write_message(Event(end, 0, scans - 1, "switch", "end of run"))
+        writer.write_message(LogLine(end, 0, LogLevel.INFO, "logger", "recording ends"))
+        writer.write_message(Statistics(end, 0, "s1", 0, 0, scans, scans, final=True))
+        writer.finish()

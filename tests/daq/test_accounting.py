@@ -99,6 +99,8 @@ def test_info_and_verify_of_a_flight(tmp_path: Path) -> None:
     assert info["duration_s"] == pytest.approx(49 / 20)
     assert {c["name"]: (c["unit"], c["samples"]) for c in info["channels"]} == {"p": ("rad/s", 50), "beta": ("rad", 21)}
     assert verify(path).ok
+    with pytest.raises(RecordingError, match="not a raw recording but a calibrated flight"):
+        read_recording(path)
     data = bytearray(path.read_bytes())
     data[len(data) // 2] ^= 1
     path.write_bytes(data)

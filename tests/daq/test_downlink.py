@@ -156,5 +156,5 @@ def test_slow_parts_go_before_the_fast_part_of_the_same_scan() -> None:
     slow = [i for i, f in enumerate(frames(wire)) if f.name == "SCAN_SLOW"]
     assert len(slow) >= 4
     for i in slow:
-        following = [f for f in frames(wire)[i:] if f.msg_id == SCAN_FAST_ID][0]
+        following = next(f for f in frames(wire)[i:] if f.msg_id == SCAN_FAST_ID)
         assert number_of(frames(wire)[i]) == number_of(following)

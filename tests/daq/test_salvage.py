@@ -14,29 +14,10 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 
 from daq.contract.accounting import recover, verify
-from daq.contract.messages import Event, LogLevel, LogLine, Statistics
 from daq.contract.reading import read_recording, read_segment
-from daq.contract.recording import RecordingError, RecordingWriter
+from daq.contract.recording import RecordingError
 from daq.contract.scan import encode_scan
-from tests.daq.synthetic import PERIOD_NS, make_info, make_scan
-
-SCANS = 240
-PER_CHUNK = 10
-
-
-def write_recording(path: Path, *, compress: bool = False, scans: int = SCANS) -> None:
-    """A small recording as the recorder would leave it."""
-    with path.open("wb") as stream:
-        writer = RecordingWriter(stream, make_info(), compress=compress)
-        for n in range(scans):
-            writer.write_scan(make_scan(n))
-            if n % PER_CHUNK == PER_CHUNK - 1:
-                writer.flush()
-        end = scans * PERIOD_NS
-        writer.write_message(Event(end, 0, scans - 1, "switch", "end of run"))
-        writer.write_message(LogLine(end, 0, LogLevel.INFO, "logger", "recording ends"))
-        writer.write_message(Statistics(end, 0, "s1", 0, 0, scans, scans, final=True))
-        writer.finish()
+from tests.daq.synthetic import PER_CHUNK, SCANS, make_scan, write_recording
 
 
 @cache

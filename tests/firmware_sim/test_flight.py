@@ -1,6 +1,7 @@
 """Whole simulated flights through the real logger: reproducible, true to the truth, and accounted for under faults."""
 
 import csv
+import math
 from pathlib import Path
 
 import numpy as np
@@ -10,11 +11,13 @@ from numpy.typing import NDArray
 from daq.contract.accounting import verify
 from daq.contract.reading import Recording, read_recording
 from daq.contract.scan import SensorState
-from firmware_sim.bench import Bench, BenchRig, Pose
+from firmware_sim.bench import Bench, BenchRig, Pose, bench_truth
 from firmware_sim.errors import ScenarioError
 from firmware_sim.flight import START_UTC_NS, FlightFiles, prepare_flight
 from firmware_sim.scenario import Scenario, load_scenario, scenario_from
 from firmware_sim.sensor_models import SensorModels
+from firmware_sim.truth import TRUTH_COLUMNS, Truth
+from firmware_sim.truth_log import TruthFile, TruthLog
 from groundstation.calibration.recording import calibrate_recording
 from groundstation.calibration.schema import NOMINAL_DIRECTORY
 
@@ -84,6 +87,29 @@ def test_calibrated_columns_are_the_truth_plus_noise(
     assert error.size > 100
     assert abs(np.mean(error)) < offset
     assert np.std(error) < spread
+
+
+def test_truth_between_grid_points_is_straight_and_headings_go_the_short_way(tmp_path: Path) -> None:
+    class Turning:
+        """Turns through south at 0.4 rad/s while the thrust grows at 2 N/s."""
+
+        def advance(self, to_time: float) -> Truth:
+            psi = math.remainder(math.pi - 0.1 + 0.4 * to_time, 2.0 * math.pi)
+            return bench_truth(to_time, Pose(load=2.0 * to_time, attitude=(0.0, 0.0, psi)), SensorModels())
+
+    log, file = TruthLog(Turning()), TruthFile(Turning(), tmp_path / "truth.csv")
+    for k in range(100):
+        log.advance(0.005 * k)
+        file.advance(0.005 * k)
+    times = np.array([0.0012, 0.2488, 0.2511, 0.4])
+    file.close()
+    together = log.at(times)
+    for i, time in enumerate(times):
+        row = dict(zip(TRUTH_COLUMNS, file.at(float(time)), strict=True))
+        assert row["thrust"] == pytest.approx(2.0 * time)
+        assert together["thrust"][i] == pytest.approx(2.0 * time)
+        for psi in (row["psi"], together["psi"][i]):
+            assert math.remainder(psi - (math.pi - 0.1 + 0.4 * time), 2.0 * math.pi) == pytest.approx(0.0, abs=1e-9)
 
 
 def test_same_seed_same_scans_whatever_the_ground_does(tmp_path: Path) -> None:

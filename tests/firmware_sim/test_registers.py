@@ -186,6 +186,16 @@ class TestAds1115:
         assert (clock.now_ns - started) * 1e-6 == pytest.approx(1e3 / 860.0 + 0.025, abs=0.35)  # found by polling
         assert self.result(bus) == 8192
 
+    def test_result_belongs_to_the_middle_of_the_conversion(self) -> None:
+        clock = CountingClock()
+        bus = on_bus(0x48, Ads1115(lambda channel, time_ns: time_ns * 1e-9 * 20.0), clock, overhead_us=0.0)
+        clock.wait_ms(100)
+        self.convert(bus, 0xC303)  # 8 SPS: 125 ms
+        started = clock.now_ns
+        clock.wait_ms(127)
+        middle = started + 25_000 + 62_500_000
+        assert self.result(bus) * 4.096 / 32768 == pytest.approx(middle * 1e-9 * 20.0, abs=2e-4)
+
     def test_slow_clock(self) -> None:
         clock = CountingClock()
         bus = on_bus(0x48, Ads1115(lambda channel, time_ns: 1.0, clock_error=0.1), clock, overhead_us=0.0)

@@ -5,8 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.backfill import MAX_FRAGMENTS, MAX_WANTED, ScanStore, pack_scans
-from daq.backfill import FRAGMENT_BYTES
+from daq.backfill import FRAGMENT_BYTES, MAX_FRAGMENTS, MAX_WANTED, ScanStore, pack_scans
 from daq.contract.channels import CHANNELS, GROUP_NAMES
 from daq.contract.reading import join, read_segments
 from daq.contract.scan import GroupStatus, Scan, SensorState, encode_scan
@@ -70,10 +69,11 @@ def test_backfill_does_not_slow_the_scans_down(tmp_path: Path) -> None:
 
 
 def test_interrupted_backfill_goes_on_where_it_was(tmp_path: Path) -> None:
-    config = LinkConfig(ports=("memory",), backfill="all")
+    config = LinkConfig(ports=("memory",), backfill="off")
     slow = DownlinkConfig(budget_bytes_per_s=4000)
     rig = Rig(tmp_path, ground=config, aircraft=slow)
     fly(rig, 600)
+    rig.ground.set_backfill("all")
     rig.rest(8)
     (recorder,) = rig.ground.session_recorders().values()
     held = recorder.journal.complete_count()
@@ -84,7 +84,8 @@ def test_interrupted_backfill_goes_on_where_it_was(tmp_path: Path) -> None:
     from groundstation.receive import Receiver
 
     again.ground = Receiver(config, {"memory": rig._ground_end}, rig.clock, folder=tmp_path)
-    again.rest(2)
+    again.rest(7)
+    again.ground.set_backfill("all")
     sent_before = rig.link.downlink.outbox.bytes_sent
     again.rest(300, until=lambda: again.ground.backfill_agreed(1))
     assert again.ground.backfill_agreed(1)

@@ -11,7 +11,7 @@ from daq.contract.scan_map import ScanMap
 from groundstation import events as ev
 from groundstation.link_config import LinkConfig
 from groundstation.receive import Receiver
-from groundstation.tlog import TlogError, read_tlog
+from groundstation.tlog import TlogError, info_tlog, read_tlog
 from tests.link_rig import Rig, random_scan
 
 LISTEN = LinkConfig(ports=("memory",), backfill="off")
@@ -230,6 +230,18 @@ def test_damaged_log_gives_what_is_sound(tmp_path: Path) -> None:
         list(read_tlog(path))
 
 
+def test_info_of_a_log_counts_what_came(tmp_path: Path) -> None:
+    rig = Rig(tmp_path, down=damager("drop", 0.05), ground=LISTEN)
+    fly(rig, 300)
+    rig.close()
+    found = info_tlog(tmp_path / "telemetry.tlog")
+    numbers = [e.scan.number for e in rig.received()]
+    assert found["kind"] == "tlog"
+    assert (found["scans"], found["first_scan"], found["last_scan"]) == (len(numbers), numbers[0], numbers[-1])
+    assert {c["name"]: c["samples"] for c in found["channels"]}["accel_x"] == len(numbers)
+    assert found["duration_s"] == pytest.approx(15, abs=0.6)
+
+
 def test_stock_reader_reads_the_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from pymavlink import mavutil
 
@@ -265,7 +277,7 @@ def test_hostile_input_never_raises(tmp_path: Path) -> None:
         rig._ground.write(rng.integers(0, 256, 300, dtype=np.uint8).tobytes())
         rig.rest(0.1)
     assert rig.ground.summary()["frames_received"] > 0
-    rig.link.close()
+    rig.close()
 
 
 def test_scan_map_ranges_match_a_set() -> None:

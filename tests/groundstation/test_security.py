@@ -6,9 +6,9 @@ import pytest
 
 from daq.contract.mavlink_codec import Frame, FrameDecoder, FrameEncoder
 from daq.contract.signing import (
+    Signer,
     SigningError,
     SigningState,
-    Signer,
     Verdict,
     load_key,
     load_state,

@@ -25,7 +25,9 @@ def small_card(tmp_path: Path) -> Iterator[Path]:
         pytest.skip("mounting a tmpfs needs root")
     card = tmp_path / "card"
     card.mkdir()
-    done = subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={SIZE_KB}k", "none", str(card)], check=False, capture_output=True)
+    done = subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", f"size={SIZE_KB}k", "none", str(card)], check=False, capture_output=True
+    )
     if done.returncode:
         pytest.skip(f"mounting a tmpfs is not permitted here: {done.stderr.decode().strip()}")
     yield card

@@ -5,7 +5,7 @@ prediction error weighted by R^-1, R from the residuals (relaxation). The Jacobi
 (autograd) times coefficients by parameters.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -80,26 +80,30 @@ class Frozen:
         return self.standard.z(stretch.z) - out.cpu().numpy(), np.einsum("koc,kcp->kop", d_c, d_theta)
 
 
+Predict = Callable[[Array], tuple[list[Array], list[Array]]]
+"""theta -> standardised residuals (M, out) and prediction slopes (M, out, n) of every stretch."""
+
+
 def fit_parameters(
-    frozen: Frozen,
-    stretches: Sequence[Stretch],
+    predict: Predict,
+    unknowns: int,
+    rows: Sequence[int],
     *,
     start: Array | None = None,
     multiplicity: Sequence[Array] | None = None,
-    smooth: bool = False,
     iterations: int = 40,
 ) -> FrozenFit:
     """Minimise the prediction error over theta with step halving; converged when no step is above 1e-6 of its size.
 
-    multiplicity: weight of each row of each stretch. smooth: compute the coefficients from the de-noised signals.
+    predict: residuals and slopes of every stretch; unknowns: size of theta; rows: of each stretch; multiplicity: weight
+    of each row of each stretch.
     """
-    theta = np.zeros(len(frozen.axis.parameters)) if start is None else start.copy()
-    counts = [np.ones(len(s.u)) for s in stretches] if multiplicity is None else list(multiplicity)
+    theta = np.zeros(unknowns) if start is None else start.copy()
+    counts = [np.ones(n) for n in rows] if multiplicity is None else list(multiplicity)
     total = sum(float(c.sum()) for c in counts)
 
     def look(t: Array) -> tuple[list[Array], list[Array], Array, float]:
-        both = [frozen.residual_and_slope(s, t, s.smooth if smooth else None) for s in stretches]
-        residuals, slopes = [r for r, _ in both], [s for _, s in both]
+        residuals, slopes = predict(t)
         R = variance(residuals, counts)
         return residuals, slopes, R, 0.5 * total * float(np.log(R).sum())
 
@@ -120,6 +124,37 @@ def fit_parameters(
         if np.all(np.abs(scale * step) < 1e-6 * (np.abs(theta) + 1e-3)):
             converged = True
             break
+    information, _ = normal_equations(slopes, slopes, residuals, counts, R)
+    return FrozenFit(theta, information, R, tuple(residuals), used, converged)
+
+
+def fit_with_instruments(
+    predict: Predict,
+    instrument: Predict,
+    rows: Sequence[int],
+    start: Array,
+    *,
+    multiplicity: Sequence[Array] | None = None,
+    iterations: int = 20,
+) -> FrozenFit:
+    """Root of sum of instrument' R^-1 residual, by Newton steps from `start` (instrumental variables).
+
+    instrument: predicted slopes computed from signals that do not share the noise of those in `predict`.
+    """
+    theta = start.copy()
+    counts = [np.ones(n) for n in rows] if multiplicity is None else list(multiplicity)
+    converged, used = False, 0
+    for used in range(1, iterations + 1):
+        residuals, slopes = predict(theta)
+        _, left = instrument(theta)
+        matrix, right = normal_equations(left, slopes, residuals, counts, variance(residuals, counts))
+        step = np.linalg.lstsq(matrix, right, rcond=1e-13)[0]
+        theta = theta + step
+        if np.all(np.abs(step) < 1e-6 * (np.abs(theta) + 1e-3)):
+            converged = True
+            break
+    residuals, slopes = predict(theta)
+    R = variance(residuals, counts)
     information, _ = normal_equations(slopes, slopes, residuals, counts, R)
     return FrozenFit(theta, information, R, tuple(residuals), used, converged)
 

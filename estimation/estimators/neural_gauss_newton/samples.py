@@ -10,6 +10,7 @@ mean(q) S b). The model's coefficients are averaged in the same way. Noise in th
 still make parameters too small; `instruments` is where that is dealt with, from signals de-noised without smearing edges.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -25,7 +26,7 @@ from groundstation.flight import Flight
 Array = NDArray[np.float64]
 Form = Literal["point", "interval"]
 
-SMOOTHING_WINDOW, SMOOTHING_ORDER = 7, 3
+SMOOTHING_WINDOW, SMOOTHING_ORDER = 5, 3
 INTERVAL_S = 0.2
 SHORTEST = 20  # samples in a stretch that is worth using
 
@@ -70,11 +71,15 @@ def window_mean(values: Array, steps: int) -> Array:
     return (total[steps:] - total[:-steps]) / steps
 
 
-def usable_columns(axis: Axis, flight: Flight) -> tuple[str, ...]:
-    """Columns of the axis that this flight has; MissingColumnError naming what it must have and has not."""
+def require_columns(axis: Axis, flight: Flight) -> None:
+    """MissingColumnError naming what the axis must have and the flight has not."""
     needed = [c for c in axis.columns if c not in axis.optional]
     flight.require(needed, f"Neural Gauss-Newton, {axis.name} axis")
-    return tuple(c for c in axis.columns if flight.measured(c))
+
+
+def missing_optional(axis: Axis, flights: Sequence[Flight]) -> tuple[str, ...]:
+    """Motion variables that the network has to do without, because some flight does not measure them."""
+    return tuple(c for c in axis.optional if not all(f.measured(c) for f in flights))
 
 
 def stretches(axis: Axis, flight: Flight, form: Form, motion: tuple[str, ...]) -> list[Stretch]:

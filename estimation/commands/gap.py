@@ -1,0 +1,112 @@
+"""`sideslip gap`: find where model and flight disagree, name the effect, add it, show the gap shrink."""
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+if TYPE_CHECKING:
+    from estimation.gap.result import GapResult
+
+EXAMPLE = "Example: sideslip gap f0.mcap f1.mcap f2.mcap --holdout f3.mcap --report out/ --json out/gap.json"
+
+
+class _ManyHoldouts(click.Command):
+    """Lets `--holdout` take several flights in a row, as the flights themselves do."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        spread: list[str] = []
+        before = holding = 0
+        for word in args:
+            if word == "--holdout":
+                holding = 1
+            elif word.startswith("-"):
+                holding = 0
+                spread.append(word)
+            elif holding and (holding == 1 or before):
+                spread += ["--holdout", word]
+                holding = 2
+            else:
+                spread.append(word)
+                before += 1
+        return super().parse_args(ctx, spread)
+
+
+@click.command(cls=_ManyHoldouts, epilog=EXAMPLE)
+@click.argument("flights", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="FLIGHT...")
+@click.option("--holdout", multiple=True, type=click.Path(path_type=Path), metavar="FLIGHT...",
+              help="Flights kept out of every fit, to confirm what is found; several may follow.")  # fmt: skip
+@click.option("--model", default="lateral", show_default=True, help="Base model: built-in name, MODEL.toml or module:Class.")
+@click.option("--aircraft", default="cdfp", show_default=True, help="Built-in aircraft or an AIRCRAFT.toml.")
+@click.option("--report", "report_folder", type=click.Path(path_type=Path), help="Write an HTML report and the models.")
+@click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write the answer as JSON.")
+@click.option("--seed", default=1, show_default=True, help="Of every random draw: same seed, same answer.")
+@click.option("--nulls", default=200, show_default=True, type=click.IntRange(min=20),
+              help="Simulated baselines from which every threshold comes.")  # fmt: skip
+@click.option("--effects", "effect_files", multiple=True, type=click.Path(path_type=Path),
+              help="A .toml or .py file with effects of your own; may be repeated.")  # fmt: skip
+def gap(
+    flights: tuple[Path, ...],
+    holdout: tuple[Path, ...],
+    model: str,
+    aircraft: str,
+    report_folder: Path | None,
+    json_path: Path | None,
+    seed: int,
+    nulls: int,
+    effect_files: tuple[Path, ...],
+) -> int:
+    """Find what the model of the FLIGHTs is missing, name it with what it may be confused with, and add it."""
+    from estimation.aircraft import load_aircraft
+    from estimation.gap.effects import catalogue
+    from estimation.gap.run import analyse
+    from estimation.gap.workflow import Options
+    from estimation.models.load import load_model
+    from groundstation.flight import read_flight
+
+    chosen = load_model(model, load_aircraft(aircraft))
+    training = [read_flight(path) for path in flights]
+    held = [read_flight(path) for path in holdout]
+    effects = catalogue(effect_files)
+    result = analyse(chosen, training, held, effects, Options(seed=seed, nulls=nulls), _Progress(), report_folder, json_path)
+    for line in lines(result):
+        click.echo(line)
+    if report_folder is not None:
+        from estimation.gap.report import write_gap_report
+
+        click.echo(f"report: {write_gap_report(result, report_folder)}")
+    return 0
+
+
+def lines(result: "GapResult") -> list[str]:
+    """What a person reads on the terminal."""
+    out = [f"verdict: {result.verdict.value}", result.text]
+    if result.steps:
+        out.append("")
+        out.append(f"{'effect':20s} {'score':>7s} {'threshold':>9s} {'weight':>7s}  {'gap before':>10s} {'after':>7s} {'floor':>7s} {'closed':>7s} {'held out':>9s}")
+    for s in result.steps:
+        held = "-" if s.holdout is None else f"{s.holdout.closed:.0%}"
+        out.append(
+            f"{s.effect:20s} {s.score:7.1f} {s.threshold:9.2f} {s.confidence:7.2f}  {s.gap.before:10.3f} {s.gap.after:7.3f} "
+            f"{s.gap.floor:7.3f} {s.gap.closed:7.0%} {held:>9s}"
+        )
+    if result.files[1]:
+        out.append(f"model: {result.files[0]} -> {result.files[1]}")
+    return out
+
+
+class _Progress:
+    """A line that is rewritten on a terminal, plain lines at every quarter in a log."""
+
+    def __init__(self) -> None:
+        self._quarter = -1
+
+    def __call__(self, what: str, share: float) -> None:
+        if sys.stderr.isatty():
+            filled = int(30 * share)
+            end = "\n" if share >= 1.0 else ""
+            click.echo(f"\r[{'#' * filled}{'.' * (30 - filled)}] {what:45s}{end}", err=True, nl=False)
+        elif int(4 * share) > self._quarter:
+            self._quarter = int(4 * share)
+            click.echo(f"{share:4.0%} {what}", err=True)

@@ -1,0 +1,147 @@
+"""Rows of one or several flights, and the unknowns that are shared or each flight's own.
+
+The network is one for all flights; the aerodynamic parameters are shared but for those that the model calls local.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from estimation.errors import EstimationError
+from estimation.estimators.neural_gauss_newton.axes import Axis
+from estimation.estimators.neural_gauss_newton.frozen import Standard
+from estimation.estimators.neural_gauss_newton.instruments import predicted_signals
+from estimation.estimators.neural_gauss_newton.samples import (
+    Form,
+    Stretch,
+    missing_optional,
+    require_columns,
+    stretches,
+)
+from estimation.models.base import Model
+from groundstation.flight import Flight
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+BLOCK_S = 1.5  # of the block bootstrap: longer than the residuals remember, a twentieth of a flight
+
+
+@dataclass(frozen=True)
+class Unknowns:
+    """Where each flight's parameters are among the unknowns.
+
+    names: of the unknowns, (n,), local ones as often as there are flights; base: (flights, axis parameters) values of
+    fixed parameters; index: (flights, axis parameters) place among the unknowns, -1 for fixed ones.
+    """
+
+    names: tuple[str, ...]
+    owner: tuple[int, ...]  # flight of each unknown, -1 for shared ones
+    base: Array
+    index: Index
+
+    @classmethod
+    def of(cls, model: Model, axis: Axis, flights: int) -> "Unknowns":
+        """Raises EstimationError where the model's parameters are not those of the axis."""
+        other = set(model.parameter_names) ^ set(axis.parameters)
+        if other:
+            raise EstimationError(
+                f"model {model.name}: Neural Gauss-Newton knows the built-in {axis.name} aerodynamics only, "
+                f"not {', '.join(sorted(other))}; use method ml"
+            )
+        names: list[str] = []
+        owner: list[int] = []
+        base, index = np.zeros((flights, len(axis.parameters))), np.full((flights, len(axis.parameters)), -1)
+        parameters = [model.parameter(n) for n in axis.parameters]
+        base[:] = [p.start if p.fixed else 0.0 for p in parameters]
+        for local in (False, True):
+            for j, p in enumerate(parameters):
+                if p.fixed or (p.local and flights > 1) != local:
+                    continue
+                for f in range(flights) if local else (-1,):
+                    index[f if local else slice(None), j] = len(names)
+                    names.append(p.name)
+                    owner.append(f)
+        return cls(tuple(names), tuple(owner), base, index)
+
+    @property
+    def size(self) -> int:
+        return len(self.names)
+
+    def of_flight(self, flight: int, values: Array) -> Array:
+        """(axis parameters,) values of one flight."""
+        index = self.index[flight]
+        return np.where(index >= 0, values[np.maximum(index, 0)], self.base[flight])
+
+    def scatter(self, flight: int, slopes: Array) -> Array:
+        """(M, out, axis parameters) derivatives of a flight as (M, out, n) by the unknowns."""
+        index = self.index[flight]
+        out = np.zeros((*slopes.shape[:2], self.size))
+        out[:, :, index[index >= 0]] = slopes[:, :, index >= 0]
+        return out
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Everything the network is trained on. flight: of each stretch; step: sample interval [s]; held_out, block: (M,)."""
+
+    axis: Axis
+    motion: tuple[str, ...]
+    stretches: tuple[Stretch, ...]
+    flight: tuple[int, ...]
+    step: float
+    standard: Standard
+    u: torch.Tensor
+    z: torch.Tensor
+    held_out: torch.Tensor
+    block: Index
+    notes: tuple[str, ...]
+
+    @classmethod
+    def build(cls, axis: Axis, flights: Sequence[Flight], form: Form, device: str = "cpu") -> "Rows":
+        """Raises MissingColumnError or DataError naming the flight that cannot be used."""
+        missing = missing_optional(axis, flights)
+        motion = tuple(c for c in axis.motion if c not in missing)
+        found: list[Stretch] = []
+        owner: list[int] = []
+        for i, flight in enumerate(flights):
+            require_columns(axis, flight)
+            own = stretches(axis, flight, form, motion)
+            found += own
+            owner += [i] * len(own)
+        standard = Standard.of(found)
+        u = torch.as_tensor(np.vstack([standard.u(s.u) for s in found]), device=device)
+        z = torch.as_tensor(np.vstack([standard.z(s.z) for s in found]), device=device)
+        step = float(np.median([f.sample_interval for f in flights]))
+        block = _blocks(found, step)
+        held = torch.as_tensor(block % 8 == 4, device=device)
+        notes = tuple(f"{c} is not measured: the network does without it" for c in missing)
+        return cls(axis, motion, tuple(found), tuple(owner), step, standard, u, z, held, block, notes)
+
+    def split(self, values: Array) -> list[Array]:
+        """(M, ...) values row by row, as one array for each stretch."""
+        return np.split(values, np.cumsum([len(s.u) for s in self.stretches])[:-1])
+
+    def resampled(self, rng: np.random.Generator) -> Array:
+        """(M,) how often each row is drawn, in whole blocks (Künsch 1989, Annals of Statistics 17, 1217-1241)."""
+        count = int(self.block[-1]) + 1
+        drawn = np.bincount(rng.integers(0, count, count), minlength=count)
+        return drawn[self.block].astype(float)
+
+    def instruments(self) -> list[dict[str, Array]]:
+        """Signals without the noise of the measured ones, for every stretch."""
+        return predicted_signals(self.axis, list(self.stretches), self.motion, self.step)
+
+
+def _blocks(found: Sequence[Stretch], step: float) -> Index:
+    """(M,) number of the block each row lies in; blocks never reach over the end of a stretch."""
+    length = max(2, round(BLOCK_S / step))
+    numbers, first = [], 0
+    for s in found:
+        count = max(1, round(len(s.u) / length))
+        numbers.append(first + np.minimum(np.arange(len(s.u)) * count // len(s.u), count - 1))
+        first += count
+    return np.concatenate(numbers)

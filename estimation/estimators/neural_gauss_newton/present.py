@@ -1,0 +1,131 @@
+"""A Neural Gauss-Newton solution as the Result that all methods share.
+
+The histories are the model's, simulated with the estimates like those of every other method: one-step predictions of a
+network follow any flight and say nothing about the parameters. They are in `extra` as prediction errors.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimation.engine.data import FlightData
+from estimation.engine.simulate import simulate
+from estimation.estimators.gauss_newton import Status
+from estimation.estimators.neural_gauss_newton.formulation import Rows, Unknowns
+from estimation.estimators.output_error import compared, prepared
+from estimation.estimators.result import Estimate, FlightFit, Result
+from estimation.estimators.uncertainty import estimates
+from estimation.models.base import Model
+from estimation.validation import fits
+from groundstation.flight import Flight
+
+if TYPE_CHECKING:
+    from estimation.estimators.neural_gauss_newton.estimate import Solution
+
+Array = NDArray[np.float64]
+
+
+def describe(
+    model: Model,
+    flights: Sequence[Flight],
+    rows: Rows,
+    unknowns: Unknowns,
+    solution: "Solution",
+    settings: dict[str, object],
+    improved: bool,
+) -> Result:
+    """Estimates with bounds and verdicts, simulated histories, and the training record in `extra`."""
+    model, data = compared(model, prepared(model, flights))
+    shared = [i for i, f in enumerate(unknowns.owner) if f < 0]
+    names = tuple(unknowns.names[i] for i in shared)
+    pick = np.ix_(shared, shared)
+    found, pairs = _estimates(model, names, solution, np.array(shared, int), data)
+    fitted = tuple(_flight(model, d, i, unknowns, solution, rows.notes) for i, d in enumerate(data))
+    found |= _mean_of_locals(fitted)
+    ordered = {n: found[n] for n in model.free_names if n in found}
+    status, text = _status(solution, ordered)
+    residuals = np.concatenate([f.residuals for f in fitted])
+    known = np.isfinite(residuals)
+    squares = np.where(known, residuals, 0.0) ** 2
+    R = np.diag(squares.sum(axis=0) / np.maximum(known.sum(axis=0), 1))
+    cost = float(np.mean([0.5 * rows.u.shape[0] * np.log(f.R).sum() for f in solution.fits]))
+    return Result(
+        model, "ngn-improved" if improved else "ngn", status, text, max(f.iterations for f in solution.fits),
+        sum(f.iterations for f in solution.fits), cost, R, names, ordered, solution.bound[pick], solution.spread[pick],
+        pairs, fitted, "torch", {**settings, **_record(rows, unknowns, solution)},
+    )  # fmt: skip
+
+
+def _status(solution: "Solution", found: dict[str, Estimate]) -> tuple[Status, str]:
+    if not np.all(np.isfinite(solution.theta)):
+        return Status.DIVERGED, Status.DIVERGED.value
+    if not all(f.converged for f in solution.fits):
+        return Status.LIMIT, Status.LIMIT.value
+    blind = [n for n, e in found.items() if not e.identifiable]
+    status = Status.NOT_IDENTIFIABLE if blind else Status.CONVERGED
+    return status, status.value + (f": {', '.join(blind)}" if blind else "")
+
+
+def _estimates(
+    model: Model, names: tuple[str, ...], solution: "Solution", where: NDArray[np.int64], data: list[FlightData]
+) -> tuple[dict[str, Estimate], tuple[tuple[str, str, float], ...]]:
+    pick = np.ix_(where, where)
+    blind = np.diag(solution.bound)[where] <= 0.0
+    return estimates(model, names, solution.theta[where], solution.bound[pick], solution.spread[pick], blind, data)
+
+
+def _flight(
+    model: Model, data: FlightData, index: int, unknowns: Unknowns, solution: "Solution", notes: tuple[str, ...]
+) -> FlightFit:
+    own = np.array([i for i, f in enumerate(unknowns.owner) if f == index], int)
+    names = tuple(unknowns.names[i] for i in own)
+    local = _estimates(model, names, solution, own, [data])[0] if own.size else {}
+    values = {n: float(v) for i, (n, v) in enumerate(zip(unknowns.names, solution.theta, strict=True))
+              if unknowns.owner[i] in (-1, index)}  # fmt: skip
+    predicted = simulate(model, data, values)
+    time = np.full(data.samples, np.nan)
+    measured = np.full_like(predicted, np.nan)
+    for s in data.segments:
+        time[s.first : s.first + len(s)], measured[s.first : s.first + len(s)] = s.time, s.z
+    fit = fits(model.output_names, measured, predicted)
+    states = tuple(s.x0 for s in data.segments)
+    return FlightFit(
+        data.name, data.samples, time, measured, predicted, measured - predicted, states, local, fit,
+        (*data.notes, *notes),
+    )  # fmt: skip
+
+
+def _mean_of_locals(flights: tuple[FlightFit, ...]) -> dict[str, Estimate]:
+    """One line per local parameter for the joint table: mean over flights, and the bound of that mean."""
+    result = {}
+    for name in flights[0].local:
+        each = [f.local[name] for f in flights]
+        std, wide = (float(np.sqrt(np.sum(np.square(v)))) / len(each)
+                     for v in ([e.std for e in each], [e.std_coloured for e in each]))  # fmt: skip
+        mean = float(np.mean([e.estimate for e in each]))
+        result[name] = replace(each[0], estimate=mean, std=std, std_coloured=wide, identifiable=True, why="")
+    return result
+
+
+def _record(rows: Rows, unknowns: Unknowns, solution: "Solution") -> dict[str, Any]:
+    """How training went, and where the spread comes from."""
+
+    def spread(values: Array) -> dict[str, float]:
+        if len(values) < 2:
+            return {}
+        return dict(zip(unknowns.names, np.std(values, axis=0, ddof=1).tolist(), strict=True))
+
+    outputs = [*rows.motion, *rows.axis.accelerations]
+    rms = np.sqrt(np.mean([f.R for f in solution.fits], axis=0))
+    return {
+        "record": [
+            {"training_error": t.training_error, "validation_error": t.validation_error, "iterations": t.iterations}
+            for t in solution.trained
+        ],
+        "prediction_rms_standardised": dict(zip(outputs, rms.tolist(), strict=True)),
+        "ensemble_spread": spread(solution.members),
+        "bootstrap_spread": spread(solution.bootstrap),
+    }

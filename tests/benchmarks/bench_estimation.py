@@ -1,0 +1,131 @@
+"""Speed and memory of the estimation engine, on the project's own code. Run: make bench, or python -m tests.benchmarks.bench_estimation.
+
+Prints one table: first and warm fit with and without a compiler against scipy least_squares over a Runge-Kutta loop on
+the same flight, then cost against samples, parameters and flights. Times are of this machine, now.
+"""
+
+import resource
+import time
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from estimation.engine.data import FlightData, prepare
+from estimation.engine.simulate import Compile, simulate_with_sensitivities
+from estimation.estimators.output_error import OutputErrorOptions, output_error
+from estimation.models import load_model
+from tests.estimation.truth import NOISE, STRONG, Case, fly
+
+MODEL = load_model("lateral-simple")
+
+
+def timed(work: Callable[[], object], repeats: int = 3) -> float:
+    """Least wall time of some runs [s]."""
+    best = np.inf
+    for _ in range(repeats):
+        begin = time.perf_counter()
+        work()
+        best = min(best, time.perf_counter() - begin)
+    return best
+
+
+def fit(data: list[FlightData], compile_: Compile) -> object:
+    options = OutputErrorOptions(compile_=compile_, improve_start=False)
+    return output_error(MODEL.with_local("CY_0", "Cl_0", "Cn_0"), data, options=options)
+
+
+def scipy_fit(data: FlightData) -> tuple[dict[str, float], float]:
+    """What one writes first: least_squares with finite differences over a Runge-Kutta loop in numpy."""
+    segment = data.segments[0]
+    u, z, t = segment.u, segment.z, segment.time
+    c, names = MODEL.constants, MODEL.parameter_names
+    b, S, m, g = c["b"], c["S"], c["m"], c["g"]
+    inertia = c["Ixx"] * c["Izz"] - c["Ixz"] ** 2
+    noise = np.array([NOISE[n] for n in MODEL.output_names])
+
+    def rates(x: np.ndarray, w: np.ndarray, v: list[float]) -> tuple[np.ndarray, float]:
+        (Y0, Yb, Yp, Yr, Ydr, L0, Lb, Lp, Lr, Lda, Ldr, N0, Nb, Np, Nr, Ndr) = v
+        (da, dr, V, rho), (beta, p, r, phi) = w, x
+        q, ph, rh = 0.5 * rho * V * V, p * b / (2 * V), r * b / (2 * V)
+        CY = Y0 + Yb * beta + Yp * ph + Yr * rh + Ydr * dr
+        Cl = L0 + Lb * beta + Lp * ph + Lr * rh + Lda * da + Ldr * dr
+        Cn = N0 + Nb * beta + Np * ph + Nr * rh + Ndr * dr
+        k = q * S * b / inertia
+        x_dot = (-r + g / V * np.sin(phi) + rho * V * S / (2 * m) * CY, k * (c["Izz"] * Cl + c["Ixz"] * Cn),
+                 k * (c["Ixx"] * Cn + c["Ixz"] * Cl), p)  # fmt: skip
+        return np.array(x_dot), q * S / m * CY
+
+    def misfit(theta: np.ndarray) -> np.ndarray:
+        v, x = theta[:16].tolist(), theta[16:]
+        y = np.empty_like(z)
+        for k in range(len(t)):
+            y[k, :4], y[k, 4] = x, rates(x, u[k], v)[1]
+            if k + 1 == len(t):
+                break
+            h = (t[k + 1] - t[k]) / 2
+            for j in range(2):
+                ua, ub = (u[k] + f * (u[k + 1] - u[k]) for f in (j / 2, (j + 1) / 2))
+                um = 0.5 * (ua + ub)
+                k1 = rates(x, ua, v)[0]
+                k2 = rates(x + h / 2 * k1, um, v)[0]
+                k3 = rates(x + h / 2 * k2, um, v)[0]
+                k4 = rates(x + h * k3, ub, v)[0]
+                x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+        return ((z - y) / noise).ravel()
+
+    start = np.concatenate([[MODEL.starts()[n] for n in names], segment.x0])
+    begin = time.perf_counter()
+    found = least_squares(misfit, start, x_scale=np.maximum(np.abs(start), 1e-3))
+    return dict(zip(names, found.x.tolist(), strict=False)), time.perf_counter() - begin
+
+
+def peak_mb() -> float:
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
+def main() -> None:
+    rng = np.random.default_rng(1)
+    flight = fly(Case(noise=NOISE, servo=None), rng)[0][0]
+    data = prepare(MODEL, flight)
+    prepare_time = timed(lambda: prepare(MODEL, flight))
+    sigma = {n: NOISE[n] for n in MODEL.output_names}
+
+    begin = time.perf_counter()
+    fit([data], "never")
+    first = time.perf_counter() - begin
+    own = output_error(MODEL, data, options=OutputErrorOptions(sigma=sigma, compile_="never"))
+    slow, seconds = scipy_fit(data)
+    off = max(abs(own.values[n] - slow[n]) / own.std[n] for n in STRONG)
+    options = OutputErrorOptions(sigma=sigma, compile_="never", improve_start=False)
+    virtual = timed(lambda: output_error(MODEL, data, options=options))
+    fast = timed(lambda: output_error(MODEL, data, options=replace(options, compile_="always")))
+    print(f"preparing one 601-sample flight (de-noising)   {prepare_time:8.3f} s")
+    print(f"first fit of the process, no compiler          {first:8.3f} s")
+    print(f"warm fit with both bounds, no compiler         {virtual:8.3f} s")
+    print(f"warm fit with both bounds, compiled            {fast:8.3f} s")
+    print(f"scipy least_squares + Runge-Kutta loop         {seconds:8.3f} s, {seconds / virtual:.0f} times slower than")
+    print(f"  the virtual machine; answers differ by {off:.3f} of a bound at most")
+    for label, kind in (("no compiler", "never"), ("compiled", "always")):
+        ms = 1e3 * timed(lambda kind=kind: simulate_with_sensitivities(MODEL, data, compile_=kind))  # type: ignore[misc]
+        print(f"one cost + Jacobian, 601 samples, {label:12} {ms:8.2f} ms")
+    print("\nsamples, compiled fit")
+    for copies in (1, 4, 16):
+        long = replace(data, segments=tuple(replace(s) for s in data.segments * copies), samples=601 * copies)
+        print(f"{601 * copies:8d} {timed(lambda long=long: fit([long], 'always'), 1):8.3f} s")  # type: ignore[misc]
+    print("\nfree parameters, one cost + Jacobian, compiled")
+    for count in (4, 8, 16):
+        names = MODEL.parameter_names[:count]
+        ms = 1e3 * timed(lambda n=names: simulate_with_sensitivities(MODEL, data, free=n, compile_="always"))  # type: ignore[misc]
+        print(f"{count:8d} {ms:8.2f} ms")
+    print("\nflights together (own trims and initial states each)")
+    flights = [prepare(MODEL, f) for f in fly(Case(noise=NOISE, servo=None), rng, 100)[0]]
+    for count in (4, 25, 100):
+        print(f"{count:8d} {timed(lambda n=count: fit(flights[:n], 'always'), 1):8.3f} s compiled")  # type: ignore[misc]
+    print(f"{100:8d} {timed(lambda: fit(flights, 'never'), 1):8.3f} s without a compiler")
+    print(f"peak memory {peak_mb():.0f} MB")
+
+
+if __name__ == "__main__":
+    main()

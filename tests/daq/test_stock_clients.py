@@ -1,0 +1,150 @@
+"""A stock pymavlink client sees the aircraft and fetches a recording over loopback, knowing nothing of this project."""
+
+import os
+import socket
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from daq.clock import SimulatedClock
+from daq.contract.ports import UdpPort
+from daq.downlink_config import DownlinkConfig
+from daq.link import RadioLink, radio_link
+from tests.link_rig import PERIOD_NS, START_UTC_NS, FakeLogger, quiet_scan
+
+
+def free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+class Session:
+    """An aircraft sending to a stock client, in simulated time."""
+
+    def __init__(self, folder: Path) -> None:
+        os.environ["MAVLINK20"] = "1"
+        from pymavlink import mavutil
+
+        number = free_port()
+        self.client: Any = mavutil.mavlink_connection(f"udpin:127.0.0.1:{number}", source_system=255)
+        self.clock = SimulatedClock(START_UTC_NS)
+        self.logger = FakeLogger()
+        port = UdpPort(remote=("127.0.0.1", number))
+        config = DownlinkConfig(budget_bytes_per_s=60_000)
+        self.link: RadioLink = radio_link(config, port, self.clock, recordings=(folder,), boot=3)
+        self._rng = np.random.default_rng(2)
+        self._number = 0
+
+    def step(self) -> list[Any]:
+        """One scan; what the client then has."""
+        self.clock.advance(PERIOD_NS)
+        now = self.clock.monotonic_ns()
+        self.link.offer(quiet_scan(self._number, self._rng, time_ns=now))
+        self._number += 1
+        self.link.uplink.service(now, self.logger)
+        self.link.service(now)
+        out = []
+        while (message := self.client.recv_match()) is not None:
+            out.append(message)
+        return out
+
+    def until(self, kind: str, steps: int = 400) -> Any:
+        """Step until a message of a kind comes."""
+        for _ in range(steps):
+            for message in self.step():
+                if message.get_type() == kind:
+                    return message
+            time.sleep(0.001)  # files are read by a thread of the server
+        raise AssertionError(f"no {kind} in {steps} scans")
+
+    def collect(self, kind: str, count: int) -> list[Any]:
+        """Step until so many messages of a kind have come."""
+        found: list[Any] = []
+        for _ in range(400):
+            found += [m for m in self.step() if m.get_type() == kind]
+            if len(found) >= count:
+                return found
+            time.sleep(0.001)
+        raise AssertionError(f"{len(found)} {kind}, not {count}")
+
+    def close(self) -> None:
+        self.link.close()
+        self.client.close()
+
+
+@pytest.fixture
+def session(tmp_path: Path) -> Iterator[Session]:
+    made = Session(tmp_path)
+    yield made
+    made.close()
+
+
+def test_heartbeat_attitude_gps_and_texts(session: Session) -> None:
+    beat = session.until("HEARTBEAT")
+    assert (beat.get_srcSystem(), beat.type, beat.system_status) == (1, 1, 3)
+    attitude = session.until("ATTITUDE")
+    assert (attitude.roll, attitude.pitch, attitude.yaw) == pytest.approx((0, 0, 0), abs=1e-6)
+    gps = session.until("GPS_RAW_INT")
+    assert (gps.lat, gps.lon, gps.alt, gps.fix_type) == (473977420, 85455940, 488000, 3)
+    status = session.until("SYS_STATUS")
+    assert status.onboard_control_sensors_present & 32
+    session.link.text(4, "low airspeed")
+    text = session.until("STATUSTEXT")
+    assert (text.severity, text.text) == (4, "low airspeed")
+
+
+def test_stock_client_downloads_a_recording(session: Session, tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    content = rng.integers(0, 256, 20_000, dtype=np.uint8).tobytes()
+    (tmp_path / "session_000.mcap").write_bytes(b"older")
+    (tmp_path / "session_001.mcap").write_bytes(content)
+    session.until("HEARTBEAT")
+    session.client.mav.log_request_list_send(1, 1, 0, 0xFFFF)
+    entries = session.collect("LOG_ENTRY", 2)
+    assert [(e.id, e.num_logs, e.size) for e in entries] == [(1, 2, 5), (2, 2, 20_000)]
+    session.client.mav.log_request_data_send(1, 1, 2, 0, 0xFFFFFFFF)
+    got = bytearray(len(content))
+    seen = 0
+    for _ in range(2000):
+        for message in session.step():
+            if message.get_type() == "LOG_DATA":
+                got[message.ofs : message.ofs + message.count] = bytes(message.data[: message.count])
+                seen += message.count
+        if seen >= len(content):
+            break
+        time.sleep(0.001)
+    assert bytes(got) == content
+
+
+def test_stock_client_asks_for_one_piece_again(session: Session, tmp_path: Path) -> None:
+    (tmp_path / "a.mcap").write_bytes(bytes(range(200)))
+    session.until("HEARTBEAT")
+    session.client.mav.log_request_list_send(1, 1, 0, 0xFFFF)
+    session.until("LOG_ENTRY")
+    session.client.mav.log_request_data_send(1, 1, 1, 90, 90)
+    piece = session.until("LOG_DATA")
+    assert (piece.ofs, piece.count, bytes(piece.data)) == (90, 90, bytes(range(90, 180)))
+    session.client.mav.log_request_data_send(1, 1, 77, 0, 90)
+    end = session.until("LOG_DATA")
+    assert (end.id, end.count) == (77, 0)
+    session.client.mav.log_erase_send(1, 1)
+    assert "refused" in session.until("STATUSTEXT").text
+    assert (tmp_path / "a.mcap").exists()
+
+
+def test_stock_commands_are_acknowledged(session: Session) -> None:
+    from pymavlink import mavutil
+
+    m = mavutil.mavlink
+    session.until("HEARTBEAT")
+    session.client.mav.command_long_send(1, 1, m.MAV_CMD_LOGGING_STOP, 0, 0, 0, 0, 0, 0, 0, 0)
+    ack = session.until("COMMAND_ACK")
+    assert (ack.command, ack.result) == (m.MAV_CMD_LOGGING_STOP, m.MAV_RESULT_ACCEPTED)
+    assert session.logger.stops == 1
+    session.client.mav.command_long_send(1, 1, m.MAV_CMD_REQUEST_MESSAGE, 0, 148, 0, 0, 0, 0, 0, 0)
+    assert session.until("COMMAND_ACK").result == m.MAV_RESULT_UNSUPPORTED

@@ -1,0 +1,103 @@
+"""Makes everything under recordings/: `python -m tests.make_recordings`. The same code and seeds give the same flights.
+
+Two kinds. `cdfp_ld1..4`: raw and calibrated flights in the manner of the published UFP_LD1..4, with the instrument
+factors that were put in. `gap/<letter>_0..3.mcap`: sets of three flights to learn from and one to hold out, of an
+aircraft that may hide something; what, stands in `gap/key.json`, which only scoring reads.
+"""
+
+import hashlib
+import json
+import shutil
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import sideslip
+from firmware_sim.campaign import Campaign
+from firmware_sim.scenario import Scenario, load_scenario
+from firmware_sim.simulation import derivatives_of
+
+FOLDER = Path(__file__).resolve().parent.parent / "recordings"
+PAPER_FLIGHTS = ("cdfp_ld1", "cdfp_ld2", "cdfp_ld3", "cdfp_ld4")
+SETS: dict[str, Campaign] = {
+    "a": Campaign(hidden=(("vane_friction", 1.0),), seed=71),
+    "b": Campaign(hidden=(), seed=72),
+    "c": Campaign(hidden=(("Cn_da", 1.0),), seed=73),
+    "d": Campaign(hidden=(("beta_lag", 1.0),), seed=74),
+    "e": Campaign(hidden=(("Cl_alpha_beta", 1.0), ("rudder_delay", 1.0)), seed=75),
+}
+
+
+def digest(path: Path) -> str:
+    """SHA-256 of a file."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def planted(scenario: Scenario) -> dict[str, Any]:
+    """The instrument factors of a scenario, as its file has them."""
+    return scenario.model_dump(exclude_defaults=True, mode="json").get("sensors", {})
+
+
+def paper_flights(scratch: Path) -> list[dict[str, Any]]:
+    """Fly the four and copy raw and calibrated recordings."""
+    rows = []
+    for name in PAPER_FLIGHTS:
+        scenario = load_scenario(name)
+        flown = sideslip.fly_scenario(scenario, scratch / name, backfill=False)
+        raw = sorted((scratch / name / "onboard").glob("*.mcap"))
+        assert len(raw) == 1, raw
+        shutil.copyfile(raw[0], FOLDER / f"{name}_raw.mcap")
+        shutil.copyfile(flown.onboard, FOLDER / f"{name}.mcap")
+        rows.append(
+            {
+                "name": name,
+                "raw": f"{name}_raw.mcap",
+                "flight": f"{name}.mcap",
+                "sha256": {f: digest(FOLDER / f) for f in (f"{name}_raw.mcap", f"{name}.mcap")},
+                "source": "simulated",
+                "made_by": f"sideslip fly {name}",
+                "seed": scenario.flight.seed,
+                "derivatives": derivatives_of(scenario, scenario.flight.seed),
+                "planted": planted(scenario),
+            }
+        )
+    return rows
+
+
+def gap_sets(scratch: Path) -> tuple[list[dict[str, Any]], dict[str, Any]]:
+    """Fly the sets; the manifest does not tell what the key tells."""
+    rows, key = [], {}
+    (FOLDER / "gap").mkdir(parents=True, exist_ok=True)
+    for letter, campaign in SETS.items():
+        plan = campaign.scenarios()
+        for number, (scenario, seed) in enumerate(plan):
+            flown = sideslip.fly_scenario(scenario, scratch / f"{letter}{number}", seed=seed, backfill=False)
+            target = FOLDER / "gap" / f"{letter}_{number}.mcap"
+            shutil.copyfile(flown.onboard, target)
+            rows.append({"name": f"gap/{letter}_{number}", "flight": f"gap/{target.name}", "sha256": digest(target),
+                         "source": "simulated", "seed": seed})  # fmt: skip
+        first, seed = plan[0]
+        key[letter] = {"hidden": [list(h) for h in campaign.hidden], "derivatives": derivatives_of(first, seed)}
+    return rows, key
+
+
+def main() -> None:
+    """Remove what is there and make it anew."""
+    for old in FOLDER.rglob("*.mcap"):
+        old.unlink()
+    FOLDER.mkdir(exist_ok=True)
+    with tempfile.TemporaryDirectory() as folder:
+        scratch = Path(folder)
+        rows = paper_flights(scratch)
+        more, key = gap_sets(scratch)
+    manifest = {
+        "about": "Simulated flights through the simulated sensor bus, the real logger and calibration.",
+        "made_by": "python -m tests.make_recordings",
+        "recordings": rows + more,
+    }
+    (FOLDER / "manifest.json").write_text(json.dumps(manifest, indent=1) + "\n", encoding="utf-8")
+    (FOLDER / "gap" / "key.json").write_text(json.dumps(key, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
