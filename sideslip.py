@@ -36,7 +36,7 @@ VERBS: dict[str, Verb] = {
     "fly": Verb("sideslip", "fly", "One simulated flight through the real logger, radio link and ground station."),
     "record": Verb("daq.commands", "record", "The onboard logger, on hardware."),
     "preflight": Verb("daq.commands", "preflight", "The logger's go/no-go table."),
-    "info": Verb("daq.commands", "info", "What is in a recording."),
+    "info": Verb("sideslip", "info", "What is in a recording, flight or telemetry log."),
     "verify": Verb("daq.commands", "verify", "Integrity and scan accounting of a recording."),
     "recover": Verb("daq.commands", "recover", "Salvage a damaged recording."),
     "ground": Verb("groundstation.commands", "ground", "Receive, decode, calibrate, view live, record, hand over."),
@@ -118,6 +118,59 @@ def main(argv: list[str] | None = None) -> None:
     except BrokenPipeError:
         sys.exit(0)
     sys.exit(status if isinstance(status, int) else 0)
+
+
+@click.command(epilog="Example: sideslip info recordings/cdfp_ld1_raw.mcap --json info.json")
+@click.argument("file", type=click.Path(path_type=Path))
+@click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write the same as JSON.")
+@click.pass_context
+def info(ctx: click.Context, file: Path, json_path: Path | None) -> int:
+    """What is in FILE: a raw recording, the directory of its segments, a flight, or a .tlog."""
+    if file.suffix not in (".tlog", ".csv", ".parquet"):
+        from daq.commands import info as recording_info
+
+        ctx.invoke(recording_info, recording=file, json_path=json_path)
+        return 0
+    if file.suffix == ".tlog":
+        from groundstation.tlog import info_tlog
+
+        found = info_tlog(file)
+    else:
+        found = _flight_info(file)
+    click.echo(f"{file}: {found['kind']}, {found['source']}, {found['scans']} scans in {found['duration_s']:.2f} s, "
+               f"{found['rate_hz']:.2f} Hz")  # fmt: skip
+    for channel in found["channels"]:
+        click.echo(f"  {channel['name']:<24} {channel['unit'] or '-':<6} {channel['samples']:>8} samples")
+    if json_path is not None:
+        json_path.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+    return 0
+
+
+def _flight_info(file: Path) -> dict[str, Any]:
+    import numpy as np
+
+    from daq.contract.channels import COLUMN_BY_NAME
+    from groundstation.flight import read_flight
+
+    flight = read_flight(file)
+    units = {n: c.unit for n, c in COLUMN_BY_NAME.items()}
+    columns = [
+        {"name": n, "unit": units.get(n, ""), "samples": int(np.isfinite(v).sum())} for n, v in flight.columns.items()
+    ]
+    return {
+        "file": str(file),
+        "kind": "flight",
+        "source": flight.provenance.source,
+        "aircraft": flight.provenance.aircraft,
+        "duration_s": float(flight.time[-1] - flight.time[0]),
+        "rate_hz": 1.0 / flight.sample_interval,
+        "scans": len(flight),
+        "first_scan": None,
+        "last_scan": None,
+        "channels": columns,
+        "software": flight.provenance.software,
+        "notes": list(flight.notes),
+    }
 
 
 # -------------------------------------------------------------------------------------------------- simulated flights
@@ -228,7 +281,7 @@ def fly(
     try:
         with Bar(f"flying {chosen.name}") as bar:
             flown = fly_scenario(
-                chosen, folder, seed=seed, speed=pace, backfill=not no_backfill, live=view and view.make, tell=bar
+                chosen, folder, seed=seed, speed=pace, backfill=not no_backfill, live=view.make if view else None, tell=bar
             )
     finally:
         if view is not None:

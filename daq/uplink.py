@@ -117,7 +117,10 @@ class Uplink:
             self._worker.shutdown(wait=True)
             self._worker = None
         if self._signer is not None:
-            self._signer.save()
+            try:
+                self._signer.save()
+            except OSError as error:
+                _LOG.error("signing timestamps not saved: %s", error)
         if self._logs is not None:
             self._logs.close()
 

@@ -6,11 +6,12 @@ All methods may be called from any thread.
 """
 
 import threading
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from daq.contract.mavlink_codec import RADIO_STATUS_ID, Frame, FrameDecoder, FrameEncoder
+from daq.contract.mavlink_codec import RADIO_STATUS_ID, Frame, FrameDecoder, FrameEncoder, Junk
 from daq.contract.ports import BytePort
 from daq.contract.scan_map import BLOCK
 from groundstation import events as ev
@@ -23,6 +24,7 @@ from groundstation.link_quality import RateMeter
 from groundstation.loglist import LogFetcher
 from groundstation.recording import SessionRecorder
 from groundstation.security import Gate, make_signer
+from groundstation.summary import counters
 from groundstation.timeline import NS, Clock
 from groundstation.tlog import TlogWriter
 
@@ -78,7 +80,7 @@ class Receiver:
         self._next_report_ns = 0
         self._next_save_ns = 0
         self._bytes_sent = 0
-        self._port_faults: dict[str, str] = {}
+        self._faults: dict[str, str] = {}
         self._written: list[Path] = []
         self._put_away_paths: list[Path] = []
         self._closed = False
@@ -116,16 +118,16 @@ class Receiver:
         try:
             found = receive(port)
         except OSError as error:
-            self._port_faults[name] = error.strerror or str(error)
+            self._faults[name] = error.strerror or str(error)
             return []
-        self._port_faults.pop(name, None)
+        self._faults.pop(name, None)
         return found
 
     @property
     def port_faults(self) -> dict[str, str]:
-        """Ports that fail at present, with the system's words for it."""
+        """Ports, and files of the ground station, that fail at present, with the system's words for it."""
         with self._lock:
-            return dict(self._port_faults)
+            return dict(self._faults)
 
     def _take_bytes(
         self, name: str, source: str, port: BytePort, data: bytes, now: int, utc: int, out: list[ev.Event]
@@ -136,16 +138,29 @@ class Receiver:
                 self._retire(next(iter(self._decoders)), utc)
             self._decoders[key] = FrameDecoder()
         for found in self._decoders[key].feed(data):
-            if self._tlog is not None:
-                self._tlog.write(found, utc)
+            self._log(found, utc)
             if isinstance(found, Frame):
                 self._take_frame(found, port, now, utc, out)
+
+    def _log(self, found: Frame | Junk, utc: int) -> None:
+        if self._tlog is not None:
+            with self._disk("telemetry log"):
+                self._tlog.write(found, utc)
+
+    @contextmanager
+    def _disk(self, what: str) -> Iterator[None]:
+        """A full or failing disk must not end reception: it is a fault that is shown until it is over."""
+        try:
+            yield
+        except OSError as error:
+            self._faults[what] = error.strerror or str(error)
+        else:
+            self._faults.pop(what, None)
 
     def _retire(self, key: tuple[str, str], utc: int) -> None:
         decoder = self._decoders.pop(key)
         for found in decoder.finish():
-            if self._tlog is not None:
-                self._tlog.write(found, utc)
+            self._log(found, utc)
         c = decoder.counts
         for i, n in enumerate((c.received_bytes, c.frames, c.damaged, c.discarded_bytes)):
             self._retired[i] += n
@@ -189,10 +204,11 @@ class Receiver:
                 f = frame.fields()
                 books = aircraft.decoder.books
                 if books is not None and f["boot"] == books.session.boot:
-                    if frame.name == "BACKFILL_DATA":
-                        aircraft.backfill.take_data(f, now)
-                    else:
-                        aircraft.backfill.take_summary(f)
+                    with self._disk("recording"):
+                        if frame.name == "BACKFILL_DATA":
+                            aircraft.backfill.take_data(f, now)
+                        else:
+                            aircraft.backfill.take_summary(f)
             case "LOG_ENTRY" | "LOG_DATA":
                 aircraft.logs.take(frame.name, frame.fields(), now)
 
@@ -201,12 +217,13 @@ class Receiver:
         if self._folder is None:
             return
         for event in out:
-            if isinstance(event, ev.Restarted):
-                self._begin(event.session)
-            elif isinstance(event, ev.ScanReceived):
-                self._recorder(event.session).scan(event)
-            elif isinstance(event, ev.EventMarked):
-                self._recorder(event.session).event(event)
+            with self._disk("recording"):
+                if isinstance(event, ev.Restarted):
+                    self._begin(event.session)
+                elif isinstance(event, ev.ScanReceived):
+                    self._recorder(event.session).scan(event)
+                elif isinstance(event, ev.EventMarked):
+                    self._recorder(event.session).event(event)
 
     def _begin(self, session: ev.Session) -> None:
         aircraft = self._aircraft[session.system]
@@ -240,7 +257,8 @@ class Receiver:
             self._report(now, out)
         if self._gate.signer is not None and now >= self._next_save_ns and self._gate.signer.needs_saving():
             self._next_save_ns = now + _SAVE_NS
-            self._gate.signer.save()
+            with self._disk("signing state"):
+                self._gate.signer.save()
         if not self.config.transmit:
             return
         if now >= self._next_heartbeat_ns:
@@ -296,7 +314,7 @@ class Receiver:
                 taken += more
         except OSError as error:
             name = next((n for n, p in self._ports.items() if p is port), "?")
-            self._port_faults[name] = error.strerror or str(error)
+            self._faults[name] = error.strerror or str(error)
             return
         self._bytes_sent += taken
 
@@ -308,12 +326,14 @@ class Receiver:
             out.append(report)
             recorder = aircraft.recorders.get(report.session)
             if recorder is not None:
-                recorder.link(report)
+                with self._disk("recording"):
+                    recorder.link(report)
             progress = aircraft.backfill.progress(now) if aircraft.backfill is not None else None
             if progress is not None:
                 out.append(progress)
         if self._tlog is not None:
-            self._tlog.flush()
+            with self._disk("telemetry log"):
+                self._tlog.flush()
 
     # ------------------------------------------------------------------------------------------ for the owner
 
@@ -361,29 +381,13 @@ class Receiver:
     def summary(self) -> dict[str, Any]:
         """Counters as `ground --json` gives them; `flight` is the largest session's recording."""
         with self._lock:
-            books = self.accounting()
-            main = max(books, key=lambda a: a.received, default=None)
             totals = list(self._retired)
             for decoder in self._decoders.values():
                 c = decoder.counts
                 for i, n in enumerate((c.received_bytes, c.frames, c.damaged, c.discarded_bytes)):
                     totals[i] += n
             trackers = [t for a in self._aircraft.values() for t in a.decoder.trackers.values()]
-            return {
-                "frames_received": totals[1],
-                "frames_damaged": totals[2],
-                "frames_lost": sum(t.lost for t in trackers),
-                "duplicates": sum(t.duplicates for t in trackers),
-                "scans_received": sum(a.received for a in books),
-                "scans_lost": [] if main is None else [list(r) for r in main.lost],
-                "scans_missing": [] if main is None else [list(r) for r in main.missing],
-                "bytes_received": totals[0],
-                "bytes_discarded": totals[3],
-                "unsigned_rejected": self._gate.rejected,
-                "backfilled": sum(a.backfilled for a in books),
-                "flight": str(self._written[0]) if self._written else None,
-                "sessions": [_session_summary(a) for a in books],
-            }
+            return counters(self.accounting(), totals, trackers, self._gate.rejected, self._written)
 
     def close(self) -> None:
         """Write the recordings, close all files and ports."""
@@ -415,21 +419,3 @@ def _is_aircraft(frame: Frame) -> bool:
 
 def _int(value: object) -> int:
     return value if isinstance(value, int) else 0
-
-
-def _session_summary(a: ev.Accounting) -> dict[str, Any]:
-    return {
-        "system": a.session.system,
-        "boot": a.session.boot,
-        "turn": a.session.turn,
-        "first_scan": a.first,
-        "last_scan": a.last,
-        "scans_sent": a.sent,
-        "scans_received": a.received,
-        "scans_lost": [list(r) for r in a.lost],
-        "scans_missing": [list(r) for r in a.missing],
-        "scans_never_sent": a.never_sent,
-        "scans_absent": [list(r) for r in a.absent],
-        "scans_unknown": [list(r) for r in a.unknown],
-        "backfilled": a.backfilled,
-    }

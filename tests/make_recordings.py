@@ -2,7 +2,7 @@
 
 Two kinds. `cdfp_ld1..4`: raw and calibrated flights in the manner of the published UFP_LD1..4, with the instrument
 factors that were put in. `gap/<letter>_0..3.mcap`: sets of three flights to learn from and one to hold out, of an
-aircraft that may hide something; what, stands in `gap/key.json`, which only scoring reads.
+aircraft that may hide something; what, stands in `gap/key.json`, which only this and scoring read.
 """
 
 import hashlib
@@ -19,13 +19,7 @@ from firmware_sim.simulation import derivatives_of
 
 FOLDER = Path(__file__).resolve().parent.parent / "recordings"
 PAPER_FLIGHTS = ("cdfp_ld1", "cdfp_ld2", "cdfp_ld3", "cdfp_ld4")
-SETS: dict[str, Campaign] = {
-    "a": Campaign(hidden=(("vane_friction", 1.0),), seed=71),
-    "b": Campaign(hidden=(), seed=72),
-    "c": Campaign(hidden=(("Cn_da", 1.0),), seed=73),
-    "d": Campaign(hidden=(("beta_lag", 1.0),), seed=74),
-    "e": Campaign(hidden=(("Cl_alpha_beta", 1.0), ("rudder_delay", 1.0)), seed=75),
-}
+KEY = FOLDER / "gap" / "key.json"
 
 
 def digest(path: Path) -> str:
@@ -64,12 +58,11 @@ def paper_flights(scratch: Path) -> list[dict[str, Any]]:
     return rows
 
 
-def gap_sets(scratch: Path) -> tuple[list[dict[str, Any]], dict[str, Any]]:
-    """Fly the sets; the manifest does not tell what the key tells."""
-    rows, key = [], {}
-    (FOLDER / "gap").mkdir(parents=True, exist_ok=True)
-    for letter, campaign in SETS.items():
-        plan = campaign.scenarios()
+def gap_sets(scratch: Path, key: dict[str, Any]) -> list[dict[str, Any]]:
+    """Fly the sets of the key, and put the true derivatives into it; the manifest does not tell what the key tells."""
+    rows = []
+    for letter, entry in key.items():
+        plan = Campaign(hidden=tuple((name, size) for name, size in entry["hidden"]), seed=entry["seed"]).scenarios()
         for number, (scenario, seed) in enumerate(plan):
             flown = sideslip.fly_scenario(scenario, scratch / f"{letter}{number}", seed=seed, backfill=False)
             target = FOLDER / "gap" / f"{letter}_{number}.mcap"
@@ -77,26 +70,26 @@ def gap_sets(scratch: Path) -> tuple[list[dict[str, Any]], dict[str, Any]]:
             rows.append({"name": f"gap/{letter}_{number}", "flight": f"gap/{target.name}", "sha256": digest(target),
                          "source": "simulated", "seed": seed})  # fmt: skip
         first, seed = plan[0]
-        key[letter] = {"hidden": [list(h) for h in campaign.hidden], "derivatives": derivatives_of(first, seed)}
-    return rows, key
+        entry["derivatives"] = derivatives_of(first, seed)
+    return rows
 
 
 def main() -> None:
     """Remove what is there and make it anew."""
+    key = json.loads(KEY.read_text(encoding="utf-8"))
     for old in FOLDER.rglob("*.mcap"):
         old.unlink()
-    FOLDER.mkdir(exist_ok=True)
     with tempfile.TemporaryDirectory() as folder:
         scratch = Path(folder)
         rows = paper_flights(scratch)
-        more, key = gap_sets(scratch)
+        more = gap_sets(scratch, key)
     manifest = {
         "about": "Simulated flights through the simulated sensor bus, the real logger and calibration.",
         "made_by": "python -m tests.make_recordings",
         "recordings": rows + more,
     }
     (FOLDER / "manifest.json").write_text(json.dumps(manifest, indent=1) + "\n", encoding="utf-8")
-    (FOLDER / "gap" / "key.json").write_text(json.dumps(key, indent=1) + "\n", encoding="utf-8")
+    KEY.write_text(json.dumps(key, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -28,4 +28,6 @@ class RollYaw:
 
     def linear(self, p: Any, names: tuple[str, ...], x: Any, u: Any) -> Any:
         zero, *slopes = (p[name] for name in names)
-        return zero + sum(a * b for a, b in zip(slopes, (u.beta, x.p, x.r, u.delta_a, u.delta_r, u.beta_dot), strict=False))
+        return zero + sum(
+            a * b for a, b in zip(slopes, (u.beta, x.p, x.r, u.delta_a, u.delta_r, u.beta_dot), strict=False)
+        )

@@ -21,7 +21,7 @@ from estimation.gap.effects.missing import missing_derivatives
 from estimation.gap.errors import GapError
 from estimation.gap.lineage import fitted
 from estimation.gap.locate import disagreement, locate
-from estimation.gap.measure import floors, on_holdout, rms_over_noise
+from estimation.gap.measure import Floors, floors, on_holdout, rms_over_noise
 from estimation.gap.nuisance import is_nuisance, with_nuisance
 from estimation.gap.nulls import InputErrors, input_errors
 from estimation.gap.omnibus import Omnibus, examine
@@ -249,18 +249,23 @@ def conclude_trail(setting: Setting, trail: Trail) -> GapResult:
     """Verdict, steps and words from what the rounds left."""
     bench, options = setting.bench, setting.options
     first, last = trail.rounds[0], trail.rounds[-1]
-    steps = [_step(setting, f, last) for f in trail.findings]
+    held_errors = setting.errors[len(bench.of(bench.training)) :]
+    floor = floors(last, on_holdout(last.baseline, bench), held_errors, options.seed)
+    steps = [_step(setting, f, floor) for f in trail.findings]
+    left = rms_over_noise(last.baseline.problem, last.baseline.fit, setting.scatter)
+    shut = floor.covers(left)
     unknown = trail.unknown
-    if unknown and steps and steps[-1].gap.closed < NAMED_CLOSED:
+    if unknown and steps and not shut and steps[-1].gap.closed < NAMED_CLOSED:
         dropped = steps.pop()
         trail = replace(trail, rejected=(*trail.rejected, Rejected(dropped.effect, f"closes only {dropped.gap.closed:.0%} of the gap")))
     kept = trail.findings[: len(steps)]
     cannot = undetectable(first, setting.base)
     if unknown:
-        steps.append(_unknown_step(trail, kept[-1].child if kept else first.baseline, last))
+        steps.append(_unknown_step(trail, Gap(left, left, floor.training_median)))
         verdict = Verdict.UNKNOWN
     elif steps:
-        verdict = Verdict.GAP_CLOSED if min(s.gap.closed for s in steps) >= NAMED_CLOSED else Verdict.GAP_REDUCED
+        whole = Gap(steps[0].gap.before, left, floor.training_median)
+        verdict = Verdict.GAP_CLOSED if shut or whole.closed >= NAMED_CLOSED else Verdict.GAP_REDUCED
     else:
         asked = {h.effect.name for h in first.screen.hypotheses if not h.effect.tied_to}
         verdict = Verdict.CANNOT_TELL if len(cannot) > BLIND_SHARE * max(len(asked), 1) else Verdict.NO_GAP
@@ -311,24 +316,22 @@ def undetectable(round_: Round, model: Model) -> list[Effect]:
     return [effects[n] for n, power in seen.items() if power < 0.5 * round_.threshold and not effects[n].tied_to]
 
 
-def _unknown_step(trail: Trail, baseline: Baseline, last: Round) -> Step:
+def _unknown_step(trail: Trail, gap: Gap) -> Step:
     """Where and how the nameless rest shows."""
     leading = [s for s in trail.omnibus.leading if s.score > trail.omnibus.threshold]
     channels = tuple(dict.fromkeys(s.place for s in leading))
     spans = tuple(s.span for s in trail.omnibus.leading if s.span is not None and s.score > trail.omnibus.threshold)
     shape = "; ".join(f"{s.place}: like {s.what}" if s.kind == "term" else f"{s.place}: {s.what}" for s in leading[:3])
-    here = rms_over_noise(last.baseline.fit.residuals, last.baseline.scatter)
-    floor = float(np.median(floors(last, None, (), 0).training))
     return Step(
         effect="unknown", title="an effect the catalogue does not hold", form="", confidence=0.0, members=(),
         separate_by="repeat the manoeuvre and vary one signal at a time around the regime named here", estimates={}, units={},
         score=trail.omnibus.score, threshold=trail.omnibus.threshold,
         where=Where(leading[0].place if leading else "", channels, tuple(s for s in spans if s is not None)[:4], shape),
-        gap=Gap(here, here, floor), holdout=None, migrated={},
+        gap=gap, holdout=None, migrated={},
     )  # fmt: skip
 
 
-def _step(setting: Setting, finding: Finding, last: Round) -> Step:
+def _step(setting: Setting, finding: Finding, floor: Floors) -> Step:
     bench = setting.bench
     effect, form = finding.candidate.hypothesis.effect, finding.candidate.hypothesis.form
     members = credible_set(finding.choice.weights)
@@ -337,13 +340,12 @@ def _step(setting: Setting, finding: Finding, last: Round) -> Step:
     members.sort(key=lambda m: m[0] != effect.name)
     parent, child = finding.round_.baseline, finding.child
     held_before, held_after = on_holdout(parent, bench), on_holdout(child, bench)
-    floor = floors(last, on_holdout(last.baseline, bench), setting.errors[len(bench.of(bench.training)) :], setting.options.seed)
-    gap = Gap(rms_over_noise(parent.fit.residuals, parent.scatter), rms_over_noise(child.fit.residuals, parent.scatter),
+    scatter = setting.scatter
+    gap = Gap(rms_over_noise(parent.problem, parent.fit, scatter), rms_over_noise(child.problem, child.fit, scatter),
               floor.training_median)  # fmt: skip
     held = None
     if held_before is not None and held_after is not None and floor.holdout_median is not None:
-        held = Gap(rms_over_noise(held_before[1].residuals, parent.scatter), rms_over_noise(held_after[1].residuals, parent.scatter),
-                   floor.holdout_median)  # fmt: skip
+        held = Gap(rms_over_noise(*held_before, scatter), rms_over_noise(*held_after, scatter), floor.holdout_median)
     std = child.fit.std()
     inflation = {h.key: v for h, v in zip(finding.round_.screen.hypotheses, finding.round_.inflation, strict=True)}
     wider = float(np.sqrt(inflation.get(finding.candidate.hypothesis.key, 1.0)))

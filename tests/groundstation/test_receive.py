@@ -289,3 +289,28 @@ def test_scan_map_ranges_match_a_set() -> None:
         assert list(made) == sorted(numbers)
         assert len(made) == len(numbers)
         assert not any(made.add(n) for n in numbers)
+
+
+def test_a_full_disk_does_not_end_reception(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from groundstation.journal import Journal
+    from groundstation.tlog import TlogWriter
+
+    rig = Rig(tmp_path, ground=LISTEN)
+    fly(rig, 40)
+    before = len(rig.received())
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(TlogWriter, "_put", full)
+        patch.setattr(Journal, "_append", full)
+        fly(rig, 40, seed=2)
+        assert rig.ground.port_faults == {
+            "telemetry log": "No space left on device",
+            "recording": "No space left on device",
+        }
+        assert len(rig.received()) > before + 20
+    fly(rig, 40, seed=3)
+    assert rig.ground.port_faults == {}
+    rig.close()

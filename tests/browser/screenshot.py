@@ -1,0 +1,75 @@
+"""Screenshots of pages in headless Chromium: `python -m tests.browser.screenshot URL OUT.png`.
+
+Nothing but loopback is reached. Software rendering: no GPU or display is needed.
+"""
+
+import os
+import shutil
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+ARGUMENTS = (
+    "--no-sandbox", "--disable-gpu-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
+    "--ignore-gpu-blocklist", "--disable-dev-shm-usage",
+)  # fmt: skip
+COLOURFUL = 1500  # saturated pixels that make a page count as drawn
+
+
+def chromium() -> str:
+    """Path of Chromium; a missing one fails in CI and skips elsewhere."""
+    found = shutil.which("chromium") or shutil.which("chromium-browser")
+    if found is None:
+        why = "Chromium is not installed (Debian: apt-get install chromium)"
+        if os.environ.get("CI"):
+            pytest.fail(why)
+        pytest.skip(why)
+    return found
+
+
+def pixels(png: Path) -> NDArray[np.int16]:
+    """(rows, columns, 3) of a picture."""
+    from PIL import Image
+
+    with Image.open(png) as picture:
+        return np.asarray(picture.convert("RGB"), np.int16)
+
+
+def saturated(png: Path) -> int:
+    """Number of pixels with a clear colour: curves, states, the aircraft; not grey text on a dark ground."""
+    rgb = pixels(png)
+    return int(((rgb.max(axis=2) - rgb.min(axis=2)) > 60).sum())
+
+
+def take(url: str, target: Path, *, times: int = 1, apart_s: float = 5.0, wait_s: float = 75.0, size: tuple[int, int] = (960, 540)) -> list[Path]:  # fmt: skip
+    """Open a page, wait until something is drawn, and take `times` pictures `apart_s` apart."""
+    from playwright.sync_api import sync_playwright
+
+    paths = []
+    with sync_playwright() as tools:
+        browser = tools.chromium.launch(executable_path=chromium(), headless=True, args=list(ARGUMENTS))
+        page = browser.new_page(viewport={"width": size[0], "height": size[1]})
+        page.route("**/*", lambda route: route.continue_() if "//127.0.0.1" in route.request.url else route.abort())
+        page.goto(url, wait_until="commit")
+        deadline = time.monotonic() + wait_s
+        while time.monotonic() < deadline:
+            page.wait_for_timeout(1500)
+            page.screenshot(path=str(target))
+            if saturated(target) > COLOURFUL:
+                break
+        for number in range(times):
+            if number:
+                page.wait_for_timeout(1000 * apart_s)
+            path = target.with_stem(f"{target.stem}_{number}") if times > 1 else target
+            page.screenshot(path=str(path))
+            paths.append(path)
+        browser.close()
+    return paths
+
+
+if __name__ == "__main__":
+    take(sys.argv[1], Path(sys.argv[2]), size=(1600, 900))

@@ -1,0 +1,57 @@
+"""The web page of a recorded flight and of a live one, opened in headless Chromium and looked at."""
+
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from groundstation.flight import read_flight
+from groundstation.viewer.live import LiveView, ViewOptions, free_port
+from groundstation.viewer.recorded import as_rrd
+from groundstation.viewer.window import WebPage
+from tests.browser.screenshot import COLOURFUL, pixels, saturated, take
+
+pytestmark = [
+    pytest.mark.browser,
+    pytest.mark.timeout(240),
+    pytest.mark.filterwarnings("ignore::DeprecationWarning"),
+]
+
+
+def test_recorded_flight_is_drawn_on_the_full_page(root: Path, tmp_path: Path) -> None:
+    rrd = as_rrd(root / "recordings" / "cdfp_ld4_raw.mcap", tmp_path / "f.rrd")
+    page = WebPage(rrd, free_port())
+    try:
+        (picture,) = take(page.url, tmp_path / "page.png")
+    finally:
+        page.close()
+    assert saturated(picture) > COLOURFUL
+
+
+def test_live_flight_moves_on_the_light_page(root: Path, tmp_path: Path) -> None:
+    flight = read_flight(root / "recordings" / "cdfp_ld4.mcap")
+    rows = [{n: float(v[i]) for n, v in flight.columns.items() if np.isfinite(v[i])} for i in range(len(flight))]
+    view = LiveView("live", ViewOptions(layout="light", port=free_port()))
+    page = WebPage(view.url, free_port())
+    stop = threading.Event()
+
+    def feed() -> None:
+        i = 0
+        while not stop.wait(0.087):
+            view.sample(0.087 * i, rows[(2 * i) % len(rows)])
+            i += 1
+
+    feeder = threading.Thread(target=feed, name="feeder")
+    feeder.start()
+    try:
+        first, second = take(page.url, tmp_path / "live.png", times=2, apart_s=8.0)
+    finally:
+        stop.set()
+        feeder.join()
+        page.close()
+        view.close()
+    assert saturated(first) > COLOURFUL
+    moved = np.abs(pixels(first) - pixels(second)).max(axis=2) > 60
+    assert moved.sum() > 500, "the live page stands still"
+    assert view.dropped == 0
