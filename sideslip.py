@@ -265,15 +265,23 @@ def fly(
     json_path: Path | None,
     show_list: bool,
 ) -> int:
-    """Fly SCENARIO (a TOML file or a built-in name) on the simulated aircraft."""
+    """Fly SCENARIO (a TOML file or a built-in name) on the simulated aircraft, or run one of the calibration benches."""
+    from firmware_sim.bench import bench_titles, record_bench
     from firmware_sim.scenario import built_in_scenarios, load_scenario
 
     if show_list:
-        for name, title in built_in_scenarios().items():
+        for name, title in {**built_in_scenarios(), **bench_titles()}.items():
             click.echo(f"{name:<24}{title}")
         return 0
     if scenario is None:
         raise UserError("fly: name a scenario, or give --list to see the built-in ones")
+    if scenario in bench_titles():
+        from groundstation.calibration.schema import NOMINAL_DIRECTORY
+
+        folder = out or Path("flights") / scenario
+        made = record_bench(scenario, folder, seed=1 if seed is None else seed, calibration=NOMINAL_DIRECTORY / "cdfp")
+        click.echo(f"bench recording {made.flight.recordings[0].parent}, plan {made.plan}; fit it with 'sideslip bench'")
+        return 0
     chosen = load_scenario(scenario)
     folder = out or Path("flights") / chosen.name
     pace = _pace(speed, live)

@@ -21,6 +21,9 @@ EXAMPLE = (
     "--figure", "figure_path", type=click.Path(path_type=Path), help="Write measured and reconstructed motion."
 )
 @click.option(
+    "--report", "report_folder", type=click.Path(path_type=Path, file_okay=False), help="Write an HTML report: Table 2, Figure 7, quality."
+)
+@click.option(
     "--write", "folder", type=click.Path(path_type=Path, file_okay=False), help="Write corrected flights here."
 )
 def check(
@@ -30,6 +33,7 @@ def check(
     segments: str | None,
     json_path: Path | None,
     figure_path: Path | None,
+    report_folder: Path | None,
     folder: Path | None,
 ) -> int:
     """Check that accelerations, rates, attitude and air data of each FLIGHT tell the same story."""
@@ -73,6 +77,10 @@ def check(
     if figure_path is not None:
         write_figure([r.flights[0] for (_, r), _ in zip(results, read, strict=False)], figure_path)
         click.echo(f"\nfigure: {figure_path}")
+    if report_folder is not None:
+        from estimation.report.check_page import write_check_report
+
+        click.echo(f"\nreport: {write_check_report(read, quality, results, report_folder)}")
     if folder is not None:
         for flight, (_, result) in zip(read, results, strict=False):
             target = folder / f"{flight.name}.mcap"

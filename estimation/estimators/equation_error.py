@@ -141,28 +141,36 @@ def _piece(regression: Regression, weights: Array) -> Piece:
 
 
 def stepwise_choice(regressions: list[Regression]) -> Index:
-    """Indices of the parameters that a forward-backward selection by partial F keeps."""
+    """Indices of the parameters that a backward-forward selection by partial F keeps.
+
+    It begins with all of them: terms that only explain the motion together (roll damping and dihedral) would never be
+    found one by one.
+    """
     A, e = _stacked(regressions)
-    scale = 1.0 / np.maximum(np.sqrt(np.mean(e**2, axis=0)), 1e-12)
-    flat, z = (A * scale[None, :, None]).reshape(-1, A.shape[2]), (e * scale).ravel()
+    _, weight = _solve(regressions, np.arange(A.shape[2]))
+    flat, z = (A * weight[None, :, None]).reshape(-1, A.shape[2]), (e * weight).ravel()
     gram, moment, energy = flat.T @ flat, flat.T @ z, float(z @ z)
-    chosen: list[int] = []
-    for _ in range(4 * gram.shape[0]):
-        base = _rest(gram, moment, energy, chosen)
+    everything = [j for j in range(gram.shape[0]) if gram[j, j] > 0]
+    chosen = list(everything)
+    for _ in range(4 * len(everything)):
+        full = _rest(gram, moment, energy, chosen)
+        losses = {
+            j: _partial_f(_rest(gram, moment, energy, [i for i in chosen if i != j]), full, z.size - len(chosen))
+            for j in chosen
+        }
+        worst = min(losses, key=lambda j: losses[j], default=None)
+        if worst is not None and losses[worst] < F_OUT:
+            chosen.remove(worst)
+            continue
         gains = {
-            j: _partial_f(base, _rest(gram, moment, energy, [*chosen, j]), z.size - len(chosen) - 1)
-            for j in range(gram.shape[0])
-            if j not in chosen and gram[j, j] > 0
+            j: _partial_f(full, _rest(gram, moment, energy, [*chosen, j]), z.size - len(chosen) - 1)
+            for j in everything
+            if j not in chosen
         }
         best = max(gains, key=lambda j: gains[j], default=None)
         if best is None or gains[best] < F_IN:
             break
         chosen.append(best)
-        for j in chosen[:-1]:
-            without = [i for i in chosen if i != j]
-            full = _rest(gram, moment, energy, chosen)
-            if _partial_f(_rest(gram, moment, energy, without), full, z.size - len(chosen)) < F_OUT:
-                chosen.remove(j)
     return np.array(sorted(chosen), int)
 
 

@@ -75,7 +75,12 @@ def filter_error(
     noise = first.noise
     fallback = float(np.median(list(noise.values())))
     parameters = [
-        Parameter(name, start=FIRST_GAIN if state == output else 0.0, prior_mean=0.0, prior_std=GAIN_PRIOR * noise.get(state, fallback) / noise[output])
+        Parameter(
+            name,
+            start=FIRST_GAIN if state == output else 0.0,
+            prior_mean=0.0,
+            prior_std=GAIN_PRIOR * noise.get(state, fallback) / noise[output],
+        )
         for state, row in zip(chosen.state_names, names, strict=True)
         for output, name in zip(chosen.output_names, row, strict=True)
         if name

@@ -68,7 +68,13 @@ def regime(child: Baseline, gain: Sequence[Array]) -> str:
         ratio = float(np.sum(total[inside])) / max(float(np.sum(np.maximum(total, 0.0))), 1e-12) / inside.mean()
         if ratio > best:
             best = ratio
-            text = f"|{name}| > {np.degrees(limit):.1f} {'deg/s' if name in 'pqr' else 'deg'}" if name in DEGREES else f"|{name}| > {limit:.3g}"
+            centre = float(np.median(values))
+            if name not in DEGREES:
+                text = f"{name} more than {limit:.3g} from {centre:.3g}"
+            elif abs(centre) > limit:
+                text = f"{name} more than {np.degrees(limit):.1f} deg from {np.degrees(centre):.1f}"
+            else:
+                text = f"|{name}| > {np.degrees(limit):.1f} {'deg/s' if name in 'pqr' else 'deg'}"
     return text
 
 

@@ -20,7 +20,7 @@ from estimation.gap.whitening import NoiseModel
 from estimation.models.base import Model
 from estimation.preprocess import denoise_many
 
-EDGE_FREEDOM = 0.25  # of the change over an interval: how a surface really moved between two samples is not recorded
+EDGE_FREEDOM = 0.35  # of the change over an interval: how a surface really moved between two samples is not recorded
 BANK = 6  # de-noised realisations kept per input; a null draws one of them and its sign
 
 

@@ -185,8 +185,10 @@ def _activity(problem: Problem, found: Fit, white: Sequence[Array], nulls: int) 
     """Does the energy of a channel follow the size or the rate of some signal?"""
     total: dict[tuple[int, str], Array] = {}
     for i, series in enumerate(white):
+        controls = {s.name for s in problem.model.inputs if s.control}
         for (name, shape), values in _regressors(problem, found, i).items():
-            if shape not in ("even", "rate"):
+            # fast surfaces between two samples leave scatter of their own: their rates say nothing here
+            if shape not in ("even", "rate") or (shape == "rate" and name in controls):
                 continue
             weight = np.minimum(np.abs(values), 3.0)
             weight = weight - weight.mean()

@@ -19,13 +19,14 @@ from estimation.gap.effects import catalogue
 from estimation.gap.effects.base import Effect
 from estimation.gap.effects.missing import missing_derivatives
 from estimation.gap.errors import GapError
+from estimation.gap.gate import Gate, kinematic_gate
 from estimation.gap.lineage import fitted
 from estimation.gap.locate import disagreement, locate
 from estimation.gap.measure import Floors, floors, on_holdout, rms_over_noise
 from estimation.gap.nuisance import is_nuisance, with_nuisance
 from estimation.gap.nulls import InputErrors, input_errors
 from estimation.gap.omnibus import Omnibus, examine
-from estimation.gap.result import Gap, GapResult, Migration, Rejected, Step, Tie, Verdict, Weighed, Where
+from estimation.gap.result import Gap, GapResult, Histories, Migration, Rejected, Step, Tie, Verdict, Weighed, Where
 from estimation.gap.screen import build_screen, hypotheses_for
 from estimation.gap.select import Choice, choose, credible_set
 from estimation.gap.whitening import force_states
@@ -37,7 +38,7 @@ LOOK = Callable[[str, float], None]
 
 NAMED_SHARE = 0.75  # of what the best nameless term gains: an effect that gains less does not get to give its name
 NAMED_CLOSED = 0.7  # of the gap: below, the rest is larger than noise
-MARGIN = 1.25  # over the null threshold from which a nameless rest is called an unknown effect
+MARGIN = 1.3  # over the null threshold from which a nameless rest is called an unknown effect
 BLIND_SHARE = 0.3  # of the effects asked about: more that could not have been seen, and the answer is "cannot tell"
 RIVALS = 6
 EXCHANGE = 8.0  # in twice the log-likelihood, by which a rival must beat an accepted effect
@@ -135,8 +136,10 @@ def run_gap(
     setting = Setting(model, clean, working, bench, chosen, errors, scatter, options, tell)
     tell("fitting the baseline", 0.05)
     trail = _rounds(setting, fit_baseline(working, clean, bench, scatter))
+    tell("kinematic gate", 0.9)
+    gate = kinematic_gate(training, chosen, min(options.nulls, 100), options.seed)
     tell("measuring what is closed", 0.95)
-    return conclude_trail(setting, trail)
+    return conclude_trail(setting, trail, gate)
 
 
 def _rounds(setting: Setting, baseline: Baseline) -> Trail:
@@ -245,7 +248,7 @@ def _rival(setting: Setting, without: Baseline, old: Candidate, gain: float) -> 
     return best
 
 
-def conclude_trail(setting: Setting, trail: Trail) -> GapResult:
+def conclude_trail(setting: Setting, trail: Trail, gate: Gate) -> GapResult:
     """Verdict, steps and words from what the rounds left."""
     bench, options = setting.bench, setting.options
     first, last = trail.rounds[0], trail.rounds[-1]
@@ -269,6 +272,8 @@ def conclude_trail(setting: Setting, trail: Trail) -> GapResult:
     else:
         asked = {h.effect.name for h in first.screen.hypotheses if not h.effect.tied_to}
         verdict = Verdict.CANNOT_TELL if len(cannot) > BLIND_SHARE * max(len(asked), 1) else Verdict.NO_GAP
+    if steps:  # the gate saw the flights as they are: it speaks of the first effect
+        steps[0] = replace(steps[0], where=replace(steps[0].where, origin=gate.origin))
     steps = [replace(s, text=describe_step(s)) for s in steps]
     detectable = _detectable(last)
     tied = tuple(e for e in setting.effects if e.tied_to and any(h.effect.name == e.name for h in first.screen.hypotheses))
@@ -294,7 +299,9 @@ def conclude_trail(setting: Setting, trail: Trail) -> GapResult:
         model_after=after,
         notes=bench.notes,
         outputs=setting.base.output_names,
+        histories=histories(setting, first.baseline, kept[-1].child if kept else first.baseline, last),
         details={
+            "kinematic_gate": gate.to_json(),
             "cannot_tell": [{"effect": e.name, "separate_by": e.separate_by} for e in cannot],
             "left": [{"kind": s.kind, "place": s.place, "what": s.what, "score": round(s.score, 2)} for s in trail.omnibus.leading[:5]],
             "left_threshold": round(float(trail.omnibus.threshold), 2),
@@ -302,6 +309,22 @@ def conclude_trail(setting: Setting, trail: Trail) -> GapResult:
             "nulls": options.nulls, "seed": options.seed,
         },
     )  # fmt: skip
+
+
+def histories(setting: Setting, before: Baseline, after: Baseline, last: Round) -> tuple[Histories, ...]:
+    """Measured, before and after over time for every flight, training and held out."""
+    band = np.array([np.nanstd(np.concatenate([n[i][:, c] for n in last.null_residuals[:20] for i in range(len(n))]))
+                     for c in range(len(setting.base.outputs))])  # fmt: skip
+    bench, made = setting.bench, []
+    pairs = [(before.problem, before.fit, after.fit, False)]
+    held_before, held_after = on_holdout(before, bench), on_holdout(after, bench)
+    if held_before is not None and held_after is not None:
+        pairs.append((held_before[0], held_before[1], held_after[1], True))
+    for problem, one, two, held in pairs:
+        for i, record in enumerate(problem.records):
+            z = problem.coarse[i].z
+            made.append(Histories(bench.names[record.flight], held, record.time, z, z - one.residuals[i], z - two.residuals[i], band))
+    return tuple(made)
 
 
 def undetectable(round_: Round, model: Model) -> list[Effect]:

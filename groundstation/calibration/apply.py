@@ -89,6 +89,9 @@ class Calibrator:
         if item.supply_sensitivity is not None:
             shift = item.supply_sensitivity
             value = value - shift.per_volt * (self.sensor_supply(table) - shift.reference)
+        zero = self.facts.zero_count(item.instrument)
+        if zero is not None:
+            value = value - curves.evaluate(curve, zero)
         outside = int(np.sum(curves.extrapolated(curve, reading)))
         if outside:
             out.extrapolated[item.instrument] = outside

@@ -39,6 +39,10 @@ class Facts:
         except ValueError:
             raise CalibrationError(f"fact {group}.nvm = {text!r} is not hexadecimal; correct logger.toml") from None
 
+    def zero_count(self, instrument: str) -> float | None:
+        """Count at which an instrument was told, before flight, that it sees nothing; None when it was not."""
+        return self._number(f"{instrument}.zero_count", 0.0, 65535.0)
+
     def delay(self, instrument: str, group: str) -> float:
         """How far the chip's own filter makes an instrument's reading lag [s]; 0 when not known."""
         if instrument in _LAG_KEYS:

@@ -4,6 +4,7 @@ import hashlib
 from dataclasses import replace
 from pathlib import Path
 
+from daq.contract.commands import parse_pitot_zero
 from daq.contract.reading import Recording, read_recording
 from groundstation.calibration.apply import calibrate
 from groundstation.calibration.errors import CalibrationError
@@ -33,12 +34,19 @@ def calibrate_recording(
         recording.scans(),
         chosen,
         name=recording.path.stem,
-        facts=recording.info.details,
+        facts={**recording.info.details, **_zeroed(recording)},
         align=align,
         provenance=_provenance(recording),
     )
     notes = [f"{d.what} at byte {d.at_byte}: what is intact is used" for d in recording.damages]
     return replace(flight, notes=(*flight.notes, *notes))
+
+
+def _zeroed(recording: Recording) -> dict[str, str]:
+    """The last zeroing of the pitot before flight, as a fact: it takes the sensor's turn-on offset out."""
+    counts = [parse_pitot_zero(e.text) for e in recording.events]
+    known = [c for c in counts if c is not None]
+    return {"pitot.zero_count": f"{known[-1]!r}"} if known else {}
 
 
 def embedded_calibration(recording: Recording) -> CalibrationSet:

@@ -118,7 +118,11 @@ def test_compiled_and_virtual_machine_agree(name: str) -> None:
     rng = np.random.default_rng(4)
     t = np.cumsum(0.05 + 0.004 * rng.uniform(-1, 1, 30))
     columns = {n: 0.02 * rng.normal(size=30) for n in (*model.input_names, *model.output_names)}
-    columns |= {"V": 16 + 0.1 * rng.normal(size=30), "rho": np.full(30, 1.17), "alpha": 0.1 + 0.01 * rng.normal(size=30)}
+    columns |= {
+        "V": 16 + 0.1 * rng.normal(size=30),
+        "rho": np.full(30, 1.17),
+        "alpha": 0.1 + 0.01 * rng.normal(size=30),
+    }
     data = prepare(model, Flight.build("made", t, columns))
     segment, nx, ny = data.segments[0], len(model.states), len(model.outputs)
     gain, mask = 0.002 * rng.normal(size=(nx, ny)), rng.uniform(size=(nx, ny)) < 0.3

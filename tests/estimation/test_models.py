@@ -50,8 +50,10 @@ def test_names_leave_functions_and_numbers_out() -> None:
 
 @pytest.mark.parametrize("name", sorted(BUILDERS))
 def test_model_survives_a_file(name: str, tmp_path: Any) -> None:
-    model = load_model(name).fixed("CY_0" if "lateral" in name else "CD_0").with_prior(
-        **{load_model(name).parameter_names[1]: (0.1, 0.2)}
+    model = (
+        load_model(name)
+        .fixed("CY_0" if "lateral" in name else "CD_0")
+        .with_prior(**{load_model(name).parameter_names[1]: (0.1, 0.2)})
     )
     write_model(model, tmp_path / "m.toml")
     again = read_model(tmp_path / "m.toml")

@@ -96,7 +96,9 @@ def test_arrow_elimination_equals_the_dense_solution(made_flights: list[Flight])
     covariance = np.linalg.inv((J * scale).T @ (J * scale)) * scale[:, None] * scale[None, :]
     for j, name in enumerate(shared):
         assert result.std[name] == pytest.approx(math.sqrt(covariance[j, j]), rel=1e-5)
-    assert result.flights[0].local["Cn_0"].std == pytest.approx(math.sqrt(covariance[len(shared), len(shared)]), rel=1e-5)
+    assert result.flights[0].local["Cn_0"].std == pytest.approx(
+        math.sqrt(covariance[len(shared), len(shared)]), rel=1e-5
+    )
 
 
 def test_full_covariance_fits_at_least_as_well(made_flights: list[Flight]) -> None:
@@ -187,7 +189,9 @@ def test_own_linear_model_equals_an_independent_solution() -> None:
         for k in range(len(u) - 1):
             x[k + 1] = E[:2, :2] @ x[k] + E[:2, 2:7] @ v[k] + E[:2, 7:12] @ (v[k + 1] - v[k])
         rates = x @ A.T + v @ B.T
-        side = v[:, :4] @ np.array([q[f"Y_{n}"] for n in ("0", "beta", "da", "dr")]) + x @ np.array([q["Y_p"], q["Y_r"]])
+        side = v[:, :4] @ np.array([q[f"Y_{n}"] for n in ("0", "beta", "da", "dr")]) + x @ np.array(
+            [q["Y_p"], q["Y_r"]]
+        )
         biases = [q["bias_p_dot"], q["bias_r_dot"], 0.0, 0.0, 0.0]
         return np.column_stack([rates, side, x]) + biases
 
@@ -206,7 +210,18 @@ def test_own_longitudinal_model_equals_an_independent_solution() -> None:
     t = np.arange(count) * h
     de = np.interp(t, np.arange(0, 13, 0.5), -0.04 + 0.06 * rng.choice([-1, 0, 1], 26))
     u = {"delta_e": de, "thrust": 5.0 + 1.5 * np.sin(0.4 * t), "p_dynamic": 150 + 8 * np.sin(0.5 * t)}
-    true = dict(CL_0=0.02, CL_alpha=3.1, CL_q=2.5, CL_de=0.9, CD_0=0.03, CD_k=0.22, Cm_0=0.005, Cm_alpha=-0.17, Cm_q=-1.1, Cm_de=-0.33)
+    true = dict(
+        CL_0=0.02,
+        CL_alpha=3.1,
+        CL_q=2.5,
+        CL_de=0.9,
+        CD_0=0.03,
+        CD_k=0.22,
+        Cm_0=0.005,
+        Cm_alpha=-0.17,
+        Cm_q=-1.1,
+        Cm_de=-0.33,
+    )
     m, S, c, Iyy, g = 3.5, 0.787, 0.61, 0.23, 9.80665
 
     def coefficients(x: np.ndarray, e: np.ndarray, q: dict[str, float]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

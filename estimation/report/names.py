@@ -1,0 +1,61 @@
+"""How parameter and signal names look to a person: `Cl_beta` as C with subscripts in HTML, LaTeX and figures."""
+
+import re
+
+from markupsafe import Markup, escape
+
+_GREEK = {
+    "alpha": "α", "beta": "β", "delta": "δ", "phi": "φ", "theta": "θ", "psi": "ψ", "rho": "ρ", "tau": "τ",
+}  # fmt: skip
+_SURFACES = {"da": r"\delta_a", "dr": r"\delta_r", "de": r"\delta_e"}
+_DERIVATIVE = re.compile(r"^(C[A-Za-z])_(\w+)$")
+_FACTOR = re.compile(r"^(d|K_|tau_)(ax|ay|az|p|q|r|alpha|beta|V|phi|theta|psi)$")
+
+
+def tex(name: str) -> str:
+    """LaTeX (without dollars) of a parameter or signal name; unknown names are set upright."""
+    if found := _DERIVATIVE.match(name):
+        axis, by = found.groups()
+        return f"C_{{{axis[1:]}_{{{_by_tex(by)}}}}}"
+    if found := _FACTOR.match(name):
+        kind, what = found.groups()
+        letter = {"d": r"\Delta", "K_": "K", "tau_": r"\tau"}[kind]
+        return f"{letter}_{{{_by_tex(what)}}}"
+    if name in _GREEK:
+        return rf"\{name}"
+    if re.fullmatch(r"[a-zA-Z]", name):
+        return name
+    return rf"\mathrm{{{name.replace('_', chr(92) + '_')}}}"
+
+
+def _by_tex(by: str) -> str:
+    if by in _SURFACES:
+        return _SURFACES[by]
+    if by in _GREEK:
+        return rf"\{by}"
+    if by in ("ax", "ay", "az"):
+        return f"a_{by[1]}"
+    return by.replace("_", r"\_")
+
+
+def html(name: str) -> Markup:
+    """HTML of a parameter or signal name."""
+    if found := _DERIVATIVE.match(name):
+        axis, by = found.groups()
+        return Markup("<i>C</i><sub><i>{}</i>&thinsp;{}</sub>").format(axis[1:], _by_html(by))
+    if found := _FACTOR.match(name):
+        kind, what = found.groups()
+        letter = {"d": "Δ", "K_": "K", "tau_": "τ"}[kind]
+        return Markup("<i>{}</i><sub>{}</sub>").format(letter, _by_html(what))
+    return Markup("<i>{}</i>").format(_GREEK[name]) if name in _GREEK else escape(name)
+
+
+def _by_html(by: str) -> Markup:
+    if by in _SURFACES:
+        return Markup("<i>δ{}</i>").format(by[1])
+    return Markup("<i>{}</i>").format(_GREEK.get(by, by))
+
+
+def face(name: str, unit: str) -> tuple[float, str]:
+    """(factor, unit) in which a person reads a signal: degrees instead of radians."""
+    return (57.29577951308232, unit.replace("rad", "deg")) if "rad" in unit else (1.0, unit)

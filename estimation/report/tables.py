@@ -1,0 +1,78 @@
+"""A table as data: the same rows become HTML in the page, CSV and LaTeX beside it."""
+
+import csv
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from estimation.report.names import tex
+
+CANNOT_TELL = "cannot tell"
+
+
+@dataclass(frozen=True)
+class Table:
+    """name: of its files. groups: (label, columns spanned) over `head`, or empty. The first cell of a row is a parameter
+    or signal name where `symbols`. note: what the reader must know of the columns."""
+
+    name: str
+    caption: str
+    head: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    groups: tuple[tuple[str, int], ...] = ()
+    symbols: bool = True
+    note: str = ""
+
+    def write(self, folder: Path) -> None:
+        """<name>.csv and <name>.tex in `folder`."""
+        folder.mkdir(parents=True, exist_ok=True)
+        with (folder / f"{self.name}.csv").open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file)
+            writer.writerow(self._flat_head())
+            writer.writerows(self.rows)
+        (folder / f"{self.name}.tex").write_text(self.latex(), encoding="utf-8")
+
+    def _flat_head(self) -> list[str]:
+        above = [label for label, span in self.groups for _ in range(span)] or [""] * len(self.head)
+        return [f"{a} {h}".strip() for a, h in zip(above, self.head, strict=True)]
+
+    def latex(self) -> str:
+        """A booktabs tabular with its caption."""
+        lines = [r"\begin{table}", r"\centering", rf"\caption{{{_plain(self.caption)}}}", rf"\label{{tab:{self.name}}}"]
+        lines += [rf"\begin{{tabular}}{{l{'r' * (len(self.head) - 1)}}}", r"\toprule"]
+        if self.groups:
+            lines.append(" & ".join(rf"\multicolumn{{{n}}}{{c}}{{{_plain(g)}}}" for g, n in self.groups) + r" \\")
+        lines += [" & ".join(_plain(h) for h in self.head) + r" \\", r"\midrule"]
+        for row in self.rows:
+            first = f"${tex(row[0])}$" if self.symbols else _plain(row[0])
+            lines.append(" & ".join([first, *(_plain(c) for c in row[1:])]) + r" \\")
+        return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", r"\end{table}", ""])
+
+
+_ESCAPES = {c: f"\\{c}" for c in "&%$#_{}"} | {
+    "\\": r"\textbackslash{}", "±": r"$\pm$", "²": "$^2$", "−": "$-$", "–": "--", "Δ": r"$\Delta$", "·": r"$\cdot$", "~": r"$\sim$",
+    "α": r"$\alpha$", "β": r"$\beta$", "φ": r"$\phi$", "θ": r"$\theta$", "ψ": r"$\psi$",
+}  # fmt: skip
+
+
+def _plain(text: str) -> str:
+    return "".join(_ESCAPES.get(c, c) for c in text)
+
+
+def number(value: float | None, digits: int = 4) -> str:
+    """Fixed decimals, empty for a value that is not there or not finite."""
+    if value is None or value - value != 0.0:
+        return ""
+    text = f"{value:.{digits}f}"
+    return text[1:] if text.startswith("-") and not text.strip("-0.") else text
+
+
+def significant(value: float | None, digits: int = 3) -> str:
+    """Significant figures, empty for a value that is not there or not finite."""
+    return "" if value is None or value - value != 0.0 else f"{value:.{digits}g}"
+
+
+def write_all(tables: Sequence[Table], folder: Path) -> None:
+    """Every table as CSV and LaTeX."""
+    for table in tables:
+        table.write(folder)

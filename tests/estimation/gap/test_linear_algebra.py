@@ -1,0 +1,113 @@
+"""Whitening, projection and gap arithmetic against closed forms and brute force."""
+
+import numpy as np
+import pytest
+
+from estimation.gap.baseline import upper_quantile
+from estimation.gap.result import Gap
+from estimation.gap.screen import Column, Reduced, Screen, equivalent_z
+from estimation.gap.select import credible_set
+from estimation.gap.whitening import NoiseModel, Shapes, Whitener, estimate_noise, spectral_matrix, whitener
+
+
+def low_pass_shape(count: int, step: float, tau: float) -> np.ndarray:  # type: ignore[type-arg]
+    s = 2j * np.pi * np.fft.rfftfreq(count, step)
+    return np.stack([1 / (1 + tau * s), 0.5 / (1 + tau * s)], axis=1)
+
+
+def draw(noise: NoiseModel, shapes: Shapes, rng: np.random.Generator) -> np.ndarray:  # type: ignore[type-arg]
+    """A record with exactly the spectral matrix of the model (circular)."""
+    root = np.linalg.cholesky(spectral_matrix(noise, shapes))
+    white = np.fft.rfft(rng.standard_normal((shapes.count, 2)), axis=0)[:, :, None]
+    return np.fft.irfft((root @ white)[:, :, 0], n=shapes.count, axis=0)
+
+
+def test_whitened_rows_keep_length_and_whitened_series_are_white() -> None:
+    rng = np.random.default_rng(0)
+    noise = NoiseModel(np.array([1.0, 4.0]), {"a": 30.0})
+    shapes = Shapes({"a": low_pass_shape(400, 0.05, 0.5)}, 400, 0.05)
+    w = whitener(noise, shapes)
+    rows = np.concatenate([w.rows(draw(noise, shapes, rng)) for _ in range(40)])
+    assert np.mean(rows**2) * rows.shape[0] / (40 * 800) == pytest.approx(1.0, abs=0.02)
+    series = w.series(draw(noise, shapes, rng))
+    lag = np.mean(series[1:] * series[:-1], axis=0) / np.mean(series**2, axis=0)
+    assert np.all(np.abs(lag) < 0.15)
+
+
+def test_identity_whitener_is_parseval() -> None:
+    rng = np.random.default_rng(1)
+    for count in (40, 41):
+        w = Whitener(np.tile(np.eye(3, dtype=complex), (count // 2 + 1, 1, 1)), count)
+        x = rng.standard_normal((count, 3))
+        assert np.sum(w.rows(x) ** 2) == pytest.approx(np.sum(x**2))
+
+
+def test_noise_strengths_are_recovered() -> None:
+    rng = np.random.default_rng(2)
+    truth = NoiseModel(np.array([1.0, 2.0]), {"a": 20.0})
+    shapes = [Shapes({"a": low_pass_shape(600, 0.05, 0.5)}, 600, 0.05)] * 6
+    found = estimate_noise([draw(truth, s, rng) for s in shapes], shapes, np.array([3.0, 3.0]), np.array([0.1, 0.1]))
+    np.testing.assert_allclose(found.measurement, truth.measurement, rtol=0.1)
+    assert found.process["a"] == pytest.approx(20.0, rel=0.25)
+
+
+def screen_of(rows: list[np.ndarray], n: int, k: int, flights: tuple[int, ...]) -> Screen:  # type: ignore[type-arg]
+    columns = tuple(Column(i, None) for i in range(k))  # type: ignore[arg-type]
+    reduced = tuple(Reduced(r.T @ r, r.shape[0]) for r in rows)
+    size = rows[0].shape[1]
+    return Screen(tuple(f"t{i}" for i in range(n)), (None,) * k, columns, reduced, np.zeros((size, size)), flights)  # type: ignore[arg-type]
+
+
+def test_gain_equals_brute_force_least_squares() -> None:
+    rng = np.random.default_rng(3)
+    n, k = 4, 3
+    rows = [rng.standard_normal((120, n + k + 1)) for _ in range(3)]
+    rows = [np.column_stack([r[:, :-1], r[:, -1] + 0.4 * r[:, n]]) for r in rows]
+    projected = screen_of(rows, n, k, (0, 1, 2)).projected()
+    X, y = np.concatenate(rows)[:, :-1], np.concatenate(rows)[:, -1]
+
+    def cost(index: list[int]) -> float:
+        return float(np.sum((y - X[:, index] @ np.linalg.lstsq(X[:, index], y, rcond=None)[0]) ** 2))
+
+    base = list(range(n))
+    for subset in ([0], [1], [0, 2], [0, 1, 2]):
+        assert projected.gain(subset) == pytest.approx(cost(base) - cost(base + [n + i for i in subset]), rel=1e-6)
+    assert projected.z()[0] ** 2 == pytest.approx(projected.gain([0]), rel=1e-6)
+
+
+def test_cross_gain_is_positive_for_what_repeats_and_not_for_chance() -> None:
+    rng = np.random.default_rng(4)
+    real, chance = [], []
+    for _ in range(60):
+        rows = [rng.standard_normal((200, 4)) for _ in range(3)]
+        chance.append(screen_of(rows, 2, 1, (0, 1, 2)).cross_gain(0))
+        with_effect = [np.column_stack([r[:, :3], r[:, 3] + 0.5 * r[:, 2]]) for r in rows]
+        real.append(screen_of(with_effect, 2, 1, (0, 1, 2)).cross_gain(0))
+    assert min(r for r in real if r is not None) > 0
+    assert np.mean([c for c in chance if c is not None]) < 0
+    assert screen_of([rows[0]], 2, 1, (0,)).cross_gain(0) is None
+
+
+def test_equivalent_z_of_several_unknowns_keeps_the_probability() -> None:
+    assert equivalent_z(9.0, 1) == pytest.approx(3.0)
+    assert equivalent_z(5.991, 2) == pytest.approx(1.96, abs=1e-3)  # chi-square with 2, 95 %
+    assert equivalent_z(400.0, 2) == pytest.approx(19.8, abs=0.2)
+
+
+def test_gap_closed_by_hand() -> None:
+    assert Gap(5.1, 1.1, 1.0).closed == pytest.approx(1 - 0.21 / 25.01)
+    assert Gap(2.0, 0.9, 1.0).closed == 1.0
+    assert Gap(2.0, 2.5, 1.0).closed == 0.0
+    assert Gap(0.9, 0.95, 1.0).closed == 1.0
+    assert Gap(0.9, 1.2, 1.0).closed == 0.0
+
+
+def test_credible_set_is_the_smallest_with_the_share() -> None:
+    assert credible_set({"a": 0.97, "b": 0.03}) == [("a", 0.97)]
+    assert [n for n, _ in credible_set({"a": 0.6, "b": 0.36, "c": 0.04})] == ["a", "b"]
+
+
+def test_upper_quantile_is_never_below_the_samples_own() -> None:
+    values = np.random.default_rng(5).gumbel(3.0, 0.3, 4000)
+    assert upper_quantile(values, 0.95) >= np.quantile(values, 0.95)
+    assert upper_quantile(values, 0.95) == pytest.approx(3.0 - 0.3 * np.log(-np.log(0.95)), abs=0.08)

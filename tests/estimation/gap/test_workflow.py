@@ -1,0 +1,94 @@
+"""The whole workflow on flights of a second, independent truth: names what is hidden, and nothing where nothing is."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from estimation.gap.effects import catalogue
+from estimation.gap.errors import GapError
+from estimation.gap.gate import kinematic_gate
+from estimation.gap.report import write_gap_report
+from estimation.gap.result import Verdict
+from estimation.gap.run import analyse
+from estimation.gap.workflow import Options, run_gap
+from estimation.models.load import load_model, read_model
+from groundstation.flight import Flight, FlightError
+from tests.studies import second_truth as truth
+
+QUICK = Options(seed=3, nulls=30, most=2)
+SPEEDS = (14.5, 16.5, 19.0)
+NOTHING = lambda what, share: None  # noqa: E731
+
+
+@pytest.fixture(scope="module")
+def flown() -> dict[str, list[Flight]]:
+    """Three short flights each with adverse yaw, with a lagging vane and with nothing hidden."""
+    hidden = {"Cn_da": {"Cn_da": 1.0}, "beta_lag": {"beta_lag": 1.2}, "none": {}}
+    requests = [
+        truth.Request(40 + i, SPEEDS[i], effects, duration=24.0) for effects in hidden.values() for i in range(3)
+    ]
+    columns = truth.fly(requests)
+    made = [
+        Flight.build(f"f{i % 3}", c["time"], {k: v for k, v in c.items() if k != "time"}) for i, c in enumerate(columns)
+    ]
+    return {name: made[3 * i : 3 * i + 3] for i, name in enumerate(hidden)}
+
+
+def test_adverse_yaw_is_named_added_and_written_down(flown: dict[str, list[Flight]], tmp_path: Path) -> None:
+    flights = flown["Cn_da"]
+    said: list[str] = []
+    result = analyse(load_model("lateral"), flights[:2], flights[2:], catalogue(), QUICK,
+                     lambda what, share: said.append(what), tmp_path / "report", tmp_path / "gap.json")  # fmt: skip
+    answer = json.loads((tmp_path / "gap.json").read_text(encoding="utf-8"))
+    step = answer["steps"][0]
+    assert answer["verdict"] == "gap_closed"
+    assert "Cn_da" in [m["effect"] for m in step["set"]]
+    assert step["score"] > step["threshold"] > 2.0
+    assert step["holdout"]["after"] < step["holdout"]["before"]
+    assert step["migrated"]["Cn_p"]["bounds"] > 3.0  # it had absorbed the adverse yaw
+    assert any("null" in words for words in said)
+    child = read_model(answer["model_after"])
+    assert child.name == "lateral+" + step["effect"]
+    assert not [n for n in child.parameter_names if n.startswith(("bias_", "timing_", "edge_"))]
+    lineage = json.loads(next((tmp_path / "report" / "models").glob("*.lineage.json")).read_text(encoding="utf-8"))
+    assert len(lineage["flights"]) == 3 and lineage["parent"]["digest"] != lineage["child"]["digest"]
+    page = write_gap_report(result, tmp_path / "report").read_text(encoding="utf-8")
+    assert step["effect"] in page and page.count("<img") == 4
+
+
+def test_nothing_hidden_gives_no_gap_and_the_same_answer_again(flown: dict[str, list[Flight]]) -> None:
+    first = run_gap(load_model("lateral"), flown["none"], options=QUICK)
+    assert first.verdict is Verdict.NO_GAP and not first.steps
+    assert first.minimum_detectable["Cn_da"] < 0.01
+    again = run_gap(load_model("lateral"), flown["none"], options=QUICK)
+    assert json.dumps(first.to_json()) == json.dumps(again.to_json())
+
+
+def test_the_gate_tells_an_instrument_from_the_aircraft(flown: dict[str, list[Flight]]) -> None:
+    assert kinematic_gate(flown["beta_lag"], catalogue(), 40, 1).origin == "sensor"
+    assert kinematic_gate(flown["Cn_da"], catalogue(), 40, 1).origin == "physics"
+
+
+def test_a_missing_channel_is_named(flown: dict[str, list[Flight]]) -> None:
+    flight = flown["none"][0]
+    bare = Flight.build("bare", flight.time, {k: v for k, v in flight.columns.items() if k != "delta_a"})
+    with pytest.raises(FlightError, match="delta_a"):
+        run_gap(load_model("lateral"), [bare], options=QUICK)
+
+
+def test_a_baseline_that_runs_away_is_a_finding(flown: dict[str, list[Flight]]) -> None:
+    wild = load_model("lateral").fixed(Cl_p=40.0)
+    with pytest.raises(GapError, match="runs away on f"):
+        run_gap(wild, flown["none"][:1], options=QUICK)
+
+
+def test_no_training_flight_is_refused() -> None:
+    with pytest.raises(GapError, match="no training flight"):
+        run_gap(load_model("lateral"), [], options=QUICK)
+
+
+def test_the_second_truth_obeys_its_own_trim() -> None:
+    (columns,) = truth.fly([truth.Request(1, gust=0.0, jitter=0.0, duration=1.0)])
+    assert np.mean(columns["az"]) == pytest.approx(-truth.G * np.cos(np.mean(columns["theta"])), abs=0.15)
