@@ -149,7 +149,7 @@ class _Fits:
         for n in range(1, longest + 1):
             basis = _basis(n, order)
             gram = basis.T @ basis + np.eye(terms) / width**2
-            inverse = np.linalg.inv(gram)
+            inverse: Array = np.linalg.inv(gram).astype(np.float64)
             moments = _centred([c[:, n:] - c[:, :-n] for c in sums], at[: count - n + 1] + 0.5 * (n - 1), n)
             explained = np.sum((moments @ inverse) * moments, axis=2).T
             energy = (square[:, n:] - square[:, :-n]).T

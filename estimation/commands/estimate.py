@@ -35,6 +35,9 @@ EXAMPLE = "Example: sideslip estimate ld1.mcap ld2.mcap --method ml,ngn --joint 
     type=click.Path(path_type=Path),
     help="Write a figure of measured and estimated histories.",
 )
+@click.option("--save-model", "model_path", type=click.Path(path_type=Path),
+              help="Write the model with its estimates (joint if asked for, else of the first flight) for match and gap.")  # fmt: skip
+@click.option("--brief", is_flag=True, help="Print each flight in one line; tables for the mean and the joint estimate only.")
 def estimate(
     flights: tuple[Path, ...],
     methods: str,
@@ -45,8 +48,14 @@ def estimate(
     json_path: Path | None,
     report_folder: Path | None,
     figure_path: Path | None,
+    model_path: Path | None,
+    brief: bool,
 ) -> int:
     """Estimate aerodynamic parameters of each FLIGHT (.mcap, .csv or .parquet), with bounds."""
+    import os
+
+    for library in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+        os.environ.setdefault(library, "1")  # matrices of a fit are small: threads only wait for one another
     from estimation import laboratory
     from estimation.aircraft import load_aircraft
     from estimation.models import load_model
@@ -57,8 +66,15 @@ def estimate(
     read = [select_segments(read_flight(path), segments) for path in flights]
     names = tuple(m.strip() for m in methods.split(",") if m.strip())
     session = laboratory.estimate(chosen, read, craft, names, joint=joint, progress=_progress())
-    for line in session_lines(session):
+    for line in session_lines(session, brief=brief):
         click.echo(line)
+    if model_path is not None:
+        from estimation.models import write_model
+
+        best = next(iter(session.joint.values()), None) or next(iter(session.flights[0].results.values()))
+        model_path.parent.mkdir(parents=True, exist_ok=True)
+        write_model(best.fitted_model, model_path)
+        click.echo(f"model: {model_path}")
     if json_path is not None:
         write_json(session.to_json(), json_path)
     if figure_path is not None:
@@ -134,17 +150,20 @@ def _progress() -> _Progress:
 # ------------------------------------------------------------------------------------------------------ tables
 
 
-def session_lines(session: "Session") -> Iterator[str]:
+def session_lines(session: "Session", *, brief: bool = False) -> Iterator[str]:
     """The printed answer: a table for each flight and method, mean and scatter, joint."""
     yield f"aircraft {session.aircraft.name}, model {session.model.name}"
     for f in session.flights:
         for method, result in f.results.items():
+            if brief:
+                yield f"{f.flight.name} ({len(f.flight)} samples), {method}: {result.text}"
+                continue
             yield ""
             yield f"{f.flight.name} ({len(f.flight)} samples), {method}: {result.text}"
             yield from result_lines(result)
         for method, why in f.failures.items():
             yield f"{f.flight.name}, {method}: {why}"
-        for note in next(iter(f.results.values())).flights[0].notes if f.results else ():
+        for note in next(iter(f.results.values())).flights[0].notes if f.results and not brief else ():
             yield f"  note: {note}"
     if len(session.flights) > 1:
         yield from _mean_lines(session)

@@ -51,7 +51,7 @@ class EquationError:
     values: dict[str, float]
     covariance: Array
     coloured: Array
-    undetermined: Array
+    undetermined: NDArray[np.bool_]
     weights: Array = field(default_factory=lambda: np.zeros(0))
 
 

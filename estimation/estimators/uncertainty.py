@@ -33,7 +33,7 @@ class Uncertainty:
     coloured: Array
     local_covariance: list[Array]
     local_coloured: list[Array]
-    undetermined: Array
+    undetermined: NDArray[np.bool_]
 
 
 def uncertainty(problem: OutputErrorProblem, unknowns: Array, point: LikelihoodPoint) -> Uncertainty:
@@ -95,7 +95,7 @@ def estimates(
     values: Array,
     covariance: Array,
     coloured: Array,
-    undetermined: Array,
+    undetermined: NDArray[np.bool_],
     flights: list[FlightData],
 ) -> tuple[dict[str, Estimate], tuple[tuple[str, str, float], ...]]:
     """Estimates with bounds and a verdict on each, and the list of strongly correlated pairs."""

@@ -1,6 +1,6 @@
 """Choose what explains the flights: full fits, evidence, set, held-out test, exchange and backward checks."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -28,6 +28,11 @@ class Choice:
     @property
     def best(self) -> Candidate | None:
         return self.candidates[0] if self.candidates else None
+
+    def without(self, refused: Collection[tuple[str, str]]) -> "Choice":
+        """The same without candidates that a later check refused; the weights count the others only."""
+        kept = tuple(c for c in self.candidates if c.hypothesis.key not in refused)
+        return replace(self, candidates=kept, weights=_weights(kept))
 
 
 def choose(round_: Round, bench: Bench) -> Choice:

@@ -174,25 +174,29 @@ def _accept(
 ) -> tuple[Finding | None, list[Rejected]]:
     """The best candidate that is significant, explains what a nameless term can, and holds on flights it was not fitted to."""
     said: list[Rejected] = []
+    refused: set[tuple[str, str]] = set()
     nameless = max((s.gain for s in omnibus.leading if s.kind == "term"), default=0.0)
     for candidate in choice.candidates:
         label = candidate.hypothesis.label
         if candidate.score < round_.threshold:
             break
         if candidate.gain < NAMED_SHARE * nameless:
+            refused.add(candidate.hypothesis.key)
             said.append(Rejected(label, f"explains only {candidate.gain / nameless:.0%} of what a nameless term does"))
             continue
         index = round_.screen.hypotheses.index(candidate.hypothesis)
         cross = round_.screen.cross_gain(index)
         if cross is not None and cross <= 0.0:
+            refused.add(candidate.hypothesis.key)
             said.append(Rejected(label, "does not hold on the training flights it was not fitted to"))
             continue
         child = setting.child(round_.baseline, candidate)
         held = held_gain(round_.baseline, child, setting.bench)
         if held is not None and held <= 0.0:
+            refused.add(candidate.hypothesis.key)
             said.append(Rejected(label, "does not hold on the held-out flights"))
             continue
-        return Finding(round_, choice, candidate, child), said
+        return Finding(round_, choice.without(refused), candidate, child), said
     return None, said
 
 

@@ -173,7 +173,7 @@ def model_from_class(cls: type, aircraft: Aircraft | None = None) -> Model:
     rates = _in_order(instance.derivatives(x, u, p), [s.name for s in states], f"{cls.__name__}.derivatives")
     shown = _in_order(instance.outputs(x, u, p, xdot), [s.name for s in measured], f"{cls.__name__}.outputs")
     targets = [(f"{s.name}_dot", r) for s, r in zip(states, rates, strict=True)]
-    taken = {s.name for s in (*states, *inputs, *parameters)} | {t for t, _ in targets}
+    taken = {*(s.name for s in (*states, *inputs)), *(q.name for q in parameters)} | {t for t, _ in targets}
     for output, value in zip(measured, shown, strict=True):
         name = f"{output.name}_measured" if output.name in taken else output.name
         if not (value.operator == "leaf" and value.arguments == (output.name,)):

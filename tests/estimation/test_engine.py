@@ -94,7 +94,7 @@ def wide_model() -> Model:
 def test_sensitivities_are_derivatives_of_the_simulation(clean_flight: Flight) -> None:
     model = wide_model()
     data = prepare(model, clean_flight)
-    y, dy, dx0 = simulate_with_sensitivities(model, data, x0=np.full(5, 0.05))
+    _y, dy, dx0 = simulate_with_sensitivities(model, data, x0=np.full(5, 0.05))
     names = model.free_names
     for name in names:
         h = 1e-5

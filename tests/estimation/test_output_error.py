@@ -133,11 +133,11 @@ def roll_yaw_record(rng: np.random.Generator, count: int = 1500) -> tuple[Flight
         "delta_r": np.interp(t, np.arange(0, 31, 0.9), 0.07 * rng.choice([-1, 0, 1], 35)),
         "beta_dot": 0.045 * np.cos(0.9 * t) + 0.046 * np.cos(2.3 * t + 1) + 0.03 * np.sin(5 * t),
     }
-    p = dict(
-        L_0=0.02, L_beta=-12.0, L_p=-6.0, L_r=1.5, L_da=-40.0, L_dr=4.0, L_betadot=0.4, N_0=-0.01, N_beta=6.0, N_p=-0.4, N_r=-0.9,
-        N_da=1.0, N_dr=-7.0, N_betadot=-0.3, Y_0=0.05, Y_beta=-5.0, Y_p=-0.1, Y_r=0.3, Y_da=0.2, Y_dr=6.0, bias_p_dot=0.05,
-        bias_r_dot=-0.03,
-    )  # fmt: skip
+    p = {
+        "L_0": 0.02, "L_beta": -12.0, "L_p": -6.0, "L_r": 1.5, "L_da": -40.0, "L_dr": 4.0, "L_betadot": 0.4, "N_0": -0.01, "N_beta": 6.0, "N_p": -0.4, "N_r": -0.9,
+        "N_da": 1.0, "N_dr": -7.0, "N_betadot": -0.3, "Y_0": 0.05, "Y_beta": -5.0, "Y_p": -0.1, "Y_r": 0.3, "Y_da": 0.2, "Y_dr": 6.0, "bias_p_dot": 0.05,
+        "bias_r_dot": -0.03,
+    }  # fmt: skip
 
     def linear(letter: str, x: np.ndarray, v: list[np.ndarray]) -> np.ndarray:
         terms = zip(("beta", "p", "r", "da", "dr", "betadot"), (v[0], x[0], x[1], *v[1:]), strict=True)
@@ -210,18 +210,18 @@ def test_own_longitudinal_model_equals_an_independent_solution() -> None:
     t = np.arange(count) * h
     de = np.interp(t, np.arange(0, 13, 0.5), -0.04 + 0.06 * rng.choice([-1, 0, 1], 26))
     u = {"delta_e": de, "thrust": 5.0 + 1.5 * np.sin(0.4 * t), "p_dynamic": 150 + 8 * np.sin(0.5 * t)}
-    true = dict(
-        CL_0=0.02,
-        CL_alpha=3.1,
-        CL_q=2.5,
-        CL_de=0.9,
-        CD_0=0.03,
-        CD_k=0.22,
-        Cm_0=0.005,
-        Cm_alpha=-0.17,
-        Cm_q=-1.1,
-        Cm_de=-0.33,
-    )
+    true = {
+        "CL_0": 0.02,
+        "CL_alpha": 3.1,
+        "CL_q": 2.5,
+        "CL_de": 0.9,
+        "CD_0": 0.03,
+        "CD_k": 0.22,
+        "Cm_0": 0.005,
+        "Cm_alpha": -0.17,
+        "Cm_q": -1.1,
+        "Cm_de": -0.33,
+    }
     m, S, c, Iyy, g = 3.5, 0.787, 0.61, 0.23, 9.80665
 
     def coefficients(x: np.ndarray, e: np.ndarray, q: dict[str, float]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
