@@ -356,15 +356,16 @@ class Bar:
             click.echo("\r" + " " * 72 + "\r", nl=False, err=True)
 
     def __call__(self, share: float) -> None:
+        share = min(share, 1.0)
         if share < self._next:
             return
         if self._live:
-            self._next = share + 0.02
-            full = min(30, round(30 * share))
+            self._next = 2.0 if share >= 1.0 else share + 0.02
+            full = round(30 * share)
             click.echo(f"\r{self._title:<30} [{'#' * full}{'.' * (30 - full)}]", nl=False, err=True)
         else:
-            self._next = share + 0.25
-            click.echo(f"{self._title}: {100 * min(share, 1.0):.0f} %", err=True)
+            self._next = 2.0 if share >= 1.0 else 0.5 * (int(2 * share) + 1)
+            click.echo(f"{self._title}: {100 * share:.0f} %", err=True)
 
 
 # ------------------------------------------------------------------------------------------------------------ the demo
@@ -403,7 +404,7 @@ def demo(out: Path) -> int:
          "--json", report / "estimate.json", "--report", report / "estimate", "--save-model", out / "model.toml")  # fmt: skip
 
     click.echo("\n4  Proof of match: the joint model predicts each flight, parameters frozen\n")
-    _run("match", out / "model.toml", *flights, "--json", report / "match.json", "--figure", report / "match.png")
+    _run("match", out / "model.toml", *flights, "--free", "CY_0,Cl_0,Cn_0", "--json", report / "match.json", "--figure", report / "match.png")
 
     click.echo("\n5  Four flights with something hidden in the aircraft; the gap workflow is not told what\n")
     train, holdout = _demo_hidden(out)

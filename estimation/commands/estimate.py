@@ -37,7 +37,9 @@ EXAMPLE = "Example: sideslip estimate ld1.mcap ld2.mcap --method ml,ngn --joint 
 )
 @click.option("--save-model", "model_path", type=click.Path(path_type=Path),
               help="Write the model with its estimates (joint if asked for, else of the first flight) for match and gap.")  # fmt: skip
-@click.option("--brief", is_flag=True, help="Print each flight in one line; tables for the mean and the joint estimate only.")
+@click.option(
+    "--brief", is_flag=True, help="Print each flight in one line; tables for the mean and the joint estimate only."
+)
 def estimate(
     flights: tuple[Path, ...],
     methods: str,

@@ -37,7 +37,9 @@ class _ManyHoldouts(click.Command):
 @click.argument("flights", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="FLIGHT...")
 @click.option("--holdout", multiple=True, type=click.Path(path_type=Path), metavar="FLIGHT...",
               help="Flights kept out of every fit, to confirm what is found; several may follow.")  # fmt: skip
-@click.option("--model", default="lateral", show_default=True, help="Base model: built-in name, MODEL.toml or module:Class.")
+@click.option(
+    "--model", default="lateral", show_default=True, help="Base model: built-in name, MODEL.toml or module:Class."
+)
 @click.option("--aircraft", default="cdfp", show_default=True, help="Built-in aircraft or an AIRCRAFT.toml.")
 @click.option("--report", "report_folder", type=click.Path(path_type=Path), help="Write an HTML report and the models.")
 @click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write the answer as JSON.")
@@ -69,7 +71,9 @@ def gap(
     training = [read_flight(path) for path in flights]
     held = [read_flight(path) for path in holdout]
     effects = catalogue(effect_files)
-    result = analyse(chosen, training, held, effects, Options(seed=seed, nulls=nulls), _Progress(), report_folder, json_path)
+    result = analyse(
+        chosen, training, held, effects, Options(seed=seed, nulls=nulls), _Progress(), report_folder, json_path
+    )
     for line in lines(result):
         click.echo(line)
     if report_folder is not None:
@@ -84,7 +88,9 @@ def lines(result: "GapResult") -> list[str]:
     out = [f"verdict: {result.verdict.value}", result.text]
     if result.steps:
         out.append("")
-        out.append(f"{'effect':20s} {'score':>7s} {'threshold':>9s} {'weight':>7s}  {'gap before':>10s} {'after':>7s} {'floor':>7s} {'closed':>7s} {'held out':>9s}")
+        out.append(
+            f"{'effect':20s} {'score':>7s} {'threshold':>9s} {'weight':>7s}  {'gap before':>10s} {'after':>7s} {'floor':>7s} {'closed':>7s} {'held out':>9s}"
+        )
     for s in result.steps:
         held = "-" if s.holdout is None else f"{s.holdout.closed:.0%}"
         out.append(

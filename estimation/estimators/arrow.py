@@ -82,6 +82,8 @@ def pseudo_inverse(matrix: Array) -> tuple[Array, Array]:
     matrix. Scaled to unit diagonal first, so units do not decide."""
     if matrix.shape[0] == 0:  # everything frozen: proof of match
         return np.zeros((0, 0)), np.zeros((0, 0))
+    if not matrix.size:
+        return matrix.copy(), np.zeros((0, 0))
     diagonal = np.diag(matrix).copy()
     alive = diagonal > 0.0
     scale = np.where(alive, 1.0 / np.sqrt(np.where(alive, diagonal, 1.0)), 0.0)

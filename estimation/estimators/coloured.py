@@ -62,6 +62,8 @@ def score_covariance(pieces: list[Piece], inverse: Array, nuisance_inverse: list
         spectrum = spectrum * np.clip(raise_by, 1.0 / LARGEST_RAISE, LARGEST_RAISE)[:, None, None]
     total = np.zeros((n, n))
     for piece, J in zip(pieces, projected, strict=True):
+        if n == 0:  # everything frozen: nothing to correct
+            continue
         total += _quadratic(J.reshape(piece.residual.shape[0], ny, n), spectrum, size)
     return total
 

@@ -74,6 +74,8 @@ def flight_score_covariance(
 ) -> Array:
     """(n, n) covariance of one flight's score about the free parameters, initial states projected out."""
     n = len(problem.free)
+    if n == 0:
+        return np.zeros((0, 0))
     keep = np.concatenate([np.arange(n), n + problem.free_states])
     inverse = np.zeros((n, n))
     inverse[np.ix_(problem.shared, problem.shared)] = covariance

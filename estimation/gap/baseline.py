@@ -57,7 +57,9 @@ def whiteners_for(problem_model: Model, base: Model, records: Sequence[Record], 
                   residuals: Sequence[Array], scatter: Array) -> tuple[NoiseModel, tuple[Whitener, ...]]:  # fmt: skip
     """Noise model from `residuals` (or `noise` where given) and the whitener of every record."""
     simulator = Simulator.build(problem_model, (), substeps=1, hold="linear")
-    shapes = [shapes_of(problem_model, simulator, r.segment(problem_model, base), values, force_states(base)) for r in records]
+    shapes = [
+        shapes_of(problem_model, simulator, r.segment(problem_model, base), values, force_states(base)) for r in records
+    ]
     if noise is None:
         noise = estimate_noise(residuals, shapes, scatter**2, LEAST_NOISE * scatter**2)
     return noise, tuple(whitener(noise, s) for s in shapes)
@@ -146,7 +148,9 @@ def screen_round(
     flyer = NullFlyer.build(problem, baseline.fit, baseline.noise, errors)
     flown = fly_nulls(flyer, nulls, seed, tell)
     if len(flown) < nulls:
-        raise GapError(f"only {len(flown)} of {nulls} simulated nulls stay finite: the fitted baseline is barely stable")
+        raise GapError(
+            f"only {len(flown)} of {nulls} simulated nulls stay finite: the fitted baseline is barely stable"
+        )
     hypotheses = hypotheses_for(baseline.clean, effects, bench.available)
     screen = build_screen(problem, baseline.fit, hypotheses, columns_of(flown))
     gains = linear_gains(screen, problem, 0)

@@ -41,7 +41,11 @@ class Record:
         """This record as `model`, a descendant of `base`, needs it; inputs it does not have are zero."""
         count = len(self)
         still = np.zeros(count)
-        u = np.column_stack([self.inputs.get(n, still) for n in model.input_names]) if model.inputs else np.zeros((count, 0))
+        u = (
+            np.column_stack([self.inputs.get(n, still) for n in model.input_names])
+            if model.inputs
+            else np.zeros((count, 0))
+        )
         return Segment(self.first, self.time, np.ascontiguousarray(u), self.z, self.start(model, base))
 
     def start(self, model: Model, base: Model) -> Array:
@@ -49,7 +53,9 @@ class Record:
         at = dict(zip(base.state_names, self.x0, strict=True))
         for signal in model.states:
             if signal.name not in at:
-                at[signal.name] = at.get(str(signal.start), 0.0) if isinstance(signal.start, str) else float(signal.start or 0.0)
+                at[signal.name] = (
+                    at.get(str(signal.start), 0.0) if isinstance(signal.start, str) else float(signal.start or 0.0)
+                )
         return np.array([at[n] for n in model.state_names])
 
 

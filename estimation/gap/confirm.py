@@ -42,7 +42,11 @@ def fit_hypothesis(
     """Fit base and hypothesis together from `guess`; (problem, fit)."""
     model = awakened(problem.model, hypothesis.form, _inside(hypothesis, problem.model, guess))
     trial = replace(problem, model=model)
-    start = {**model.starts(), **base_fit.values, **{p.name: model.parameter(p.name).start for p in hypothesis.form.parameters}}
+    start = {
+        **model.starts(),
+        **base_fit.values,
+        **{p.name: model.parameter(p.name).start for p in hypothesis.form.parameters},
+    }
     locals_ = [extended(local, base_fit.model, model) for local in base_fit.locals]
     return trial, fit(trial, start, locals_, iterations=iterations)
 
@@ -74,7 +78,11 @@ def assess(problem: Problem, base_fit: Fit, hypothesis: Hypothesis, found: Fit, 
         estimates[p.name] = (value, bound)
         size = max(size, abs(value - none) / p.typical)
         width = PRIOR_WIDTH * p.typical
-        evidence -= 0.5 * ((value - none) / width) ** 2 + max(np.log(width / max(bound, 1e-12)), 0.0) if np.isfinite(bound) else 0.0
+        evidence -= (
+            0.5 * ((value - none) / width) ** 2 + max(np.log(width / max(bound, 1e-12)), 0.0)
+            if np.isfinite(bound)
+            else 0.0
+        )
         span = p.upper - p.lower
         if not p.lower + 1e-6 * span < value < p.upper - 1e-6 * span:
             at_none = abs(value - none) < 1e-3 * p.typical
@@ -83,7 +91,14 @@ def assess(problem: Problem, base_fit: Fit, hypothesis: Hypothesis, found: Fit, 
                 else f"{p.name} = {value:.3g} {p.unit} is outside what is physically possible ({p.lower:g} to {p.upper:g})"
             )  # fmt: skip
     return Candidate(
-        hypothesis, found, gain, equivalent_z(gain / inflation, len(hypothesis.form.parameters)), evidence, estimates, size, why_not
+        hypothesis,
+        found,
+        gain,
+        equivalent_z(gain / inflation, len(hypothesis.form.parameters)),
+        evidence,
+        estimates,
+        size,
+        why_not,
     )
 
 

@@ -103,7 +103,9 @@ class Problem:
 
     @cached_property
     def simulator(self) -> Simulator:
-        return Simulator.build(self.model, (*self.parameters, *self.local_names), substeps=1, work=self.work, hold="linear")
+        return Simulator.build(
+            self.model, (*self.parameters, *self.local_names), substeps=1, work=self.work, hold="linear"
+        )
 
     def starts(self) -> dict[str, float]:
         """Start values of everything shared, held parameters included."""
@@ -113,7 +115,9 @@ class Problem:
         starts = self.model.starts()
         return tuple(Local(s.x0, {n: starts[n] for n in self.local_names}) for s in self.coarse)
 
-    def residual(self, index: int, values: Mapping[str, float], local: Local, inputs: Array | None = None) -> Array | None:
+    def residual(
+        self, index: int, values: Mapping[str, float], local: Local, inputs: Array | None = None
+    ) -> Array | None:
         """(N, ny) measured minus model of one record; None where the motion leaves the finite numbers.
 
         inputs: (N, nu) other inputs than the record's own.

@@ -14,8 +14,8 @@ from estimation.gap.baseline import channel_noise, fit_baseline, screen_round
 from estimation.gap.bench import build_bench
 from estimation.gap.dormant import with_dormant
 from estimation.gap.effects.base import Effect, Group
-from estimation.gap.nulls import input_errors
 from estimation.gap.nuisance import with_nuisance
+from estimation.gap.nulls import input_errors
 from estimation.gap.whitening import force_states
 from estimation.models.base import Model, Parameter, Signal
 from groundstation.flight import Flight
@@ -58,7 +58,13 @@ class Gate:
     why: str
 
     def to_json(self) -> dict[str, Any]:
-        return {"origin": self.origin, "best": self.best, "score": round(self.score, 2), "threshold": round(self.threshold, 2), "why": self.why}
+        return {
+            "origin": self.origin,
+            "best": self.best,
+            "score": round(self.score, 2),
+            "threshold": round(self.threshold, 2),
+            "why": self.why,
+        }
 
 
 def kinematic_gate(flights: Sequence[Flight], effects: Sequence[Effect], nulls: int, seed: int) -> Gate:

@@ -16,7 +16,7 @@ EQUATIONS = ("CY", "Cl", "Cn", "CL", "CD", "Cm")
 
 def equation_of(form: Form) -> str:
     """The equation a form enters: a coefficient, a rate, an instrument or a control."""
-    lines = [line for line in form.terms]
+    lines = list(form.terms)
     named = [line for line in lines if line in EQUATIONS] or lines
     if form.outputs or form.output_delays:
         return "measured " + ", ".join(form.outputs or form.output_delays)
@@ -46,7 +46,7 @@ def locate(parent: Baseline, child: Baseline, bench: Bench, form: Form, origin: 
 
 def _spans(time: Array, gain: Array, width: float = 1.0) -> list[tuple[float, float]]:
     """Stretches that hold most of the gain, best first."""
-    n = max(int(round(width / float(np.median(np.diff(time))))), 2)
+    n = max(round(width / float(np.median(np.diff(time)))), 2)
     smooth = np.convolve(gain, np.ones(n) / n, mode="same")
     limit = max(0.25 * float(smooth.max()), 1e-9)
     edges = np.flatnonzero(np.diff(np.concatenate([[0], (smooth > limit).astype(int), [0]])))
@@ -97,6 +97,12 @@ def disagreement(baseline: Baseline, bins: int = 6) -> dict[str, list[dict[str, 
         rows = []
         for a, b in zip(edges[:-1], edges[1:], strict=True):
             inside = (values >= a) & (values <= b)
-            rows.append({"from": round(float(a), 5), "to": round(float(b), 5), "gap": round(float(np.sqrt(np.nanmean(total[inside]))), 4)})
+            rows.append(
+                {
+                    "from": round(float(a), 5),
+                    "to": round(float(b), 5),
+                    "gap": round(float(np.sqrt(np.nanmean(total[inside]))), 4),
+                }
+            )
         table[name] = rows
     return table

@@ -81,9 +81,7 @@ class Floors:
         return float(np.median(self.holdout)) if self.holdout.size else None
 
 
-def floors(
-    round_: Round, held: tuple[Problem, Fit] | None, held_errors: Sequence[InputErrors], seed: int
-) -> Floors:
+def floors(round_: Round, held: tuple[Problem, Fit] | None, held_errors: Sequence[InputErrors], seed: int) -> Floors:
     """Gap of the nulls of a round after the same refit, by linear theory about the fitted point."""
     baseline = round_.baseline
     problem, found, scatter = baseline.problem, baseline.fit, baseline.scatter

@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-
 from scipy.signal import lfilter
 
 from estimation.engine.kernel import Array

@@ -114,7 +114,10 @@ def _terms(problem: Problem, found: Fit, nulls: Sequence[tuple[Array, ...]]) -> 
     inflation = np.maximum(1.0, np.mean(z[:, 1:] ** 2, axis=1))
     standard = np.abs(z) / np.sqrt(inflation)[:, None]
     standard[~seen] = 0.0
-    words = {place: place.removeprefix(DISTURBANCE.format("")) + "_dot" if place in doors else place for place in (*outputs, *doors)}
+    words = {
+        place: place.removeprefix(DISTURBANCE.format("")) + "_dot" if place in doors else place
+        for place in (*outputs, *doors)
+    }
     signals = [
         Signal("term", words[p], SHAPES[shape].format(s), float(standard[j, 0]), float(z[j, 0] ** 2))
         for j, (p, s, shape) in enumerate(keys)
@@ -167,7 +170,7 @@ def _times(problem: Problem, white: Sequence[Array], nulls: int) -> tuple[list[S
     largest = np.zeros(nulls)
     for i, series in enumerate(white):
         time = problem.coarse[i].time
-        width = max(int(round(WINDOW / float(np.median(np.diff(time))))), 4)
+        width = max(round(WINDOW / float(np.median(np.diff(time)))), 4)
         count = series.shape[0] // width
         energy = np.log(np.sum((series[: count * width] ** 2).reshape(count, width, *series.shape[1:]), axis=1) + 1e-12)
         centre = np.median(energy[:, :, 1:], axis=2)
@@ -204,5 +207,3 @@ def _activity(problem: Problem, found: Fit, white: Sequence[Array], nulls: int) 
         largest = np.maximum(largest, z[1:])
         signals.append(Signal("activity", problem.model.output_names[c], f"scatter grows with {what}", float(z[0])))
     return signals, largest
-
-

@@ -64,7 +64,11 @@ class Migration:
     prior: float | None
 
     def to_json(self) -> dict[str, Any]:
-        data: dict[str, Any] = {"from": _round(self.before, 6), "to": _round(self.after, 6), "bounds": _round(self.bounds, 2)}
+        data: dict[str, Any] = {
+            "from": _round(self.before, 6),
+            "to": _round(self.after, 6),
+            "bounds": _round(self.bounds, 2),
+        }
         if self.prior not in (None, 0.0):
             data["percent_of_prior"] = _round(100 * (self.after - self.before) / abs(self.prior), 1)  # type: ignore[arg-type]
         return data
@@ -174,7 +178,7 @@ class GapResult:
             "threshold": _round(self.threshold, 3), "nominal_threshold": _round(self.nominal_threshold, 3),
             "ties": [[t.first, t.second, _round(t.cosine, 3)] for t in self.ties],
             "rejected": [{"effect": r.effect, "why": r.why} for r in self.rejected],
-            "notes": list(self.notes), **{k: v for k, v in self.details.items()},
+            "notes": list(self.notes), **dict(self.details.items()),
         }  # fmt: skip
 
 

@@ -25,12 +25,22 @@ def analyse(
 ) -> GapResult:
     """Run the workflow; models and lineage go to `report_folder`/models, or beside the JSON file where only that is given."""
     result = run_gap(model, training, holdout, effects, options, tell)
-    folder = report_folder / "models" if report_folder is not None else json_path.parent / f"{json_path.stem}-models" if json_path else None
+    folder = (
+        report_folder / "models"
+        if report_folder is not None
+        else json_path.parent / f"{json_path.stem}-models"
+        if json_path
+        else None
+    )
     if folder is not None:
-        before, after = write_lineage(folder, result.model_before, result.model_after, result.steps, [*training, *holdout], options.seed)
+        before, after = write_lineage(
+            folder, result.model_before, result.model_after, result.steps, [*training, *holdout], options.seed
+        )
         result = replace(result, files=(str(before), str(after)))
     if json_path is not None:
         json_path.parent.mkdir(parents=True, exist_ok=True)
-        json_path.write_text(json.dumps(result.to_json(), indent=1, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8")
+        json_path.write_text(
+            json.dumps(result.to_json(), indent=1, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8"
+        )
     tell("done", 1.0)
     return result

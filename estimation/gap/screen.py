@@ -158,7 +158,7 @@ def sensitivity(problem: Problem, fit: Fit, base_residuals: Sequence[Array], hyp
     none = column.null_value(problem.model)
     trial = replace(problem, model=model)
     two_sided = column.lower < none - 0.25 * column.typical
-    steps = (0.5 * column.typical, -0.5 * column.typical) if two_sided else (0.3 * column.typical,)
+    steps = (0.05 * column.typical, -0.05 * column.typical) if two_sided else (0.3 * column.typical,)
     found = []
     for i in range(len(problem.records)):
         outputs = []
@@ -168,7 +168,11 @@ def sensitivity(problem: Problem, fit: Fit, base_residuals: Sequence[Array], hyp
             if residual is None:
                 return None
             outputs.append(residual)
-        change = (outputs[1] - outputs[0]) / (steps[0] - steps[1]) if two_sided else (base_residuals[i] - outputs[0]) / steps[0]
+        change = (
+            (outputs[1] - outputs[0]) / (steps[0] - steps[1])
+            if two_sided
+            else (base_residuals[i] - outputs[0]) / steps[0]
+        )
         found.append(np.nan_to_num(change))
     return found
 
@@ -178,7 +182,9 @@ def extended(local: Local, old: Model, new: Model) -> Local:
     at = dict(zip(old.state_names, local.x0, strict=True))
     for signal in new.states:
         if signal.name not in at:
-            at[signal.name] = at.get(str(signal.start), 0.0) if isinstance(signal.start, str) else float(signal.start or 0.0)
+            at[signal.name] = (
+                at.get(str(signal.start), 0.0) if isinstance(signal.start, str) else float(signal.start or 0.0)
+            )
     return Local(np.array([at[n] for n in new.state_names]), local.parameters)
 
 
@@ -218,9 +224,7 @@ def build_screen(
     return Screen(problem.free, tuple(kept), tuple(columns), reduced, prior, tuple(r.flight for r in problem.records))
 
 
-def reduce_record(
-    problem: Problem, fit: Fit, index: int, changes: Sequence[Array], extra: Sequence[Array]
-) -> Reduced:
+def reduce_record(problem: Problem, fit: Fit, index: int, changes: Sequence[Array], extra: Sequence[Array]) -> Reduced:
     """Gram matrix of one record with its own unknowns eliminated; residual columns: the data's, then `extra`."""
     shared = len(problem.free)
     found = problem.linearised(index, fit.values, fit.locals[index])

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from estimation.engine.kernel import Array
 from estimation.gap.baseline import Round, whiteners_for
 from estimation.gap.bench import Bench
 from estimation.gap.confirm import Candidate, assess, fit_hypothesis, leading, linear_guess
@@ -14,7 +15,7 @@ from estimation.gap.result import Rejected
 FULL_FITS = 10
 KEEP = 6  # best candidates that are compared again with the noise of the best
 SET_WEIGHT = 0.95
-IMMATERIAL = 0.12  # of the usual size: smaller is found but not called an effect
+IMMATERIAL = 0.15  # of the usual size: smaller is found but not called an effect
 
 
 @dataclass(frozen=True)
@@ -40,12 +41,11 @@ def choose(round_: Round, bench: Bench) -> Choice:
     problem, base_fit, screen = round_.baseline.problem, round_.baseline.fit, round_.screen
     if not screen.hypotheses:
         return Choice((), {}, ())
-    standardised = round_.gains / round_.inflation
     inflation = comparable(round_)
     first = []
-    for h in leading(screen, standardised, FULL_FITS):
+    for h in leading(screen, promise(round_), FULL_FITS):
         hypothesis = screen.hypotheses[h]
-        trial, found = fit_hypothesis(problem, base_fit, hypothesis, linear_guess(screen, problem, h))
+        _trial, found = fit_hypothesis(problem, base_fit, hypothesis, linear_guess(screen, problem, h))
         first.append(assess(problem, base_fit, hypothesis, found, inflation[hypothesis.key]))
     sound = sorted((c for c in map(_material, first) if not c.why_not), key=lambda c: -c.evidence)
     rejected = [Rejected(c.hypothesis.label, c.why_not) for c in map(_material, first) if c.why_not]
@@ -53,6 +53,17 @@ def choose(round_: Round, bench: Bench) -> Choice:
         return Choice(tuple(sound), _weights(sound), tuple(rejected))
     again = _compared_again(round_, bench, sound[:KEEP], inflation)
     return Choice(again, _weights(again), tuple(rejected))
+
+
+def promise(round_: Round) -> Array:
+    """(hypotheses,) standardised gains by which full fits are chosen: effects that a small step cannot judge (delays, lags,
+    plays) count with either sign."""
+    projected, screen = round_.screen.projected(), round_.screen
+    either = np.array([
+        projected.gain(screen.span(h)) if hypothesis.form.nonlinear else round_.gains[h]
+        for h, hypothesis in enumerate(screen.hypotheses)
+    ])  # fmt: skip
+    return either / round_.inflation
 
 
 def comparable(round_: Round) -> dict[tuple[str, str], float]:
@@ -81,7 +92,13 @@ def _compared_again(
     """The candidates with the noise re-estimated from the best one's residuals: sharper, and the same for all."""
     best, problem = sound[0], round_.baseline.problem
     _, whiteners = whiteners_for(
-        best.fit.model, bench.base, problem.records, {**best.fit.model.starts(), **best.fit.values}, None, best.fit.residuals, round_.baseline.scatter
+        best.fit.model,
+        bench.base,
+        problem.records,
+        {**best.fit.model.starts(), **best.fit.values},
+        None,
+        best.fit.residuals,
+        round_.baseline.scatter,
     )
     sharper = replace(problem, whiteners=whiteners)
     base_fit = fit(sharper, round_.baseline.fit.values, round_.baseline.fit.locals, iterations=8)
@@ -102,7 +119,9 @@ def _weights(candidates: Sequence[Candidate]) -> dict[str, float]:
     weights: dict[str, float] = {}
     for c in candidates:
         share = 1.0 / len(c.hypothesis.effect.forms)
-        weights[c.hypothesis.effect.name] = weights.get(c.hypothesis.effect.name, 0.0) + share * float(np.exp(c.evidence - top))
+        weights[c.hypothesis.effect.name] = weights.get(c.hypothesis.effect.name, 0.0) + share * float(
+            np.exp(c.evidence - top)
+        )
     total = sum(weights.values())
     return dict(sorted(((n, w / total) for n, w in weights.items()), key=lambda item: -item[1]))
 

@@ -90,7 +90,11 @@ def force_states(model: Model) -> tuple[str, ...]:
 
 
 def shapes_of(
-    model: Model, simulator: Simulator, segment: Segment, values: Mapping[str, float], states: Sequence[str] | None = None
+    model: Model,
+    simulator: Simulator,
+    segment: Segment,
+    values: Mapping[str, float],
+    states: Sequence[str] | None = None,
 ) -> Shapes:
     """Linearised responses at the mean inputs of a record and small motion. states: where process noise may enter."""
     p = simulator.vector(values)
@@ -98,7 +102,9 @@ def shapes_of(
     u0 = segment.u.mean(axis=0)
     controls = [i for i, s in enumerate(model.inputs) if s.control]
     step = 1e-4
-    points_x = np.concatenate([np.zeros((1, nx)), step * np.eye(nx), -step * np.eye(nx), np.zeros((2 * len(controls), nx))])
+    points_x = np.concatenate(
+        [np.zeros((1, nx)), step * np.eye(nx), -step * np.eye(nx), np.zeros((2 * len(controls), nx))]
+    )
     points_u = np.repeat(u0[None], points_x.shape[0], axis=0)
     for j, i in enumerate(controls):
         points_u[1 + 2 * nx + 2 * j, i] += step
@@ -128,7 +134,9 @@ def shapes_of(
 def spectral_matrix(noise: NoiseModel, shapes: Shapes) -> Complex:
     """S(f), (frequencies, ny, ny); unit: output unit squared per sample."""
     ny = noise.measurement.size
-    S = np.zeros((next(iter(shapes.parts.values())).shape[0] if shapes.parts else shapes.count // 2 + 1, ny, ny), complex)
+    S = np.zeros(
+        (next(iter(shapes.parts.values())).shape[0] if shapes.parts else shapes.count // 2 + 1, ny, ny), complex
+    )
     S += np.diag(noise.measurement)
     for name, strength in noise.process.items():
         g = shapes.parts[name]

@@ -16,11 +16,19 @@ def describe_step(step: Step) -> str:
     if step.effect == "unknown":
         return (
             f"Something the catalogue does not hold: it lives in {', '.join(step.where.channels)} ({step.where.regime})"
-            + (f", for example at {step.where.segments[0][0]:.1f} to {step.where.segments[0][1]:.1f} s" if step.where.segments else "")
+            + (
+                f", for example at {step.where.segments[0][0]:.1f} to {step.where.segments[0][1]:.1f} s"
+                if step.where.segments
+                else ""
+            )
             + ". No name is given, because none explains enough of it."
         )
-    numbers = ", ".join(f"{n} = {v:.4g} +- {s:.2g} {step.units.get(n, '')}".rstrip() for n, (v, s) in step.estimates.items())
-    text = f"{step.title} ({step.effect}: {numbers}), score {step.score:.1f} against a threshold of {step.threshold:.1f}."
+    numbers = ", ".join(
+        f"{n} = {v:.4g} +- {s:.2g} {step.units.get(n, '')}".rstrip() for n, (v, s) in step.estimates.items()
+    )
+    text = (
+        f"{step.title} ({step.effect}: {numbers}), score {step.score:.1f} against a threshold of {step.threshold:.1f}."
+    )
     if len(step.members) > 1:
         others = " or ".join(f"{m.effect} ({m.weight:.2f})" for m in step.members)
         text += f" These flights cannot tell {others} apart; to separate them: {step.separate_by}."
@@ -32,16 +40,26 @@ def conclude(verdict: Verdict, steps: Sequence[Step], detectable: Mapping[str, f
     """The paragraph of the verdict."""
     parts = []
     if verdict is Verdict.NO_GAP:
-        parts.append("No effect found: what is left of the disagreement looks like the noise, gusts and input errors of these flights.")
+        parts.append(
+            "No effect found: what is left of the disagreement looks like the noise, gusts and input errors of these flights."
+        )
         if detectable:
-            some = [f"{n} of {detectable[n]:.2g}" for n in ("Cn_da", "CY_da", "beta_lag", "Cl_beta3", "aileron_delay", "p_sin_alpha") if n in detectable][:4]
+            some = [
+                f"{n} of {detectable[n]:.2g}"
+                for n in ("Cn_da", "CY_da", "beta_lag", "Cl_beta3", "aileron_delay", "p_sin_alpha")
+                if n in detectable
+            ][:4]
             if some:
                 parts.append(f"Anything larger than for example {', '.join(some)} would have been seen.")
     elif verdict is Verdict.CANNOT_TELL:
-        parts.append("No effect found, but these flights could not have shown many of them: they hardly excite the motion.")
+        parts.append(
+            "No effect found, but these flights could not have shown many of them: they hardly excite the motion."
+        )
     parts += [s.text for s in steps]
     if steps and not holdout:
-        parts.append("No held-out flight was given, so the better model is not confirmed on data it has not seen: fly one more of the same kind.")
+        parts.append(
+            "No held-out flight was given, so the better model is not confirmed on data it has not seen: fly one more of the same kind."
+        )
     if cannot:
         names = ", ".join(e.name for e in cannot[:8]) + (f" and {len(cannot) - 8} more" if len(cannot) > 8 else "")
         wanted = list(dict.fromkeys(e.separate_by for e in cannot))[:3]

@@ -19,6 +19,7 @@ from estimation.gap.effects import catalogue
 from estimation.gap.effects.base import Effect
 from estimation.gap.effects.missing import missing_derivatives
 from estimation.gap.errors import GapError
+from estimation.gap.fitting import prior_cost
 from estimation.gap.gate import Gate, kinematic_gate
 from estimation.gap.lineage import fitted
 from estimation.gap.locate import disagreement, locate
@@ -93,7 +94,15 @@ class Setting:
         """The parent with a candidate's form, fitted afresh with its own noise."""
         at = {n: v for n, (v, _) in candidate.estimates.items()}
         clean = candidate.hypothesis.form.added_to(parent.clean, at)
-        return fit_baseline(candidate.fit.model, clean, self.bench, self.scatter, candidate.fit.values, candidate.fit.locals, parent.noise)
+        return fit_baseline(
+            candidate.fit.model,
+            clean,
+            self.bench,
+            self.scatter,
+            candidate.fit.values,
+            candidate.fit.locals,
+            parent.noise,
+        )
 
     def screened(self, baseline: Baseline, number: int) -> Round:
         """One round of nulls and screen about a fitted model."""
@@ -101,7 +110,9 @@ class Setting:
 
         def tick(done: int) -> None:
             if done % 10 == 0:
-                self.tell(f"round {number + 1}: null {done} of {self.options.nulls}", start + 0.1 * done / self.options.nulls)
+                self.tell(
+                    f"round {number + 1}: null {done} of {self.options.nulls}", start + 0.1 * done / self.options.nulls
+                )
 
         return screen_round(baseline, self.bench, self.effects, self.errors, self.options.nulls, self.options.seed + 1000 * number,
                             self.options.level, tick)  # fmt: skip
@@ -169,9 +180,7 @@ def _rounds(setting: Setting, baseline: Baseline) -> Trail:
     return Trail(tuple(findings), tuple(rounds), omnibus, unknown, tuple(rejected))
 
 
-def _accept(
-    setting: Setting, round_: Round, choice: Choice, omnibus: Omnibus
-) -> tuple[Finding | None, list[Rejected]]:
+def _accept(setting: Setting, round_: Round, choice: Choice, omnibus: Omnibus) -> tuple[Finding | None, list[Rejected]]:
     """The best candidate that is significant, explains what a nameless term can, and holds on flights it was not fitted to."""
     said: list[Rejected] = []
     refused: set[tuple[str, str]] = set()
@@ -184,20 +193,50 @@ def _accept(
             refused.add(candidate.hypothesis.key)
             said.append(Rejected(label, f"explains only {candidate.gain / nameless:.0%} of what a nameless term does"))
             continue
-        index = round_.screen.hypotheses.index(candidate.hypothesis)
-        cross = round_.screen.cross_gain(index)
-        if cross is not None and cross <= 0.0:
+        if not repeats(round_, candidate):
             refused.add(candidate.hypothesis.key)
             said.append(Rejected(label, "does not hold on the training flights it was not fitted to"))
             continue
         child = setting.child(round_.baseline, candidate)
         held = held_gain(round_.baseline, child, setting.bench)
-        if held is not None and held <= 0.0:
+        least = -4.0 if by_timing(round_, candidate) else 0.0
+        if held is not None and held <= least:
             refused.add(candidate.hypothesis.key)
             said.append(Rejected(label, "does not hold on the held-out flights"))
             continue
         return Finding(round_, choice.without(refused), candidate, child), said
     return None, said
+
+
+def repeats(round_: Round, candidate: Candidate) -> bool:
+    """Whether an effect shows on more than one training flight.
+
+    Effects linear in their unknowns: the gain on each flight with everything fitted to the others, summed. Delays, lags
+    and plays: the gain of the joint fit without the flight that gains most. One flight alone cannot be asked.
+    """
+    screen, form = round_.screen, candidate.hypothesis.form
+    if not form.nonlinear:
+        cross = screen.cross_gain(screen.hypotheses.index(candidate.hypothesis))
+        return cross is None or cross > 0.0
+    if by_timing(round_, candidate):
+        return True
+    whiteners, flights = round_.baseline.problem.whiteners, screen.flights
+    gains: dict[int, float] = {}
+    for w, flight, one, two in zip(
+        whiteners, flights, round_.baseline.fit.residuals, candidate.fit.residuals, strict=True
+    ):
+        gains[flight] = gains.get(flight, 0.0) + float(np.sum(w.rows(one) ** 2) - np.sum(w.rows(two) ** 2))
+    return len(gains) < 2 or sum(gains.values()) - max(gains.values()) > 0.0
+
+
+def by_timing(round_: Round, candidate: Candidate) -> bool:
+    """Whether the base had to move its surfaces in time by more than the sampling leaves open to follow the flights.
+
+    Then the base fits as well as the effect does, flight by flight; what it cannot explain is that shift.
+    """
+    problem, names = round_.baseline.problem, round_.baseline.problem.free
+    freed = prior_cost(problem, names, round_.baseline.fit.values) - prior_cost(problem, names, candidate.fit.values)
+    return 2.0 * freed > 0.5 * candidate.gain
 
 
 def held_gain(parent: Baseline, child: Baseline, bench: Bench) -> float | None:
@@ -217,17 +256,31 @@ def _questioned(setting: Setting, findings: Sequence[Finding]) -> tuple[list[Fin
         model, clean = setting.working, setting.clean
         for f in others:
             at = {n: v for n, (v, _) in f.candidate.estimates.items()}
-            model, clean = awakened(model, f.candidate.hypothesis.form, at), f.candidate.hypothesis.form.added_to(clean, at)
+            model, clean = (
+                awakened(model, f.candidate.hypothesis.form, at),
+                f.candidate.hypothesis.form.added_to(clean, at),
+            )
         without = fit_baseline(model, clean, setting.bench, setting.scatter, None, None, last.child.noise, passes=0)
         old = findings[i].candidate
         gain = 2.0 * (without.fit.cost - last.child.fit.cost)
         if np.sqrt(max(gain, 0.0)) < findings[i].round_.threshold:
-            said.append(Rejected(old.hypothesis.label, f"no longer needed once {last.candidate.hypothesis.label} is in the model"))
-            fresh = fit_baseline(model, clean, setting.bench, setting.scatter, without.fit.values, without.fit.locals, without.noise)
+            said.append(
+                Rejected(
+                    old.hypothesis.label, f"no longer needed once {last.candidate.hypothesis.label} is in the model"
+                )
+            )
+            fresh = fit_baseline(
+                model, clean, setting.bench, setting.scatter, without.fit.values, without.fit.locals, without.noise
+            )
             return [replace(f, child=fresh) if f is others[-1] else f for f in others], said
         rival = _rival(setting, without, old, gain)
         if rival is not None:
-            said.append(Rejected(old.hypothesis.label, f"{rival.hypothesis.label} explains the same better with the other effects in the model"))
+            said.append(
+                Rejected(
+                    old.hypothesis.label,
+                    f"{rival.hypothesis.label} explains the same better with the other effects in the model",
+                )
+            )
             child = setting.child(without, rival)
             choice = Choice((rival,), {rival.hypothesis.effect.name: 1.0}, ())
             return [*others, Finding(last.round_, choice, rival, child)], said
@@ -264,7 +317,10 @@ def conclude_trail(setting: Setting, trail: Trail, gate: Gate) -> GapResult:
     unknown = trail.unknown
     if unknown and steps and not shut and steps[-1].gap.closed < NAMED_CLOSED:
         dropped = steps.pop()
-        trail = replace(trail, rejected=(*trail.rejected, Rejected(dropped.effect, f"closes only {dropped.gap.closed:.0%} of the gap")))
+        trail = replace(
+            trail,
+            rejected=(*trail.rejected, Rejected(dropped.effect, f"closes only {dropped.gap.closed:.0%} of the gap")),
+        )
     kept = trail.findings[: len(steps)]
     cannot = undetectable(first, setting.base)
     if unknown:
@@ -280,7 +336,9 @@ def conclude_trail(setting: Setting, trail: Trail, gate: Gate) -> GapResult:
         steps[0] = replace(steps[0], where=replace(steps[0].where, origin=gate.origin))
     steps = [replace(s, text=describe_step(s)) for s in steps]
     detectable = _detectable(last)
-    tied = tuple(e for e in setting.effects if e.tied_to and any(h.effect.name == e.name for h in first.screen.hypotheses))
+    tied = tuple(
+        e for e in setting.effects if e.tied_to and any(h.effect.name == e.name for h in first.screen.hypotheses)
+    )
     before = fitted(setting.base, first.baseline.fit.values)
     after = before
     if kept:
@@ -327,7 +385,11 @@ def histories(setting: Setting, before: Baseline, after: Baseline, last: Round) 
     for problem, one, two, held in pairs:
         for i, record in enumerate(problem.records):
             z = problem.coarse[i].z
-            made.append(Histories(bench.names[record.flight], held, record.time, z, z - one.residuals[i], z - two.residuals[i], band))
+            made.append(
+                Histories(
+                    bench.names[record.flight], held, record.time, z, z - one.residuals[i], z - two.residuals[i], band
+                )
+            )
     return tuple(made)
 
 
@@ -338,7 +400,9 @@ def undetectable(round_: Round, model: Model) -> list[Effect]:
     effects = {h.effect.name: h.effect for h in round_.screen.hypotheses}
     for c, column in enumerate(round_.screen.columns):
         name = round_.screen.hypotheses[column.hypothesis].effect.name
-        power = np.sqrt(max(float(projected.B[c, c]), 0.0) / round_.inflation[column.hypothesis]) * column.parameter.typical
+        power = (
+            np.sqrt(max(float(projected.B[c, c]), 0.0) / round_.inflation[column.hypothesis]) * column.parameter.typical
+        )
         seen[name] = max(seen.get(name, 0.0), float(power))
     return [effects[n] for n, power in seen.items() if power < 0.5 * round_.threshold and not effects[n].tied_to]
 
@@ -438,7 +502,11 @@ def _detectable(round_: Round) -> dict[str, float]:
     for c, column in enumerate(round_.screen.columns):
         information = max(float(projected.B[c, c]), 1e-300) / round_.inflation[column.hypothesis]
         name = round_.screen.hypotheses[column.hypothesis].effect.name
-        key = name if name not in sizes and len(round_.screen.hypotheses[column.hypothesis].effect.forms) == 1 else column.parameter.name
+        key = (
+            name
+            if name not in sizes and len(round_.screen.hypotheses[column.hypothesis].effect.forms) == 1
+            else column.parameter.name
+        )
         sizes[key] = round_.threshold / float(np.sqrt(information))
     return sizes
 

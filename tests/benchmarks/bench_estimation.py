@@ -1,7 +1,7 @@
-"""Speed and memory of the estimation engine, on the project's own code. Run: make bench, or python -m tests.benchmarks.bench_estimation.
+"""Speed and memory of the estimation engine, on the project's own code: make bench.
 
-Prints one table: first and warm fit with and without a compiler against scipy least_squares over a Runge-Kutta loop on
-the same flight, then cost against samples, parameters and flights. Times are of this machine, now.
+Prints first and warm fit with and without a compiler against scipy least_squares over a Runge-Kutta loop on the same
+flight, then cost against samples, parameters and flights. Times are of this machine, now.
 """
 
 import resource
@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from scipy.optimize import least_squares
 
 from estimation.engine.data import FlightData, prepare
@@ -125,6 +126,12 @@ def main() -> None:
         print(f"{count:8d} {timed(lambda n=count: fit(flights[:n], 'always'), 1):8.3f} s compiled")  # type: ignore[misc]
     print(f"{100:8d} {timed(lambda: fit(flights, 'never'), 1):8.3f} s without a compiler")
     print(f"peak memory {peak_mb():.0f} MB")
+
+
+@pytest.mark.benchmark
+@pytest.mark.timeout(600)
+def test_estimation_speed() -> None:
+    main()
 
 
 if __name__ == "__main__":

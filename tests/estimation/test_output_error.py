@@ -134,8 +134,9 @@ def roll_yaw_record(rng: np.random.Generator, count: int = 1500) -> tuple[Flight
         "beta_dot": 0.045 * np.cos(0.9 * t) + 0.046 * np.cos(2.3 * t + 1) + 0.03 * np.sin(5 * t),
     }
     p = {
-        "L_0": 0.02, "L_beta": -12.0, "L_p": -6.0, "L_r": 1.5, "L_da": -40.0, "L_dr": 4.0, "L_betadot": 0.4, "N_0": -0.01, "N_beta": 6.0, "N_p": -0.4, "N_r": -0.9,
-        "N_da": 1.0, "N_dr": -7.0, "N_betadot": -0.3, "Y_0": 0.05, "Y_beta": -5.0, "Y_p": -0.1, "Y_r": 0.3, "Y_da": 0.2, "Y_dr": 6.0, "bias_p_dot": 0.05,
+        "L_0": 0.02, "L_beta": -12.0, "L_p": -6.0, "L_r": 1.5, "L_da": -40.0, "L_dr": 4.0, "L_betadot": 0.4,
+        "N_0": -0.01, "N_beta": 6.0, "N_p": -0.4, "N_r": -0.9, "N_da": 1.0, "N_dr": -7.0, "N_betadot": -0.3,
+        "Y_0": 0.05, "Y_beta": -5.0, "Y_p": -0.1, "Y_r": 0.3, "Y_da": 0.2, "Y_dr": 6.0, "bias_p_dot": 0.05,
         "bias_r_dot": -0.03,
     }  # fmt: skip
 

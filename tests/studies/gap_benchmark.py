@@ -108,7 +108,10 @@ def run(kind: str, size: float, start: int, count: int, gust: float, manoeuvres:
 def one_line(row: dict[str, Any]) -> str:
     named = [s["effect"] for s in row["steps"]]
     mark = "ok " if good(row) else "-- "
-    sets = " | ".join(",".join(f"{k}:{v:.2f}" for k, v in s["set"].items()) + f" s{s['score']}/{s['threshold']} c{s['closed']:.2f}" for s in row["steps"])
+    sets = " | ".join(
+        ",".join(f"{k}:{v:.2f}" for k, v in s["set"].items()) + f" s{s['score']}/{s['threshold']} c{s['closed']:.2f}"
+        for s in row["steps"]
+    )
     return f"{mark}{row['label']:22s} {row['verdict']:14s} {named} {sets} left {row['left']} {row['left_what'][:1]} {row['rejected'][:3]} cannot {row['cannot']} {row['seconds']}s"
 
 
@@ -165,9 +168,21 @@ def _scores(kind: str, part: Sequence[dict[str, Any]]) -> list[tuple[str, str]]:
     held = [s["held"] for s in first if s and s["held"] is not None]
     return [
         ("detected", wilson(sum(s is not None for s in first), n)),
-        ("exact", wilson(sum(s is not None and s["effect"] == r["truth"][0] for s, r in zip(first, part, strict=True)), n)),
-        ("in class", wilson(sum(s is not None and same_class(s["effect"], r["truth"][0]) for s, r in zip(first, part, strict=True)), n)),
-        ("truth in set", wilson(sum(s is not None and r["truth"][0] in s["set"] for s, r in zip(first, part, strict=True)), n)),
+        (
+            "exact",
+            wilson(sum(s is not None and s["effect"] == r["truth"][0] for s, r in zip(first, part, strict=True)), n),
+        ),
+        (
+            "in class",
+            wilson(
+                sum(s is not None and same_class(s["effect"], r["truth"][0]) for s, r in zip(first, part, strict=True)),
+                n,
+            ),
+        ),
+        (
+            "truth in set",
+            wilson(sum(s is not None and r["truth"][0] in s["set"] for s, r in zip(first, part, strict=True)), n),
+        ),
         ("mean set size", f"{np.mean(sets):.2f}" if sets else "-"),
         ("extra effects", wilson(sum(len(r["steps"]) > 1 for r in part), n)),
         ("held-out gap closed, median", f"{np.median(held):.2f}" if held else "-"),

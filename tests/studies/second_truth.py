@@ -106,7 +106,7 @@ def _schedule(request: Request, rng: np.random.Generator, steps: int) -> Array:
 def fly(requests: Sequence[Request]) -> list[dict[str, Array]]:
     """Fly every request at once; each result maps column name -> (samples,) array, `time` included."""
     n = len(requests)
-    steps = int(round(max(r.duration for r in requests) * RATE)) + 1
+    steps = round(max(r.duration for r in requests) * RATE) + 1
     rngs = [np.random.default_rng([r.seed, 20240713]) for r in requests]
     e: dict[str, Any] = {k: np.array([r.effects.get(k, 0.0) * v for r in requests]) for k, v in TYPICAL.items()}
     x_: dict[str, Any] = {k: np.array([r.effects.get(k, 0.0) for r in requests]) for k in UNKNOWN}
@@ -169,7 +169,7 @@ def _integrate(d: Mapping[str, Array], inertia: Mapping[str, Array], V0: Array, 
     dt = 1 / RATE
 
     def rhs(x: Array, da: Array, dr: Array, de: Array, T: Array, g: Array) -> tuple[Array, dict[str, Array]]:
-        uu, vv, ww, p, q, r, phi, th, psi, h, eta, X, fin, find, pen, pend = x[:16]
+        uu, vv, ww, p, q, r, phi, th, psi, _h, eta, X, fin, find, pen, pend = x[:16]
         sp, cp, st, ct = np.sin(phi), np.cos(phi), np.sin(th), np.cos(th)
         hdot = uu * st - vv * sp * ct - ww * cp * ct
         va, wa, ua = vv - g[0], ww - g[1], uu - g[2]
@@ -229,7 +229,7 @@ def _integrate(d: Mapping[str, Array], inertia: Mapping[str, Array], V0: Array, 
                       "qdot": qdot}  # fmt: skip
 
     for k in range(steps):
-        phi, p, th, q, r = x[6], x[3], x[7], x[4], x[5]
+        phi, p, th, q, _r = x[6], x[3], x[7], x[4], x[5]
         pilot += dt / 0.25 * (np.stack([0.10 * phi + 0.02 * p, 0.05 * (th - a0) + 0.02 * q]) - pilot)
         quiet = np.where(np.abs(u[0, k]) + np.abs(u[1, k]) > 0, 0.35, 1.0)
         want = np.stack([u[0, k] + quiet * pilot[0], u[1, k], de0 + u[2, k] + pilot[1]])
@@ -287,7 +287,7 @@ def _measure(h: Mapping[str, Array], request: Request, rng: np.random.Generator,
         m["phi"], m["theta"] = _lagged(h["phi"], e["attitude_lag"]), _lagged(h["theta"], e["attitude_lag"])
     m["V"] = h["V"] * (1 + e["airspeed_scale"])
     if e["time_skew"]:
-        lateness = int(round(e["time_skew"] * RATE))
+        lateness = round(e["time_skew"] * RATE)
         for k in ("p", "q", "r", "ax", "ay", "az"):
             m[k] = np.concatenate([np.full(lateness, m[k][0]), m[k][: m[k].size - lateness]])
     if x_["gyro_clip"]:
@@ -305,10 +305,10 @@ def _measure(h: Mapping[str, Array], request: Request, rng: np.random.Generator,
         scale = request.jitter if k.startswith("delta") else 1.0
         out[k] = out[k] + sigma * scale * rng.standard_normal(out[k].size)
     if x_["stale_vane"]:
-        hold = int(round(6 * x_["stale_vane"]))
+        hold = round(6 * x_["stale_vane"])
         index = (np.arange(out["beta"].size) // hold) * hold
         out["beta"] = out["beta"][index]
-    count = int(round(request.duration * SAMPLE)) + 1
+    count = round(request.duration * SAMPLE) + 1
     out = {k: v[:count] for k, v in out.items()}
     return {"time": np.arange(count) / SAMPLE, **out, "rho": np.full(count, RHO)}
 

@@ -73,6 +73,11 @@ class Form:
     unless: tuple[tuple[str, str], ...] = ()
     frees: tuple[str, ...] = ()
 
+    @property
+    def nonlinear(self) -> bool:
+        """Whether the outputs depend on the unknowns in a way that a small step does not tell (delays, lags, plays)."""
+        return bool(self.states or self.transforms or self.output_delays)
+
     def obstacle(self, model: Model) -> str | None:
         """Why the form cannot be added to `model`, or None where it can."""
         known = _symbols(model)

@@ -51,7 +51,8 @@ def load_effects(path: str | Path) -> tuple[Effect, ...]:
         return _from_toml(path)
     if path.suffix == ".py":
         spec = importlib.util.spec_from_file_location(f"sideslip_effects_{path.stem}", path)
-        assert spec is not None and spec.loader is not None
+        assert spec is not None
+        assert spec.loader is not None
         module = importlib.util.module_from_spec(spec)
         spec.loader.exec_module(module)
         if not hasattr(module, "EFFECTS"):
@@ -115,7 +116,9 @@ def _form(table: Mapping[str, Any]) -> Form:
         outputs=dict(data.pop("outputs", {})),
         states=tuple(Signal(**s) for s in data.pop("states", ())),
         inputs=tuple(Signal(**s) for s in data.pop("inputs", ())),
-        transforms=tuple(InputTransform(t["kind"], t["input"], tuple(t["parameters"])) for t in data.pop("transforms", ())),
+        transforms=tuple(
+            InputTransform(t["kind"], t["input"], tuple(t["parameters"])) for t in data.pop("transforms", ())
+        ),
         output_delays=dict(data.pop("output_delays", {})),
         requires=tuple(data.pop("requires", ())),
         unless=tuple((line, symbol) for line, symbol in data.pop("unless", ())),

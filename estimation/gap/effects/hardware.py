@@ -8,7 +8,9 @@ from estimation.models.base import InputTransform, Signal
 HEADING = Signal("psi", "rad", "heading")
 
 
-def _transform(name: str, kind: str, surface: str, unit: str, typical: float, upper: float, meaning: str) -> tuple[Form, ...]:
+def _transform(
+    name: str, kind: str, surface: str, unit: str, typical: float, upper: float, meaning: str
+) -> tuple[Form, ...]:
     parameter = EffectParameter(name, unit, typical, 0.0, upper, meaning=meaning)
     return (Form(name, (parameter,), transforms=(InputTransform(kind, surface, (name,)),), requires=(surface,)),)
 
@@ -31,13 +33,18 @@ def _late(name: str, title: str, kind: str, surface: str, word: str, other: str)
 
 def _slack(name: str, title: str, surface: str, word: str) -> Effect:
     return Effect(
-        name, title, Group.ACTUATOR,
+        name,
+        title,
+        Group.ACTUATOR,
         f"Play in the {word}'s linkage behind the point of measurement: on every reversal the surface stays until the play is "
         "taken up.",
-        "δ_eff follows δ within ±h/2, with memory", "0.3 to 1.5°, measured on hobby linkages",
+        "δ_eff follows δ within ±h/2, with memory",
+        "0.3 to 1.5°, measured on hobby linkages",
         f"{word} effect missing after each reversal; the loop does not depend on speed",
-        {"aileron_deadzone": "slow ramp in both directions: play has a history, a dead zone has none",
-         f"{word}_delay": "slow ramp: play is independent of rate"},
+        {
+            "aileron_deadzone": "slow ramp in both directions: play has a history, a dead zone has none",
+            f"{word}_delay": "slow ramp: play is independent of rate",
+        },
         f"slow {word} ramp in both directions, small amplitude",
         _transform(name, "backlash", surface, "rad", 0.017, 0.09, "whole width of the play"),
     )

@@ -27,9 +27,7 @@ def still(model: Model, samples: int = 60) -> FlightData:
     rng = np.random.default_rng(3)
     t = np.arange(samples) / 20.0
     base = {"V": 17.0, "rho": 1.17, "alpha": 0.09, "theta": 0.09, "thrust": 5.0, "az": -9.8, "ax": 1.0}
-    u = np.column_stack(
-        [base.get(n, 0.0) + 0.03 * np.sin(3.0 * t + rng.uniform(0, 6)) for n in model.input_names]
-    )
+    u = np.column_stack([base.get(n, 0.0) + 0.03 * np.sin(3.0 * t + rng.uniform(0, 6)) for n in model.input_names])
     z = np.full((samples, len(model.outputs)), np.nan)
     segment = Segment(0, t, u, z, np.full(len(model.states), 0.02))
     return FlightData("made up", samples, (segment,), np.zeros((samples, 0)), {}, (), ())
@@ -76,13 +74,18 @@ def test_missing_derivatives_become_hypotheses() -> None:
     assert [e.name for e in missing_derivatives(model, set(NAMES))] == ["Cl_dr"]
     held = load_model("lateral").fixed(Cn_p=0.0)
     (effect,) = missing_derivatives(held, set(NAMES))
-    assert effect.name == "Cn_p" and "Cn_p" in effect.forms[0].added_to(held).free_names
+    assert effect.name == "Cn_p"
+    assert "Cn_p" in effect.forms[0].added_to(held).free_names
 
 
 def test_two_changes_of_one_instrument_add_up() -> None:
     """A scaled vane that also lags still shows its scale when the motion is steady."""
     effects = {e.name: e for e in catalogue()}
-    model = effects["beta_lag"].forms[0].added_to(effects["beta_scale"].forms[0].added_to(load_model("lateral")), {"beta_lag": 0.1})
+    model = (
+        effects["beta_lag"]
+        .forms[0]
+        .added_to(effects["beta_scale"].forms[0].added_to(load_model("lateral")), {"beta_lag": 0.1})
+    )
     flight = still(model)
     y0 = simulate(model, flight, {"beta_scale": 0.0})[0, 0]
     assert simulate(model, flight, {"beta_scale": 0.5})[0, 0] == pytest.approx(1.5 * y0)

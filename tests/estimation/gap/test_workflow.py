@@ -53,14 +53,17 @@ def test_adverse_yaw_is_named_added_and_written_down(flown: dict[str, list[Fligh
     assert child.name == "lateral+" + step["effect"]
     assert not [n for n in child.parameter_names if n.startswith(("bias_", "timing_", "edge_"))]
     lineage = json.loads(next((tmp_path / "report" / "models").glob("*.lineage.json")).read_text(encoding="utf-8"))
-    assert len(lineage["flights"]) == 3 and lineage["parent"]["digest"] != lineage["child"]["digest"]
+    assert len(lineage["flights"]) == 3
+    assert lineage["parent"]["digest"] != lineage["child"]["digest"]
     page = write_gap_report(result, tmp_path / "report").read_text(encoding="utf-8")
-    assert step["effect"] in page and page.count("<img") == 4
+    assert step["effect"] in page
+    assert page.count("<img") == 4
 
 
 def test_nothing_hidden_gives_no_gap_and_the_same_answer_again(flown: dict[str, list[Flight]]) -> None:
     first = run_gap(load_model("lateral"), flown["none"], options=QUICK)
-    assert first.verdict is Verdict.NO_GAP and not first.steps
+    assert first.verdict is Verdict.NO_GAP
+    assert not first.steps
     assert first.minimum_detectable["Cn_da"] < 0.01
     again = run_gap(load_model("lateral"), flown["none"], options=QUICK)
     assert json.dumps(first.to_json()) == json.dumps(again.to_json())
