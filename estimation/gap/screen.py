@@ -202,17 +202,19 @@ def build_screen(
     problem: Problem, fit: Fit, hypotheses: Sequence[Hypothesis], extra: Sequence[Sequence[Array]] = ()
 ) -> Screen:
     """Linearise all hypotheses at `fit`. extra: more residual columns per record, each (N, ny) (nulls)."""
-    columns, changes, kept = [], [], []
+    columns: list[Column] = []
+    changes: list[list[Array]] = []
+    kept: list[Hypothesis] = []
     for hypothesis in hypotheses:
         found = [(p, sensitivity(problem, fit, fit.residuals, hypothesis, p)) for p in hypothesis.form.parameters]
         if any(c is None or max(np.abs(x).max() for x in c) == 0.0 for _, c in found):
             continue  # diverges, or these flights do not excite it at all
         for parameter, change in found:
             columns.append(Column(len(kept), parameter))
-            changes.append(change)
+            changes.append(change or [])
         kept.append(hypothesis)
     reduced = tuple(
-        reduce_record(problem, fit, i, [c[i] for c in changes if c is not None], extra[i] if extra else ())
+        reduce_record(problem, fit, i, [c[i] for c in changes], extra[i] if extra else ())
         for i in range(len(problem.records))
     )
     n, size = len(problem.free), reduced[0].gram.shape[0]

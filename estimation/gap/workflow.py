@@ -42,6 +42,7 @@ NAMED_CLOSED = 0.7  # of the gap: below, the rest is larger than noise
 MARGIN = 1.3  # over the null threshold from which a nameless rest is called an unknown effect
 BLIND_SHARE = 0.3  # of the effects asked about: more that could not have been seen, and the answer is "cannot tell"
 RIVALS = 6
+STRONG = 1.5  # times the threshold
 EXCHANGE = 8.0  # in twice the log-likelihood, by which a rival must beat an accepted effect
 
 
@@ -217,7 +218,10 @@ def repeats(round_: Round, candidate: Candidate) -> bool:
     screen, form = round_.screen, candidate.hypothesis.form
     if not form.nonlinear:
         cross = screen.cross_gain(screen.hypotheses.index(candidate.hypothesis))
-        return cross is None or cross > 0.0
+        if cross is None or cross > 0.0:
+            return True
+        if candidate.score < STRONG * round_.threshold:
+            return False  # a strong effect may be beyond linear theory: then the joint fit decides
     if by_timing(round_, candidate):
         return True
     whiteners, flights = round_.baseline.problem.whiteners, screen.flights
@@ -315,6 +319,8 @@ def conclude_trail(setting: Setting, trail: Trail, gate: Gate) -> GapResult:
     left = rms_over_noise(last.baseline.problem, last.baseline.fit, setting.scatter)
     shut = floor.covers(left)
     unknown = trail.unknown
+    if steps_close(trail, shut):
+        unknown = False
     if unknown and steps and not shut and steps[-1].gap.closed < NAMED_CLOSED:
         dropped = steps.pop()
         trail = replace(
@@ -371,6 +377,11 @@ def conclude_trail(setting: Setting, trail: Trail, gate: Gate) -> GapResult:
             "nulls": options.nulls, "seed": options.seed,
         },
     )  # fmt: skip
+
+
+def steps_close(trail: Trail, shut: bool) -> bool:
+    """Whether named effects bring the gap within what nulls show and the nameless rest is no more than restless scatter."""
+    return bool(trail.findings) and shut and trail.omnibus.score < 2.0 * trail.omnibus.threshold
 
 
 def histories(setting: Setting, before: Baseline, after: Baseline, last: Round) -> tuple[Histories, ...]:

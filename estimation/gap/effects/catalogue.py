@@ -95,7 +95,12 @@ def _effect(table: Mapping[str, Any]) -> Effect:
         group=Group(data.pop("group", Group.DERIVATIVE)),
         confusions=dict(data.pop("confusions", {})),
         forms=forms,
-        **texts,
+        physics=texts["physics"],
+        equation=texts["equation"],
+        source=texts["source"],
+        signature=texts["signature"],
+        separate_by=texts["separate_by"],
+        family=texts["family"],
     )
     if data:
         raise EffectError(f"effect {effect.name!r}: unknown key {next(iter(data))!r}")
