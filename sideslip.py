@@ -248,12 +248,16 @@ def fly_scenario(
 
 @click.command(epilog="Example: sideslip fly nominal --out flights/first --seed 7")
 @click.argument("scenario", required=False)
-@click.option("--out", type=click.Path(path_type=Path, file_okay=False), help="Folder for the flight [default: flights/SCENARIO].")
+@click.option(
+    "--out", type=click.Path(path_type=Path, file_okay=False), help="Folder for the flight [default: flights/SCENARIO]."
+)
 @click.option("--speed", default="max", show_default=True, help="Simulated seconds a second, or max.")
 @click.option("--seed", type=int, help="Of everything random [default: the scenario's].")
 @click.option("--live", is_flag=True, help="Show the flight live in the browser; implies --speed 1 unless given.")
 @click.option("--no-backfill", is_flag=True, help="Keep what the radio delivered; fetch nothing after landing.")
-@click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write the ground station's counters as JSON.")
+@click.option(
+    "--json", "json_path", type=click.Path(path_type=Path), help="Write the ground station's counters as JSON."
+)
 @click.option("--list", "show_list", is_flag=True, help="List the built-in scenarios.")
 def fly(
     scenario: str | None,
@@ -280,7 +284,9 @@ def fly(
 
         folder = out or Path("flights") / scenario
         made = record_bench(scenario, folder, seed=1 if seed is None else seed, calibration=NOMINAL_DIRECTORY / "cdfp")
-        click.echo(f"bench recording {made.flight.recordings[0].parent}, plan {made.plan}; fit it with 'sideslip bench'")
+        click.echo(
+            f"bench recording {made.flight.recordings[0].parent}, plan {made.plan}; fit it with 'sideslip bench'"
+        )
         return 0
     chosen = load_scenario(scenario)
     folder = out or Path("flights") / chosen.name
@@ -289,7 +295,13 @@ def fly(
     try:
         with Bar(f"flying {chosen.name}") as bar:
             flown = fly_scenario(
-                chosen, folder, seed=seed, speed=pace, backfill=not no_backfill, live=view.make if view else None, tell=bar
+                chosen,
+                folder,
+                seed=seed,
+                speed=pace,
+                backfill=not no_backfill,
+                live=view.make if view else None,
+                tell=bar,
             )
     finally:
         if view is not None:
@@ -391,20 +403,36 @@ def demo(out: Path) -> int:
     report.mkdir(parents=True)
     (out / "demo.txt").write_text("Written by sideslip demo; replaced by the next one.\n", encoding="utf-8")
 
-    click.echo("1  Four flights of the simulated aircraft: sensor bus, 20 Hz MCAP on board, 11.5 Hz MAVLink over a lossy radio\n")
+    click.echo(
+        "1  Four flights of the simulated aircraft: sensor bus, 20 Hz MCAP on board, 11.5 Hz MAVLink over a lossy radio\n"
+    )
     flights = [_demo_flight(name, out) for name in DEMO_FLIGHTS]
 
-    click.echo("\n2  Do accelerations, rates, attitude and air data tell the same story? Instrument factors are found and taken out\n")
+    click.echo(
+        "\n2  Do accelerations, rates, attitude and air data tell the same story? Instrument factors are found and taken out\n"
+    )
     corrected = out / "corrected"
     _run("check", *flights, "--json", report / "check.json", "--report", report / "check", "--write", corrected)
     flights = [corrected / path.name for path in flights]
 
-    click.echo("\n3  Aerodynamic derivatives: maximum likelihood and Neural Gauss-Newton, joint over the four flights\n")
+    click.echo(
+        "\n3  Aerodynamic derivatives: maximum likelihood and Neural Gauss-Newton, joint over the four flights\n"
+    )
     _run("estimate", *flights, "--method", "ml,ngn,ngn-improved", "--joint", "--brief",
          "--json", report / "estimate.json", "--report", report / "estimate", "--save-model", out / "model.toml")  # fmt: skip
 
     click.echo("\n4  Proof of match: the joint model predicts each flight, parameters frozen\n")
-    _run("match", out / "model.toml", *flights, "--free", "CY_0,Cl_0,Cn_0", "--json", report / "match.json", "--figure", report / "match.png")
+    _run(
+        "match",
+        out / "model.toml",
+        *flights,
+        "--free",
+        "CY_0,Cl_0,Cn_0",
+        "--json",
+        report / "match.json",
+        "--figure",
+        report / "match.png",
+    )
 
     click.echo("\n5  Four flights with something hidden in the aircraft; the gap workflow is not told what\n")
     train, holdout = _demo_hidden(out)

@@ -29,7 +29,9 @@ _VIEW_HELP = "Show it in the browser, in rerun's own window, or not at all."
 @click.option("--speed", default="1", show_default=True, help="Of the replay: recorded seconds a second, or max.")
 @click.option("--view", "window", type=VIEW, default="none", show_default=True, help=_VIEW_HELP)
 @click.option("--estimate", "with_estimate", is_flag=True, help="Estimate parameters from the finished flight.")
-@click.option("--out", type=click.Path(path_type=Path, file_okay=False), help="Folder of this session, instead of the configured.")
+@click.option(
+    "--out", type=click.Path(path_type=Path, file_okay=False), help="Folder of this session, instead of the configured."
+)
 @click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write the counters of the session as JSON.")
 @click.option("--duration", type=float, help="End after this many seconds.")
 def ground(
@@ -54,7 +56,9 @@ def ground(
     with _views(settings, window) as make_view:
         source = Replay()
         station = _station(settings, folder, source if replay is not None else None, make_view)
-        click.echo(f"session {folder}; {'replaying ' + str(replay) if replay else 'listening on ' + ', '.join(settings.link.ports)}")
+        click.echo(
+            f"session {folder}; {'replaying ' + str(replay) if replay else 'listening on ' + ', '.join(settings.link.ports)}"
+        )
         interrupted = False
         try:
             with _terminated_is_interrupt():
@@ -187,7 +191,9 @@ def _finish(station: "Station", settings: "GroundConfig", folder: Path) -> list[
     for number, (session, recorder) in enumerate(sessions):
         name = "flight" if number == 0 and not handed else f"flight_{session.name}"
         onboard = onboard_recording(settings.handover.onboard, recorder.info().session)
-        source, origin = (recorder.path, "telemetry and backfill") if onboard is None else (onboard, "the onboard recording")
+        source, origin = (
+            (recorder.path, "telemetry and backfill") if onboard is None else (onboard, "the onboard recording")
+        )
         try:
             handed.append(
                 hand_over(source, folder, origin=origin, fallback_calibration=settings.calibration.directory, name=name)
@@ -216,7 +222,9 @@ def _estimate(handed: list["Handover"], settings: "GroundConfig", folder: Path) 
 @click.option("--view", "window", type=VIEW, default="web", show_default=True, help=_VIEW_HELP)
 @click.option("--layout", type=click.Choice(["full", "light"]), default="full", show_default=True)
 @click.option("--rrd", type=click.Path(path_type=Path), help="Write the rerun recording here and keep it.")
-@click.option("--calibration", type=click.Path(path_type=Path), help="For a raw recording: calibration in place of its own.")
+@click.option(
+    "--calibration", type=click.Path(path_type=Path), help="For a raw recording: calibration in place of its own."
+)
 @click.option("--web-port", type=int, default=9090, show_default=True)
 @click.option("--duration", type=float, help="Close after this many seconds.")
 def view(

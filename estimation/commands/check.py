@@ -11,8 +11,8 @@ EXAMPLE = (
 
 @click.command(epilog=EXAMPLE)
 @click.argument("flights", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="FLIGHT...")
-@click.option("--factors", "factors_text", default="", help="Factors to estimate, comma-separated; with a leading + they are "
-              "added to the standard ones (dax day daz dp dq dr K_beta dbeta). Also K_alpha dalpha K_V dV dphi dtheta, "
+@click.option("--factors", "factors_text", default="", help="Factors to estimate, comma-separated; with a leading + they "
+              "are added to the standard ones (dax day daz dp dq dr K_beta dbeta). Also K_alpha dalpha K_V dV dphi dtheta, "
               "x_imu y_imu z_imu, x_vane y_vane z_vane, and delays tau_beta tau_alpha tau_V tau_phi tau_theta tau_psi.")  # fmt: skip
 @click.option("--joint", is_flag=True, help="Also one set of factors shared by all flights.")
 @click.option("--segments", help="Use only these stretches, each with initial states of its own: 2:12,15:25 [s].")
@@ -21,7 +21,10 @@ EXAMPLE = (
     "--figure", "figure_path", type=click.Path(path_type=Path), help="Write measured and reconstructed motion."
 )
 @click.option(
-    "--report", "report_folder", type=click.Path(path_type=Path, file_okay=False), help="Write an HTML report: Table 2, Figure 7, quality."
+    "--report",
+    "report_folder",
+    type=click.Path(path_type=Path, file_okay=False),
+    help="Write an HTML report: Table 2, Figure 7, quality.",
 )
 @click.option(
     "--write", "folder", type=click.Path(path_type=Path, file_okay=False), help="Write corrected flights here."

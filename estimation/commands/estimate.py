@@ -36,7 +36,7 @@ EXAMPLE = "Example: sideslip estimate ld1.mcap ld2.mcap --method ml,ngn --joint 
     help="Write a figure of measured and estimated histories.",
 )
 @click.option("--save-model", "model_path", type=click.Path(path_type=Path),
-              help="Write the model with its estimates (joint if asked for, else of the first flight) for match and gap.")  # fmt: skip
+              help="Write the model with its estimates: joint if asked for, else of the first flight.")  # fmt: skip
 @click.option(
     "--brief", is_flag=True, help="Print each flight in one line; tables for the mean and the joint estimate only."
 )

@@ -89,7 +89,8 @@ def lines(result: "GapResult") -> list[str]:
     if result.steps:
         out.append("")
         out.append(
-            f"{'effect':20s} {'score':>7s} {'threshold':>9s} {'weight':>7s}  {'gap before':>10s} {'after':>7s} {'floor':>7s} {'closed':>7s} {'held out':>9s}"
+            f"{'effect':20s} {'score':>7s} {'threshold':>9s} {'weight':>7s}  {'gap before':>10s} {'after':>7s} "
+            f"{'floor':>7s} {'closed':>7s} {'held out':>9s}"
         )
     for s in result.steps:
         held = "-" if s.holdout is None else f"{s.holdout.closed:.0%}"

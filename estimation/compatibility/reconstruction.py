@@ -89,7 +89,7 @@ def records_of(model: Model, flight: Flight) -> tuple[list[Record], list[str]]:
     u = np.column_stack([flight[c] for c in model.input_names])
     nothing = np.full(len(flight), np.nan)
     z = np.column_stack([_output(flight, o) if o in compared else nothing for o in model.output_names])
-    whole = np.isfinite(u).all(axis=1)
+    whole: NDArray[np.bool_] = np.all(np.isfinite(u), axis=1)
     found = []
     for part in flight.segments:
         edges = np.flatnonzero(np.diff(np.concatenate([[False], whole[part], [False]]).astype(int)))
@@ -253,7 +253,7 @@ def compatibility(
         slopes = problem.slopes(p, steps)
         information, gradient = _normal(runs, slopes)
         _refuse_singular(model, information, many)
-        change = -np.linalg.solve(information, gradient)
+        change: Array = np.asarray(-np.linalg.solve(information, gradient), float)
         p, runs, moved = _step(problem, p, change, runs)
         if used in (1, 3):
             problem.settle_turbulence(p)

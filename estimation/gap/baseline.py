@@ -53,8 +53,15 @@ class Baseline:
         return self.problem.model
 
 
-def whiteners_for(problem_model: Model, base: Model, records: Sequence[Record], values: Mapping[str, float], noise: NoiseModel | None,
-                  residuals: Sequence[Array], scatter: Array) -> tuple[NoiseModel, tuple[Whitener, ...]]:  # fmt: skip
+def whiteners_for(
+    problem_model: Model,
+    base: Model,
+    records: Sequence[Record],
+    values: Mapping[str, float],
+    noise: NoiseModel | None,
+    residuals: Sequence[Array],
+    scatter: Array,
+) -> tuple[NoiseModel, tuple[Whitener, ...]]:
     """Noise model from `residuals` (or `noise` where given) and the whitener of every record."""
     simulator = Simulator.build(problem_model, (), substeps=1, hold="linear")
     shapes = [

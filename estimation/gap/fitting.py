@@ -18,6 +18,7 @@ from estimation.gap.bench import Record
 from estimation.gap.whitening import Whitener
 from estimation.models.base import Model
 
+LARGEST = 1e9  # sensitivity beyond which the motion counts as running away
 EDGE_STEP = 0.25
 EDGE_SPREAD = 0.5  # prior standard deviation of an edge parameter
 HALVINGS = 8
@@ -130,7 +131,7 @@ class Problem:
         """(residual (N, ny), sensitivities (N, ny, shared unknowns + local parameters + initial states)) of one record."""
         segment = self.driven(self.grids[index], values)
         motion = self.simulator.run(segment, {**values, **local.parameters}, local.x0, sensitivities=True)
-        if not motion.finite or motion.dy is None or not np.isfinite(motion.dy).all():
+        if not motion.finite or motion.dy is None or not np.abs(motion.dy).max() < LARGEST:
             return None
         residual = self.coarse[index].z - motion.y[::2]
         n = len(self.parameters)
@@ -317,7 +318,8 @@ def _solve(H: Array, g: Array) -> Array:
     """H^-1 g with unit scaling; directions the data say nothing about are left alone."""
     if g.size == 0:
         return g
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300))
+    diagonal = np.diag(H)
+    scale = 1.0 / np.sqrt(np.maximum(diagonal, 1e-24 * max(float(diagonal.max()), 1e-200)))
     values, vectors = np.linalg.eigh(H * scale[:, None] * scale[None, :])
     keep = values > 1e-10 * values.max()
     return scale * (vectors[:, keep] @ ((vectors[:, keep].T @ (scale * g)) / values[keep]))

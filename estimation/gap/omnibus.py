@@ -179,8 +179,10 @@ def _times(problem: Problem, white: Sequence[Array], nulls: int) -> tuple[list[S
         largest = np.maximum(largest, z[:, :, 1:].max(axis=(0, 1)))
         for w, c in zip(*np.unravel_index(np.argsort(-z[:, :, 0].ravel())[:3], z.shape[:2]), strict=True):
             span = (float(time[w * width]), float(time[(w + 1) * width - 1]))
-            signals.append(Signal("time", problem.model.output_names[c], f"residual {np.exp((energy - centre[:, :, None])[w, c, 0] / 2):.1f} times its usual size", float(z[w, c, 0]),
-                                  flight=problem.records[i].flight, span=span))  # fmt: skip
+            times = float(np.exp((energy - centre[:, :, None])[w, c, 0] / 2))
+            what = f"residual {times:.1f} times its usual size"
+            place, flight = problem.model.output_names[c], problem.records[i].flight
+            signals.append(Signal("time", place, what, float(z[w, c, 0]), flight=flight, span=span))
     return signals, largest
 
 

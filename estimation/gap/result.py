@@ -50,8 +50,13 @@ class Where:
     origin: str = ""  # sensor | physics | undecided, by the kinematic gate
 
     def to_json(self) -> dict[str, Any]:
-        return {"equation": self.equation, "channels": list(self.channels), "segments": [[_round(a, 3), _round(b, 3)] for a, b in self.segments],
-                "regime": self.regime, "origin": self.origin}  # fmt: skip
+        return {
+            "equation": self.equation,
+            "channels": list(self.channels),
+            "segments": [[_round(a, 3), _round(b, 3)] for a, b in self.segments],
+            "regime": self.regime,
+            "origin": self.origin,
+        }
 
 
 @dataclass(frozen=True)

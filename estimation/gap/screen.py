@@ -169,7 +169,7 @@ def sensitivity(problem: Problem, fit: Fit, base_residuals: Sequence[Array], hyp
                 return None
             outputs.append(residual)
         change = (
-            (outputs[1] - outputs[0]) / (steps[0] - steps[1])
+            (outputs[1] - outputs[0]) / (0.1 * column.typical)
             if two_sided
             else (base_residuals[i] - outputs[0]) / steps[0]
         )

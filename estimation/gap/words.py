@@ -35,8 +35,14 @@ def describe_step(step: Step) -> str:
     return text
 
 
-def conclude(verdict: Verdict, steps: Sequence[Step], detectable: Mapping[str, float], cannot: Sequence[Effect], tied: Sequence[Effect],
-             holdout: bool) -> str:  # fmt: skip
+def conclude(
+    verdict: Verdict,
+    steps: Sequence[Step],
+    detectable: Mapping[str, float],
+    cannot: Sequence[Effect],
+    tied: Sequence[Effect],
+    holdout: bool,
+) -> str:
     """The paragraph of the verdict."""
     parts = []
     if verdict is Verdict.NO_GAP:
@@ -58,7 +64,8 @@ def conclude(verdict: Verdict, steps: Sequence[Step], detectable: Mapping[str, f
     parts += [s.text for s in steps]
     if steps and not holdout:
         parts.append(
-            "No held-out flight was given, so the better model is not confirmed on data it has not seen: fly one more of the same kind."
+            "No held-out flight was given, so the better model is not confirmed on data it has not seen: "
+            "fly one more of the same kind."
         )
     if cannot:
         names = ", ".join(e.name for e in cannot[:8]) + (f" and {len(cannot) - 8} more" if len(cannot) > 8 else "")

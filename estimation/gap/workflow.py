@@ -115,8 +115,10 @@ class Setting:
                     f"round {number + 1}: null {done} of {self.options.nulls}", start + 0.1 * done / self.options.nulls
                 )
 
-        return screen_round(baseline, self.bench, self.effects, self.errors, self.options.nulls, self.options.seed + 1000 * number,
-                            self.options.level, tick)  # fmt: skip
+        seed = self.options.seed + 1000 * number
+        return screen_round(
+            baseline, self.bench, self.effects, self.errors, self.options.nulls, seed, self.options.level, tick
+        )
 
 
 def run_gap(
@@ -371,7 +373,10 @@ def conclude_trail(setting: Setting, trail: Trail, gate: Gate) -> GapResult:
         details={
             "kinematic_gate": gate.to_json(),
             "cannot_tell": [{"effect": e.name, "separate_by": e.separate_by} for e in cannot],
-            "left": [{"kind": s.kind, "place": s.place, "what": s.what, "score": round(s.score, 2)} for s in trail.omnibus.leading[:5]],
+            "left": [
+                {"kind": s.kind, "place": s.place, "what": s.what, "score": round(s.score, 2)}
+                for s in trail.omnibus.leading[:5]
+            ],
             "left_threshold": round(float(trail.omnibus.threshold), 2),
             "map": {"before": disagreement(first.baseline), "after": disagreement(last.baseline)},
             "nulls": options.nulls, "seed": options.seed,

@@ -47,7 +47,10 @@ def _raw(file: Path, target: Path, layout: Layout, calibration: Path | None) -> 
 
 def _events(flight: Flight) -> list[tuple[float, str, str]]:
     """Event marks and manoeuvres that the flight carries."""
-    found = [(float(e["time"]), f"event ({e['origin']}): {e['text']}", "INFO") for e in flight.provenance.detail.get("events", [])]
+    found = [
+        (float(e["time"]), f"event ({e['origin']}): {e['text']}", "INFO")
+        for e in flight.provenance.detail.get("events", [])
+    ]
     for m in flight.provenance.detail.get("manoeuvres", []):
         found.append((float(m["start"]), f"manoeuvre: {m['title']}", "INFO"))
     return sorted(found)

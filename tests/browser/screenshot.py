@@ -45,7 +45,15 @@ def saturated(png: Path) -> int:
     return int(((rgb.max(axis=2) - rgb.min(axis=2)) > 60).sum())
 
 
-def take(url: str, target: Path, *, times: int = 1, apart_s: float = 5.0, wait_s: float = 75.0, size: tuple[int, int] = (960, 540)) -> list[Path]:  # fmt: skip
+def take(
+    url: str,
+    target: Path,
+    *,
+    times: int = 1,
+    apart_s: float = 5.0,
+    wait_s: float = 75.0,
+    size: tuple[int, int] = (960, 540),
+) -> list[Path]:
     """Open a page, wait until something is drawn, and take `times` pictures `apart_s` apart."""
     from playwright.sync_api import sync_playwright
 

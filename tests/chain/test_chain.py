@@ -44,7 +44,22 @@ def test_telemetry_and_onboard_agree_sample_for_sample(lossy: tuple[Path, Flown]
     onboard = calibrate_recording(folder / "onboard", align=False)
     i, j = common(ground, onboard)
     assert len(i) == len(ground) > 300
-    for name in ("ax", "ay", "az", "p", "q", "r", "phi", "theta", "alpha", "beta", "V", "delta_e", "delta_a", "delta_r"):
+    for name in (
+        "ax",
+        "ay",
+        "az",
+        "p",
+        "q",
+        "r",
+        "phi",
+        "theta",
+        "alpha",
+        "beta",
+        "V",
+        "delta_e",
+        "delta_a",
+        "delta_r",
+    ):
         both = np.isfinite(ground[name][i]) & np.isfinite(onboard[name][j])
         assert both.sum() > 250, name
         np.testing.assert_allclose(ground[name][i][both], onboard[name][j][both], rtol=0, atol=1e-12, err_msg=name)
@@ -102,7 +117,9 @@ def test_estimates_from_the_onboard_recording_lie_within_three_bounds_of_truth(s
     for name in STRONG:
         e = result.parameters[name]
         assert e.identifiable, name
-        assert abs(e.estimate - truth[name]) < 3 * e.std_coloured, f"{name}: {e.estimate} +- {e.std_coloured}, truth {truth[name]}"
+        assert abs(e.estimate - truth[name]) < 3 * e.std_coloured, (
+            f"{name}: {e.estimate} +- {e.std_coloured}, truth {truth[name]}"
+        )
         assert abs(e.estimate / truth[name] - 1) < 0.12, name
 
 

@@ -20,7 +20,9 @@ VIEWS = {
 
 
 def vulkan() -> None:
-    listed = subprocess.run([shutil.which("ldconfig") or "/sbin/ldconfig", "-p"], capture_output=True, text=True, check=False)
+    listed = subprocess.run(
+        [shutil.which("ldconfig") or "/sbin/ldconfig", "-p"], capture_output=True, text=True, check=False
+    )
     if "libvulkan" not in listed.stdout:
         why = "no Vulkan driver (Debian: apt-get install mesa-vulkan-drivers libvulkan1)"
         if os.environ.get("CI"):
@@ -33,7 +35,9 @@ def test_recorded_flight_opens_with_every_view_and_no_complaint(root: Path, tmp_
 
     vulkan()
     rrd = as_rrd(root / "recordings" / "cdfp_ld4_raw.mcap", tmp_path / "f.rrd")
-    viewer = ViewerClient.spawn(headless=True, port=free_port(), executable_path=rerun_binary(), hide_welcome_screen=True)
+    viewer = ViewerClient.spawn(
+        headless=True, port=free_port(), executable_path=rerun_binary(), hide_welcome_screen=True
+    )
     try:
         viewer.open(str(rrd))
         for _ in range(60):

@@ -1,0 +1,31 @@
+"""The demo, whole: it ends well, leaves what it promises, and finds what was hidden."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import sideslip
+
+
+@pytest.mark.timeout(900)
+def test_demo(tmp_path: Path) -> None:
+    out = tmp_path / "demo"
+    command = [sys.executable, "-m", "sideslip", "demo", "--out", str(out)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=850, check=False)
+    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
+    page = out / "report" / "index.html"
+    assert page.is_file()
+    assert str(page) in done.stdout
+    assert done.stdout.count("air and ground agree") == 4
+    estimate = json.loads((out / "report" / "estimate.json").read_text())
+    truth = {"Cl_p": -0.4951, "Cl_da": -0.0948, "Cn_beta": 0.0263, "CY_dr": 0.4174}
+    for name, value in truth.items():
+        found = estimate["joint"]["ml"]["parameters"][name]
+        assert abs(found["estimate"] - value) < 4 * found["std_coloured"], name
+    gap = json.loads((out / "report" / "gap.json").read_text())
+    members = [m["effect"] for m in gap["steps"][0]["set"]]
+    assert sideslip.DEMO_HIDDEN[0] in members
+    assert gap["steps"][0]["gap"]["closed"] > 0.7
