@@ -20,12 +20,8 @@ EXAMPLE = (
 @click.option(
     "--figure", "figure_path", type=click.Path(path_type=Path), help="Write measured and reconstructed motion."
 )
-@click.option(
-    "--report",
-    "report_folder",
-    type=click.Path(path_type=Path, file_okay=False),
-    help="Write an HTML report: Table 2, Figure 7, quality.",
-)
+@click.option("--report", "report_folder", type=click.Path(path_type=Path, file_okay=False),
+              help="Write an HTML report: factors beside published ones, motion, quality.")  # fmt: skip
 @click.option(
     "--write", "folder", type=click.Path(path_type=Path, file_okay=False), help="Write corrected flights here."
 )

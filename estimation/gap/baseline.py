@@ -37,6 +37,37 @@ def channel_noise(records: Sequence[Record]) -> Array:
     return np.maximum(np.median(levels, axis=0), 1e-4 * np.maximum(span, 1e-9))
 
 
+def bank_error(records: Sequence[Record], outputs: Sequence[str], scatter: Array) -> Array:
+    """`scatter` with the noise of the bank angle replaced by its slow error where the bank angle is a filter's.
+
+    An attitude filter integrates the gyro and corrects slowly: from sample to sample its angle is smoother than one
+    step of the gyro's own noise, which no independent measurement can be. What is wrong with it is then not seen in
+    that smoothness but in how it parts from the integrated rates (without a constant and a drift) over the record.
+    """
+    if not {"p", "r", "phi"} <= set(outputs):
+        return scatter
+    p, r, phi = (outputs.index(n) for n in ("p", "r", "phi"))
+    step = float(np.median(np.concatenate([np.diff(record.time) for record in records])))
+    if scatter[phi] > scatter[p] * step:
+        return scatter
+    errors = []
+    for record in records:
+        if not {"q", "theta"} <= set(record.inputs) or not np.isfinite(record.z[:, [p, r, phi]]).all():
+            continue
+        bank = record.z[:, phi]
+        turn = record.inputs["q"] * np.sin(bank) + record.z[:, r] * np.cos(bank)
+        rate = record.z[:, p] + np.tan(record.inputs["theta"]) * turn
+        dt = np.diff(record.time)
+        integrated = np.concatenate([[0.0], np.cumsum(0.5 * dt * (rate[1:] + rate[:-1]))])
+        line = np.polyfit(record.time, bank - integrated, 1)
+        errors.append(float(np.std(bank - integrated - np.polyval(line, record.time))))
+    if not errors:
+        return scatter
+    wider = scatter.copy()
+    wider[phi] = max(scatter[phi], float(np.median(errors)))
+    return wider
+
+
 @dataclass(frozen=True)
 class Baseline:
     """A fitted model with the noise of its residuals. scatter: (ny,) standard deviations of the channels' white noise.

@@ -39,16 +39,22 @@ class Candidate:
 def fit_hypothesis(
     problem: Problem, base_fit: Fit, hypothesis: Hypothesis, guess: Mapping[str, float], iterations: int = 12
 ) -> tuple[Problem, Fit]:
-    """Fit base and hypothesis together from `guess`; (problem, fit)."""
-    model = awakened(problem.model, hypothesis.form, _inside(hypothesis, problem.model, guess))
-    trial = replace(problem, model=model)
-    start = {
-        **model.starts(),
-        **base_fit.values,
-        **{p.name: model.parameter(p.name).start for p in hypothesis.form.parameters},
-    }
-    locals_ = [extended(local, base_fit.model, model) for local in base_fit.locals]
-    return trial, fit(trial, start, locals_, iterations=iterations)
+    """Fit base and hypothesis together from `guess`; (problem, fit).
+
+    Delays, lags and plays are also started at their usual size, and the better end is kept: far from no effect the base
+    parameters sit elsewhere, and a small step does not find the way.
+    """
+    starts = [_inside(hypothesis, problem.model, guess)]
+    if hypothesis.form.nonlinear:
+        usual = {p.name: p.null_value(problem.model) + p.typical for p in hypothesis.form.parameters}
+        starts.append(_inside(hypothesis, problem.model, usual))
+    done = []
+    for start in starts:
+        model = awakened(problem.model, hypothesis.form, start)
+        trial = replace(problem, model=model)
+        locals_ = [extended(local, base_fit.model, model) for local in base_fit.locals]
+        done.append((trial, fit(trial, {**model.starts(), **base_fit.values, **start}, locals_, iterations=iterations)))
+    return min(done, key=lambda pair: pair[1].cost if not pair[1].diverged else np.inf)
 
 
 def _inside(hypothesis: Hypothesis, model: Model, guess: Mapping[str, float]) -> dict[str, float]:

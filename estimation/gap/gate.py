@@ -10,10 +10,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from estimation.engine.kernel import Array
-from estimation.gap.baseline import channel_noise, fit_baseline, screen_round
+from estimation.gap.baseline import bank_error, channel_noise, fit_baseline, screen_round
 from estimation.gap.bench import build_bench
 from estimation.gap.dormant import with_dormant
 from estimation.gap.effects.base import Effect, Group
+from estimation.gap.errors import GapError
 from estimation.gap.nuisance import with_nuisance
 from estimation.gap.nulls import input_errors
 from estimation.gap.whitening import force_states
@@ -76,12 +77,15 @@ def kinematic_gate(flights: Sequence[Flight], effects: Sequence[Effect], nulls: 
         return Gate("undecided", "", 0.0, 0.0, f"not measured: {', '.join(lacking)}")
     instruments = tuple(e for e in effects if e.group is Group.SENSOR and not e.tied_to)
     bench = build_bench(KINEMATIC, instruments, flights, ())
-    scatter: Array = channel_noise(bench.records)
+    scatter: Array = bank_error(bench.records, bench.base.output_names, channel_noise(bench.records))
     clean = with_nuisance(KINEMATIC, dict(zip(KINEMATIC.output_names, scatter, strict=True)), 0.05)
     working = with_dormant(clean, instruments, bench.available, force_states(KINEMATIC))
     errors = [input_errors(r, clean, np.random.default_rng([seed, 49979687, i])) for i, r in enumerate(bench.records)]
-    baseline = fit_baseline(working, clean, bench, scatter)
-    round_ = screen_round(baseline, bench, instruments, errors, nulls, seed + 31)
+    try:
+        baseline = fit_baseline(working, clean, bench, scatter)
+        round_ = screen_round(baseline, bench, instruments, errors, nulls, seed + 31)
+    except GapError as error:  # the gate alone cannot say: the search among the hypotheses goes on without it
+        return Gate("undecided", "", 0.0, 0.0, str(error))
     scores = round_.standardised()
     if not scores.size:
         return Gate("undecided", "", 0.0, round_.threshold, "no instrument error applies")

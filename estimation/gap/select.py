@@ -70,11 +70,14 @@ def comparable(round_: Round) -> dict[tuple[str, str], float]:
     """Inflation by which the gains of the hypotheses are divided when they are weighed against each other.
 
     Rivals with nearly the same signature must be divided by the same number, or its chance differences decide between
-    them: that of the leading hypothesis, unless a hypothesis' own is more than twice as large.
+    them: that of the leading hypothesis, unless a hypothesis' own is more than twice as large. Delays, lags and plays
+    always take the common one: their scatter on the nulls is that of a small step, not of the full fit they are judged by.
     """
     common = float(round_.inflation[int(np.argmax(round_.gains / round_.inflation))])
-    own = {h.key: float(v) for h, v in zip(round_.screen.hypotheses, round_.inflation, strict=True)}
-    return {key: value if value > 2.0 * common else common for key, value in own.items()}
+    return {
+        h.key: float(own) if own > 2.0 * common and not h.form.nonlinear else common
+        for h, own in zip(round_.screen.hypotheses, round_.inflation, strict=True)
+    }
 
 
 def _material(candidate: Candidate) -> Candidate:

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.stats import norm
 
 from estimation.engine.kernel import Array
-from estimation.gap.baseline import Baseline, Round, channel_noise, fit_baseline, screen_round
+from estimation.gap.baseline import Baseline, Round, bank_error, channel_noise, fit_baseline, screen_round
 from estimation.gap.bench import Bench, build_bench
 from estimation.gap.confirm import Candidate, assess, fit_hypothesis, linear_gains, linear_guess
 from estimation.gap.dormant import awakened, with_dormant
@@ -40,9 +40,10 @@ LOOK = Callable[[str, float], None]
 NAMED_SHARE = 0.75  # of what the best nameless term gains: an effect that gains less does not get to give its name
 NAMED_CLOSED = 0.7  # of the gap: below, the rest is larger than noise
 MARGIN = 1.3  # over the null threshold from which a nameless rest is called an unknown effect
-BLIND_SHARE = 0.3  # of the effects asked about: more that could not have been seen, and the answer is "cannot tell"
+BLIND_SHARE = 0.12  # of the effects asked about: more that could not have been seen, and the answer is "cannot tell"
 RIVALS = 6
 STRONG = 1.5  # times the threshold
+HELD_SLACK = 9.0  # twice a log-likelihood: what chance may take from a strong effect on flights that hardly show it
 EXCHANGE = 8.0  # in twice the log-likelihood, by which a rival must beat an accepted effect
 
 
@@ -63,6 +64,7 @@ class Finding:
     round_: Round
     choice: Choice
     candidate: Candidate
+    parent: Baseline
     child: Baseline
 
 
@@ -140,7 +142,7 @@ def run_gap(
     tell("preparing the flights", 0.0)
     bench = build_bench(model, chosen, training, holdout)
     records = bench.of(bench.training)
-    scatter = channel_noise(records)
+    scatter = bank_error(records, bench.base.output_names, channel_noise(records))
     interval = float(np.median([np.median(np.diff(r.time)) for r in records]))
     clean = with_nuisance(model, dict(zip(model.output_names, scatter, strict=True)), interval)
     working = with_dormant(clean, chosen, bench.available, force_states(model))
@@ -202,12 +204,13 @@ def _accept(setting: Setting, round_: Round, choice: Choice, omnibus: Omnibus) -
             continue
         child = setting.child(round_.baseline, candidate)
         held = held_gain(round_.baseline, child, setting.bench)
-        least = -4.0 if by_timing(round_, candidate) else 0.0
+        strong = candidate.score > STRONG * round_.threshold
+        least = -HELD_SLACK if strong or by_timing(round_, candidate) else 0.0
         if held is not None and held <= least:
             refused.add(candidate.hypothesis.key)
             said.append(Rejected(label, "does not hold on the held-out flights"))
             continue
-        return Finding(round_, choice.without(refused), candidate, child), said
+        return Finding(round_, choice.without(refused), candidate, round_.baseline, child), said
     return None, said
 
 
@@ -289,7 +292,7 @@ def _questioned(setting: Setting, findings: Sequence[Finding]) -> tuple[list[Fin
             )
             child = setting.child(without, rival)
             choice = Choice((rival,), {rival.hypothesis.effect.name: 1.0}, ())
-            return [*others, Finding(last.round_, choice, rival, child)], said
+            return [*others, Finding(last.round_, choice, rival, without, child)], said
     return None
 
 
@@ -445,7 +448,7 @@ def _step(setting: Setting, finding: Finding, floor: Floors) -> Step:
     if effect.name not in dict(members):
         members = [(effect.name, finding.choice.weights.get(effect.name, 0.0)), *members]
     members.sort(key=lambda m: m[0] != effect.name)
-    parent, child = finding.round_.baseline, finding.child
+    parent, child = finding.parent, finding.child
     held_before, held_after = on_holdout(parent, bench), on_holdout(child, bench)
     scatter = setting.scatter
     gap = Gap(rms_over_noise(parent.problem, parent.fit, scatter), rms_over_noise(child.problem, child.fit, scatter),
@@ -494,7 +497,7 @@ def _migrated(parent: Baseline, child: Baseline) -> dict[str, Migration]:
     std = child.fit.std()
     moved = {}
     for name in parent.fit.free:
-        if is_nuisance(name) or name not in child.fit.values:
+        if is_nuisance(name) or name not in std:
             continue
         before, after = parent.fit.values[name], child.fit.values[name]
         bounds = abs(after - before) / max(std[name], 1e-300)

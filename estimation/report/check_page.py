@@ -35,7 +35,11 @@ def write_check_report(
     results: one a flight, in the order of `flights`, then the joint one where there is one.
     """
     own = [r for _, r in results[: len(flights)]]
-    tables = {"factors": factor_table(results, flights), "fit": _fit_table(own), "provenance": provenance_table(flights)}
+    tables = {
+        "factors": factor_table(results, flights),
+        "fit": _fit_table(own),
+        "provenance": provenance_table(flights),
+    }
     findings = [(f.name, list(found)) for f, found in zip(flights, quality, strict=True)]
     told = [r.flights[0] for r in own]
     write_all(list(tables.values()), folder / "tables")
@@ -62,21 +66,25 @@ def factor_table(results: Sequence[tuple[str, Compatibility]], flights: Sequence
         row = [name, first.unit]
         for _, r in results:
             factor = r.factors[name]
-            good = factor.identifiable
-            row += [number(factor.estimate), significant(factor.std_coloured, 2)] if good else [CANNOT_TELL, ""]
+            row.append(_with_bound(factor.estimate, factor.std_coloured) if factor.identifiable else CANNOT_TELL)
         for flight in others:
             said = published.compatibility_factor(flight, name)
-            row += ["", ""] if said is None else [number(said[0]), significant(said[1], 2)]
+            row.append("" if said is None else _with_bound(*said))
         rows.append(tuple(row))
-    names = [n for n, _ in results] + [f"{f} (published)" for f in others]
+    groups = [("", 2), ("estimate (bound)", len(results))] + (
+        [("published, estimate (bound)", len(others))] if others else []
+    )
     return Table(
         "table2_compatibility", "Instrument factors found by flight-path reconstruction, with one-sigma bounds",
-        ("factor", "unit", *(h for _ in names for h in ("estimate", "bound"))), tuple(rows),
-        (("", 2), *((n, 2) for n in names)),
+        ("factor", "unit", *(n for n, _ in results), *others), tuple(rows), tuple(groups),
         note="Conventions: measured = true + bias for accelerations and rates, measured = K true + bias for β (and α, V). "
         "Our bounds are of filter innovations, so noise of the inertial sensors is counted, and corrected for colour left in "
         "them; the published ones are Cramér–Rao bounds of output error. " + (published.COMPARISON if ours else ""),
     )  # fmt: skip
+
+
+def _with_bound(value: float, bound: float) -> str:
+    return f"{number(value)} ({significant(bound, 2)})"
 
 
 def _fit_table(results: Sequence[Compatibility]) -> Table:

@@ -44,9 +44,9 @@ class Picture:
 @contextmanager
 def styled() -> Iterator[None]:
     """The look of every figure, for the time of drawing it."""
-    import matplotlib
+    import matplotlib as mpl
 
-    with matplotlib.rc_context(STYLE):
+    with mpl.rc_context(STYLE):
         yield
 
 

@@ -11,7 +11,11 @@ from estimation.report.tables import CANNOT_TELL, Table, number, significant
 
 PAGES = (
     ("check", "Data compatibility", "do accelerations, rates, attitude and air data tell the same story?"),
-    ("estimate", "Aerodynamic derivatives", "estimates with bounds, histories, residuals, modes, what could not be told"),
+    (
+        "estimate",
+        "Aerodynamic derivatives",
+        "estimates with bounds, histories, residuals, modes, what could not be told",
+    ),
     ("gap", "Gap workflow", "what the model was missing, how it was found and what adding it changed"),
 )
 WORDS = {
@@ -73,21 +77,33 @@ def _derivatives(data: dict[str, Any] | None) -> Table | None:
         return None
     source = data["joint"] or {}
     methods = list(source or data["mean"])
-    names = list(next(iter((source[m]["parameters"] if source else data["mean"][m]) for m in methods))) if methods else []
+    names = (
+        list(next(iter((source[m]["parameters"] if source else data["mean"][m]) for m in methods))) if methods else []
+    )
     ours = data["aircraft"] == "cdfp"
     rows = []
     for name in names:
         row = [name]
         for method in methods:
-            row += _pair(source[method]["parameters"].get(name)) if source else _mean_pair(data["mean"][method].get(name))
+            row += (
+                _pair(source[method]["parameters"].get(name)) if source else _mean_pair(data["mean"][method].get(name))
+            )
         if ours:
             said = published.mean("ml", name)
-            row += [number(published.wind_tunnel(name)), number(said[0] if said else None), significant(said[1] if said else None, 2)]
+            row += [
+                number(published.wind_tunnel(name)),
+                number(said[0] if said else None),
+                significant(said[1] if said else None, 2),
+            ]
         rows.append(tuple(row))
     spread = "bound" if source else "scatter"
     head = ["", *(h for _ in methods for h in ("estimate", spread)), *(("value", "mean", "scatter") if ours else ())]
     groups = [("", 1), *((m, 2) for m in methods), *((("wind tunnel", 1), ("published, ml", 2)) if ours else ())]
-    what = "Joint estimates over all flights, bounds corrected for coloured residuals" if source else "Means over the flights"
+    what = (
+        "Joint estimates over all flights, bounds corrected for coloured residuals"
+        if source
+        else "Means over the flights"
+    )
     return Table("derivatives", f"{what} [1/rad]", tuple(head), tuple(rows), tuple(groups),
                  note=published.COMPARISON if ours else "")  # fmt: skip
 
@@ -122,4 +138,8 @@ def _match(data: dict[str, Any] | None) -> Table | None:
 
 def _match_figure(folder: Path) -> Picture | None:
     path = folder / "match.png"
-    return file_picture(path, "match_figure", "Measured and predicted motion, parameters frozen.") if path.is_file() else None
+    return (
+        file_picture(path, "match_figure", "Measured and predicted motion, parameters frozen.")
+        if path.is_file()
+        else None
+    )

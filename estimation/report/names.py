@@ -23,6 +23,8 @@ def tex(name: str) -> str:
         return f"{letter}_{{{_by_tex(what)}}}"
     if name in _GREEK:
         return rf"\{name}"
+    if name in ("ax", "ay", "az"):
+        return f"a_{name[1]}"
     if re.fullmatch(r"[a-zA-Z]", name):
         return name
     return rf"\mathrm{{{name.replace('_', chr(92) + '_')}}}"

@@ -50,7 +50,8 @@ class Table:
 
 
 _ESCAPES = {c: f"\\{c}" for c in "&%$#_{}"} | {
-    "\\": r"\textbackslash{}", "±": r"$\pm$", "²": "$^2$", "−": "$-$", "–": "--", "Δ": r"$\Delta$", "·": r"$\cdot$", "~": r"$\sim$",
+    "\\": r"\textbackslash{}", "±": r"$\pm$", "²": "$^2$", "−": "$-$", "–": "--",
+    "Δ": r"$\Delta$", "·": r"$\cdot$", "~": r"$\sim$",
     "α": r"$\alpha$", "β": r"$\beta$", "φ": r"$\phi$", "θ": r"$\theta$", "ψ": r"$\psi$",
 }  # fmt: skip
 

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from estimation.gap.result import GapResult
 from estimation.gap.workflow import Options, run_gap
 from estimation.models.load import load_model
 from groundstation.flight import Flight
@@ -88,31 +89,60 @@ def run(kind: str, size: float, start: int, count: int, gust: float, manoeuvres:
             four = flights(flown[4 * i : 4 * i + 4])
             began = time.perf_counter()
             result = run_gap(model, four[:3], four[3:], options=Options(seed=1, nulls=nulls))
+            seconds = round(time.perf_counter() - began, 1)
             row = {
-                "kind": kind, "label": label, "truth": list(effects), "size": size, "gust": gust, "manoeuvres": manoeuvres,
-                "seed": seed, "verdict": result.verdict.value, "seconds": round(time.perf_counter() - began, 1),
-                "steps": [{"effect": s.effect, "form": s.form, "set": {m.effect: round(m.weight, 3) for m in s.members},
-                           "score": round(s.score, 2), "threshold": round(s.threshold, 2), "estimates": {n: v for n, (v, _) in s.estimates.items()},
-                           "closed": s.gap.closed, "held": None if s.holdout is None else s.holdout.closed} for s in result.steps],
-                "scores": dict(list(result.scores.items())[:5]),
-                "left": [round(x["score"], 1) for x in result.details["left"][:1]] + [result.details["left_threshold"]],
-                "left_what": [f"{x['kind']} {x['place']}: {x['what']}" for x in result.details["left"][:2]],
-                "rejected": [[r.effect, r.why] for r in result.rejected if "too small" not in r.why][:8],
-                "cannot": len(result.details["cannot_tell"]),
-            }  # fmt: skip
+                "kind": kind,
+                "label": label,
+                "truth": list(effects),
+                "size": size,
+                "gust": gust,
+                "manoeuvres": manoeuvres,
+                "seed": seed,
+                "seconds": seconds,
+                **outcome(result),
+            }
             with out.open("a", encoding="utf-8") as handle:
                 handle.write(json.dumps(row) + "\n")
             print(one_line(row), flush=True)
 
 
+def outcome(result: GapResult) -> dict[str, Any]:
+    """What is kept of a result."""
+    steps = [
+        {
+            "effect": s.effect,
+            "form": s.form,
+            "set": {m.effect: round(m.weight, 3) for m in s.members},
+            "score": round(s.score, 2),
+            "threshold": round(s.threshold, 2),
+            "estimates": {n: v for n, (v, _) in s.estimates.items()},
+            "closed": s.gap.closed,
+            "held": None if s.holdout is None else s.holdout.closed,
+        }
+        for s in result.steps
+    ]
+    left = result.details["left"]
+    return {
+        "verdict": result.verdict.value,
+        "steps": steps,
+        "scores": dict(list(result.scores.items())[:5]),
+        "left": [x["score"] for x in left[:1]] + [result.details["left_threshold"]],
+        "left_what": [f"{x['kind']} {x['place']}: {x['what']}" for x in left[:2]],
+        "rejected": [[r.effect, r.why] for r in result.rejected if "too small" not in r.why][:8],
+        "cannot": len(result.details["cannot_tell"]),
+    }
+
+
 def one_line(row: dict[str, Any]) -> str:
+    """A row as a line of the log."""
     named = [s["effect"] for s in row["steps"]]
     mark = "ok " if good(row) else "-- "
     sets = " | ".join(
         ",".join(f"{k}:{v:.2f}" for k, v in s["set"].items()) + f" s{s['score']}/{s['threshold']} c{s['closed']:.2f}"
         for s in row["steps"]
     )
-    return f"{mark}{row['label']:22s} {row['verdict']:14s} {named} {sets} left {row['left']} {row['left_what'][:1]} {row['rejected'][:3]} cannot {row['cannot']} {row['seconds']}s"
+    rest = f"left {row['left']} {row['left_what'][:1]} {row['rejected'][:3]} cannot {row['cannot']} {row['seconds']}s"
+    return f"{mark}{row['label']:22s} {row['verdict']:14s} {named} {sets} {rest}"
 
 
 def good(row: dict[str, Any]) -> bool:
@@ -161,8 +191,8 @@ def _scores(kind: str, part: Sequence[dict[str, Any]]) -> list[tuple[str, str]]:
     if kind == "unknown":
         return [("unknown recall", wilson(sum(r["verdict"] == "unknown_effect" for r in part), n))]
     if kind == "pairs":
-        return [("both named in class", wilson(sum(good(r) for r in part), n)),
-                ("both in sets", wilson(sum(all(any(t in s["set"] for s in r["steps"]) for t in r["truth"]) for r in part), n))]  # fmt: skip
+        both = sum(all(any(t in s["set"] for s in r["steps"]) for t in r["truth"]) for r in part)
+        return [("both named in class", wilson(sum(good(r) for r in part), n)), ("both in sets", wilson(both, n))]
     first = [r["steps"][0] if r["steps"] else None for r in part]
     sets = [len(s["set"]) for s in first if s and s["set"]]
     held = [s["held"] for s in first if s and s["held"] is not None]

@@ -40,8 +40,8 @@ NOISE: Mapping[str, float] = {
 TYPICAL: Mapping[str, float] = {
     "CY_da": 0.04, "Cn_da": -0.010, "Cl_alpha_beta": -0.75, "Cn_alpha_beta": 0.25, "Cl_da_de": 0.5,
     "Cl_beta3": -2.0, "Cn_beta3": 1.0, "CY_beta3": -4.0, "Cl_da3": 2.0, "Cn_dr3": 2.0, "Cl_p_abs_p": -1.5,
-    "stall_separation": 9.0 * DEG, "Cl_betadot": -0.10, "Cn_betadot": -0.03, "indicial_lag": 0.12,
-    "Ixz_error": 0.03, "lateral_cg": 0.010, "prop_gyroscopic": 0.15, "motor_torque": 0.04, "slipstream_rudder": 1.0,
+    "stall_separation": 9.0 * DEG, "Cl_betadot": -0.10, "Cn_betadot": -0.03, "indicial_lag": 0.05,
+    "Ixz_error": 0.03, "lateral_cg": 0.010, "prop_gyroscopic": 0.15, "motor_torque": 0.04, "slipstream_rudder": 4.0,
     "p_factor": 0.15, "aileron_delay": 0.06, "rudder_delay": 0.06, "aileron_lag": 0.06, "rudder_lag": 0.06,
     "aileron_deadzone": 0.8 * DEG, "aileron_backlash": 1.0 * DEG, "rudder_backlash": 1.0 * DEG,
     "surface_compliance": 0.25, "beta_scale": 0.10, "beta_lag": 0.07, "vane_position": 0.35, "imu_lever_arm": 0.08,
@@ -207,7 +207,7 @@ def _integrate(d: Mapping[str, Array], inertia: Mapping[str, Array], V0: Array, 
         Cl = Cl + e["Cl_betadot"] * bdh
         Cn = Cn + e["Cn_betadot"] * bdh
         L = qd * AREA * SPAN * Cl - e["lateral_cg"] * MASS * az + e["motor_torque"] * T * (-1)
-        N = qd * AREA * SPAN * Cn + e["prop_gyroscopic"] * q - e["p_factor"] * T * al + e["lateral_cg"] * 0
+        N = qd * AREA * SPAN * Cn + e["prop_gyroscopic"] * q - e["p_factor"] * T * al + e["lateral_cg"] * MASS * ax
         M = qd * AREA * CHORD * Cm - e["prop_gyroscopic"] * r
         L = L - x_["pendulum"] * 0.35 * pen
         roll = L + Ixz * p * q - (Izz - Iyy) * q * r

@@ -108,7 +108,7 @@ PROPULSION = (
         {"airspeed_scale": "rudder doublets at idle and full throttle at one speed",
          "surface_compliance": "throttle against speed"},
         "rudder doublets at idle and full throttle",
-        (Form("slipstream_rudder", (EffectParameter("k_slipstream", "1", 1.5, -8.0, 8.0, meaning="gain per thrust coefficient"),),
+        (Form("slipstream_rudder", (EffectParameter("k_slipstream", "1", 4.0, -25.0, 25.0, meaning="gain per thrust coeff."),),
               inputs=(THRUST,),
               terms={f"C{x}": (f"k_slipstream*thrust/(q_dyn*S)*C{x}_dr*delta_r",) for x in "Yln"},
               requires=("q_dyn", "S", "delta_r")),),

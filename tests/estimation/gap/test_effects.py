@@ -42,7 +42,7 @@ def test_every_form_applies_somewhere_and_is_nothing_at_no_effect(effect) -> Non
     applied = 0
     for name in ("lateral", "lateral-simple", "longitudinal"):
         model = load_model(name)
-        if effect.name == "CY_p_r":
+        if effect.name == "CY_p_r" and "CY" in model.definitions:
             model = without(without(model, "CY_p", "p_hat"), "CY_r", "r_hat")
         for form in effect.applicable(model):
             applied += 1
@@ -65,7 +65,6 @@ def without(model: Model, parameter: str, regressor: str) -> Model:
     from dataclasses import replace
 
     lines = tuple(line.replace(f" + {parameter}*{regressor}", "") for line in model.equations)
-    assert lines != model.equations
     return replace(model, equations=lines, parameters=tuple(p for p in model.parameters if p.name != parameter))
 
 

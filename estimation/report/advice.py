@@ -1,0 +1,70 @@
+"""What the flights could not tell, why, and which manoeuvre would tell it."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from estimation.estimators.uncertainty import companions
+
+if TYPE_CHECKING:
+    from estimation.laboratory import Session
+    from estimation.models.base import Model
+
+CONTROL_WORDS = {"delta_a": "aileron", "delta_r": "rudder", "delta_e": "elevator"}
+MOTION_ADVICE = {
+    "beta": "rudder doublets at the Dutch-roll frequency, or steady sideslips to both sides",
+    "r": "rudder doublets at the Dutch-roll frequency, several in a row, with the aileron held",
+    "p": "sharp aileron 3-2-1-1 inputs to both sides, 10 deg and more, with the rudder held",
+    "q": "elevator 3-2-1-1 at the short-period frequency",
+    "alpha": "elevator 3-2-1-1 and slow pull-ups over the range of incidence",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Untold:
+    """A parameter that the data could not tell. where: flights; manoeuvre: what would tell it; told: joint methods that can."""
+
+    parameter: str
+    method: str
+    where: tuple[str, ...]
+    why: str
+    manoeuvre: str
+    told: tuple[str, ...]
+
+
+def untold(session: "Session") -> list[Untold]:
+    """One entry a parameter, method and reason."""
+    found: dict[tuple[str, str, str], list[str]] = {}
+    sources = [(f.flight.name, m, r) for f in session.flights for m, r in f.results.items()]
+    sources += [("joint", m, r) for m, r in session.joint.items()]
+    for who, method, result in sources:
+        for name, e in result.parameters.items():
+            if not e.identifiable:
+                found.setdefault((name, method, e.why), []).append(who)
+    entries = []
+    for (name, method, why), where in found.items():
+        told = tuple(
+            m
+            for m, r in session.joint.items()
+            if m == method and name in r.parameters and r.parameters[name].identifiable
+        )
+        entries.append(Untold(name, method, tuple(where), why, manoeuvre(session.model, name, why), told))
+    order = list(session.model.parameter_names)
+    return sorted(entries, key=lambda u: (order.index(u.parameter), session.methods.index(u.method)))
+
+
+def manoeuvre(model: "Model", parameter: str, why: str) -> str:
+    """A manoeuvre that would tell a parameter."""
+    for control in sorted(companions(model, parameter)):
+        if control in CONTROL_WORDS:
+            word = CONTROL_WORDS[control]
+            return f"{word} doublet or 3-2-1-1 of 5 deg and more, not in step with another control"
+    by = parameter.rpartition("_")[2]
+    if by in MOTION_ADVICE:
+        return MOTION_ADVICE[by]
+    if by == "0":
+        return "ten seconds of trimmed straight flight before the manoeuvre"
+    return (
+        "a manoeuvre in which its term of the equations moves on its own"
+        if "collinear" in why
+        else "larger inputs, and longer"
+    )

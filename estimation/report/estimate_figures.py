@@ -1,0 +1,192 @@
+"""Figures 8 to 10 of the paper for one's own flights, residuals with autocorrelation, correlations of the estimates."""
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from estimation.estimators.result import FlightFit, Result
+from estimation.report import published
+from estimation.report.estimate_tables import is_published
+from estimation.report.figures import COLOURS, MARKERS, MEASURED, Picture, broken_at_gaps, picture, styled
+from estimation.report.names import face, tex
+from estimation.validation import autocorrelation
+
+if TYPE_CHECKING:
+    from estimation.laboratory import FlightEstimates, Session
+    from estimation.models.base import Model
+    from estimation.proof import Proof
+
+ACROSS = 4
+PUBLISHED = "#8b95a1"
+
+
+def scatter_figure(session: "Session") -> Picture:
+    """Figure 8: each derivative over flights and methods, joint band, wind tunnel, published flights."""
+    from matplotlib.figure import Figure
+
+    names = [n for n in session.model.free_names if not n.endswith("_0")] or list(session.model.free_names)
+    rows = -(-len(names) // ACROSS)
+    with styled():
+        figure = Figure(figsize=(11.6, 2.05 * rows + 0.9), layout="constrained")
+        axes = figure.subplots(rows, ACROSS, squeeze=False)
+        for axis, name in zip(axes.flat, names, strict=False):
+            _scatter_panel(axis, session, name)
+        for axis in axes.flat[len(names) :]:
+            axis.set_visible(False)
+        handles = {h: line for axis in axes.flat for line, h in zip(*axis.get_legend_handles_labels(), strict=True)}
+        figure.legend(handles.values(), handles.keys(), loc="outside upper center", ncols=6)
+    caption = (
+        "Each derivative over flights and methods, bars of one corrected bound; a flight that cannot tell has no mark. "
+        "Dashed: believed before flying. Band: joint maximum likelihood, ± one corrected bound."
+    )
+    if is_published(session):
+        caption += " Grey, right of the line: the four published flights (Figure 8 of the paper)."
+    return picture(figure, "figure8", caption)
+
+
+def _scatter_panel(axis: Any, session: "Session", name: str) -> None:
+    width = 0.6 / max(1, len(session.methods))
+    for k, method in enumerate(session.methods):
+        at = [(i + (k + 0.5) * width - 0.3, f.results[method].parameters.get(name))
+              for i, f in enumerate(session.flights) if method in f.results]  # fmt: skip
+        told = [(x, e) for x, e in at if e is not None and e.identifiable and np.isfinite(e.std_coloured)]
+        if told:
+            axis.errorbar([x for x, _ in told], [e.estimate for _, e in told], [e.std_coloured for _, e in told],
+                          fmt=MARKERS.get(method, "o"), color=COLOURS.get(method, "k"), ms=3.6, lw=0.9, capsize=1.8,
+                          label=method)  # fmt: skip
+    labels = [f.flight.name.removeprefix("cdfp_") for f in session.flights]
+    count = len(labels)
+    joint = session.joint.get("ml") or next(iter(session.joint.values()), None)
+    e = None if joint is None else joint.parameters.get(name)
+    if e is not None and e.identifiable:
+        axis.axhspan(
+            e.estimate - e.std_coloured, e.estimate + e.std_coloured, color="#0072B2", alpha=0.18, lw=0, label="joint"
+        )
+    reference = session.model.parameter(name)
+    if reference.reference is not None:
+        axis.axhline(reference.reference, color="k", lw=0.8, ls="--", label="before flying")
+    if is_published(session):
+        axis.axvline(count - 0.5, color="0.8", lw=0.8)
+        for m, shift in (("ml", -0.12), ("ngn", 0.12)):
+            said = [published.estimate(f, m, name) for f in published.published_flights()]
+            places = [(count + i + shift, v) for i, v in enumerate(said) if v is not None]
+            axis.errorbar([x for x, _ in places], [v[0] for _, v in places], [v[1] for _, v in places],
+                          fmt=MARKERS[m], color=PUBLISHED, mfc="none", ms=3.4, lw=0.8, label=f"published {m}")  # fmt: skip
+        labels += [f.removeprefix("UFP_") for f in published.published_flights()]
+    axis.set_title(f"${tex(name)}$")
+    axis.set_xticks(range(len(labels)), labels, rotation=0 if len(labels) <= 4 else 60, fontsize=7)
+    axis.set_xlim(-0.6, len(labels) - 0.4)
+    axis.grid(axis="x", visible=False)
+
+
+def history_figure(model: "Model", f: "FlightEstimates") -> Picture:
+    """Figure 9: measured and estimated histories with the controls below."""
+    from matplotlib.figure import Figure
+
+    fits = {m: r.flights[0] for m, r in f.results.items() if r.flights}
+    first = next(iter(fits.values()))
+    controls = [s for s in model.inputs if s.control and f.flight.measured(s.source)]
+    rows = len(model.outputs) + (1 if controls else 0)
+    with styled():
+        figure = Figure(figsize=(11.6, 1.45 * rows + 0.6), layout="constrained")
+        axes = figure.subplots(rows, 1, squeeze=False, sharex=True)[:, 0]
+        _channels(axes, model, first, {m: fit.outputs for m, fit in fits.items()})
+        for signal, style in zip(controls, ("-", "--", ":"), strict=False):
+            factor, unit = face(signal.name, signal.unit)
+            values = broken_at_gaps(f.flight.time, factor * f.flight[signal.source])
+            axes[-1].plot(f.flight.time, values, style, color="0.25", lw=0.9, label=signal.description or signal.name)
+            axes[-1].set_ylabel(f"controls [{unit}]")
+        if controls:
+            axes[-1].legend(loc="upper right", ncols=3)
+        axes[-1].set_xlabel("time [s]")
+        figure.align_ylabels()
+    points = first.time.size * rows * (1 + len(fits))
+    return picture(figure, f"figure9_{f.flight.name}", f"{f.flight.name}: measured and estimated motion with the controls "
+                   "(Figure 9 of the paper). All methods' curves are simulated from their estimates.", points)  # fmt: skip
+
+
+def _channels(axes: Any, model: "Model", first: "FlightFit | Proof", curves: Mapping[str, Any]) -> None:
+    for i, signal in enumerate(model.outputs):
+        factor, unit = face(signal.name, signal.unit)
+        axes[i].plot(first.time, factor * first.measured[:, i], ".", color=MEASURED, ms=2.4, label="measured")
+        for method, outputs in curves.items():
+            axes[i].plot(
+                first.time,
+                broken_at_gaps(first.time, factor * outputs[:, i]),
+                color=COLOURS.get(method, "#0072B2"),
+                lw=1.0,
+                label=method,
+            )
+        axes[i].set_ylabel(f"${tex(signal.name)}$ [{unit}]")
+    axes[0].legend(loc="upper right", ncols=1 + len(curves))
+
+
+def residual_figure(model: "Model", result: Result) -> Picture:
+    """Residuals of one flight and their autocorrelation with the 95 % band of white noise."""
+    from matplotlib.figure import Figure
+
+    fit = result.flights[0]
+    colour = COLOURS.get(result.method, "#0072B2")
+    with styled():
+        figure = Figure(figsize=(11.6, 1.3 * len(model.outputs) + 0.6), layout="constrained")
+        axes = figure.subplots(len(model.outputs), 2, squeeze=False, width_ratios=(2.2, 1), sharex="col")
+        step = float(np.nanmedian(np.diff(fit.time)))
+        for i, signal in enumerate(model.outputs):
+            factor, unit = face(signal.name, signal.unit)
+            residual = fit.residuals[:, i] if i < fit.residuals.shape[1] else np.array([np.nan])
+            axes[i][0].plot(fit.time, broken_at_gaps(fit.time, factor * residual), color=colour, lw=0.8)
+            axes[i][0].axhline(0, color="k", lw=0.5)
+            axes[i][0].set_ylabel(f"${tex(signal.name)}$ [{unit}]")
+            known = residual[np.isfinite(residual)]
+            if known.size > 8:
+                lags = min(known.size // 4, 100)
+                axes[i][1].vlines(step * np.arange(lags + 1), 0, autocorrelation(known, lags), color=colour, lw=1.0)
+                band = 1.96 / np.sqrt(known.size)
+                axes[i][1].axhspan(-band, band, color="0.6", alpha=0.25, lw=0)
+            axes[i][1].set_ylim(-0.6, 1.05)
+        axes[0][0].set_title("residual")
+        axes[0][1].set_title("autocorrelation")
+        axes[-1][0].set_xlabel("time [s]")
+        axes[-1][1].set_xlabel("lag [s]")
+        figure.align_ylabels()
+    return picture(figure, f"residuals_{fit.name}", f"{fit.name}, {result.method}: residuals and their autocorrelation; "
+                   "band: 95 % of white noise.", fit.time.size * len(model.outputs))  # fmt: skip
+
+
+def correlation_figure(result: Result, whose: str) -> Picture:
+    """Correlation matrix of the estimates as a map."""
+    from matplotlib.figure import Figure
+
+    names, rho = result.names, result.correlation
+    size = 1.6 + 0.36 * len(names)
+    with styled():
+        figure = Figure(figsize=(size + 1.2, size), layout="constrained")
+        axis = figure.subplots()
+        drawn = axis.imshow(rho, vmin=-1, vmax=1, cmap="RdBu_r")
+        axis.set_xticks(range(len(names)), [f"${tex(n)}$" for n in names], rotation=90)
+        axis.set_yticks(range(len(names)), [f"${tex(n)}$" for n in names])
+        axis.grid(visible=False)
+        for i, j in zip(*np.nonzero(np.abs(rho) >= 0.5), strict=True):
+            if i != j:
+                axis.text(j, i, f"{rho[i, j]:.2f}".replace("0.", "."), ha="center", va="center", fontsize=6,
+                          color="w" if abs(rho[i, j]) > 0.75 else "k")  # fmt: skip
+        figure.colorbar(drawn, ax=axis, shrink=0.8)
+    return picture(figure, "correlations", f"Correlation of the estimates, {whose}; numbers from 0.5.")
+
+
+def proof_figure(model: "Model", proofs: Sequence[tuple[str, "Proof"]]) -> Picture:
+    """Figure 10: flights predicted with parameters of another flight, frozen. proofs: (whose parameters, proof)."""
+    from matplotlib.figure import Figure
+
+    with styled():
+        figure = Figure(figsize=(11.6, 1.25 * len(model.outputs) + 0.8), layout="constrained")
+        axes = figure.subplots(len(model.outputs), len(proofs), squeeze=False, sharex="col")
+        for j, (whose, proof) in enumerate(proofs):
+            _channels(axes[:, j], proof.result.model, proof, {"predicted": proof.predicted})
+            axes[0][j].set_title(f"{proof.name} predicted by {whose}")
+            axes[-1][j].set_xlabel("time [s]")
+        figure.align_ylabels()
+    points = sum(2 * p.time.size * len(model.outputs) for _, p in proofs)
+    return picture(figure, "figure10", "Proof of match: measured and predicted, parameters frozen at another flight's estimates, "
+                   "only initial states refitted (Figure 10 of the paper).", points)  # fmt: skip

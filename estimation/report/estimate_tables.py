@@ -1,0 +1,136 @@
+"""Tables 3 to 5 of the paper for one's own flights, beside the published columns."""
+
+from typing import TYPE_CHECKING
+
+from estimation.report import published
+from estimation.report.tables import CANNOT_TELL, Table, number, significant
+
+if TYPE_CHECKING:
+    from estimation.estimators.result import Estimate
+    from estimation.laboratory import FlightEstimates, Session
+
+BOUNDS = (
+    "bound: Cramér–Rao; corrected: for coloured residuals, the one to be believed. A derivative that the flight cannot "
+    "tell has no number; the reason is given below. Before flying: from the wind tunnel, or an engineering estimate (guess)."
+)
+
+
+def is_published(session: "Session") -> bool:
+    """Whether the published columns are of this aircraft and model."""
+    return session.aircraft.name == "cdfp" and "CY_beta" in session.model.free_names
+
+
+def estimate_table(session: "Session", flight: "FlightEstimates") -> Table:
+    """Tables 3 and 4: one flight, all methods, wind tunnel and the published flight of the same number."""
+    beside = published.counterpart(flight.flight.name) if is_published(session) else None
+    methods = list(flight.results)
+    rows = []
+    for name in next(iter(flight.results.values())).parameters:
+        row = [name, *_before(session, name)]
+        for method in methods:
+            row += _three(flight.results[method].parameters.get(name))
+        for other in ("ml", "ngn") if beside else ():
+            said = published.estimate(str(beside), other, name)
+            row += ["", ""] if said is None else [number(said[0]), significant(said[1], 2)]
+        rows.append(tuple(row))
+    groups = [("", 1), ("before flying", 2), *((m, 3) for m in methods)]
+    head = ["", "value", "source", *(h for _ in methods for h in ("estimate", "bound", "corrected"))]
+    if beside:
+        groups += [(f"{beside}, {m} (published)", 2) for m in ("ml", "ngn")]
+        head += ["estimate", "bound"] * 2
+    note = BOUNDS + (" " + published.COMPARISON if beside else "")
+    return Table(f"estimates_{_safe(flight.flight.name)}", f"Estimates of {flight.flight.name}", tuple(head), tuple(rows),
+                 tuple(groups), note=note)  # fmt: skip
+
+
+def joint_table(session: "Session") -> Table | None:
+    """The joint estimate over all flights."""
+    if not session.joint:
+        return None
+    methods = list(session.joint)
+    rows = []
+    for name in session.joint[methods[0]].parameters:
+        row = [name, *_before(session, name)]
+        for method in methods:
+            row += _three(session.joint[method].parameters.get(name))
+        rows.append(tuple(row))
+    return Table(
+        "estimates_joint", f"Joint estimate over {len(session.flights)} flights",
+        ("", "value", "source", *(h for _ in methods for h in ("estimate", "bound", "corrected"))), tuple(rows),
+        (("", 1), ("before flying", 2), *((m, 3) for m in methods)),
+        note=BOUNDS + " Constant coefficients are each flight's own: their line is the mean over flights.",
+    )  # fmt: skip
+
+
+def mean_table(session: "Session") -> Table | None:
+    """Table 5: mean and scatter over the flights that can tell, against their bounds."""
+    if len(session.flights) < 2:
+        return None
+    methods, ours = list(session.mean), is_published(session)
+    rows = []
+    for name in session.model.free_names:
+        if not any(name in session.mean[m] for m in methods):
+            continue
+        row = [name, *_before(session, name)]
+        for method in methods:
+            s = session.mean[method].get(name)
+            row += [CANNOT_TELL, "", "", ""] if s is None else [
+                number(s.mean), significant(s.std, 2), significant(s.bound, 2), str(s.count)]  # fmt: skip
+        for other in ("ml", "ngn") if ours else ():
+            said = published.mean(other, name)
+            row += ["", ""] if said is None else [number(said[0]), significant(said[1], 2)]
+        rows.append(tuple(row))
+    groups = [("", 1), ("before flying", 2), *((m, 4) for m in methods)]
+    head = ["", "value", "source", *(h for _ in methods for h in ("mean", "scatter", "bound", "flights"))]
+    if ours:
+        groups += [(f"{m} (published)", 2) for m in ("ml", "ngn")]
+        head += ["mean", "scatter"] * 2
+    return Table(
+        "table5_means", "Mean and scatter over the flights that can tell", tuple(head), tuple(rows), tuple(groups),
+        note="scatter: sample standard deviation over flights; bound: root mean square of their corrected bounds. "
+        + (published.COMPARISON if ours else ""),
+    )  # fmt: skip
+
+
+def fit_table(session: "Session") -> Table:
+    """r2 and Theil's coefficient per flight, method and output."""
+    outputs = session.model.output_names
+    rows = []
+    for f in session.flights:
+        for method, result in f.results.items():
+            cells = [c for o in outputs for c in _fit_cells(result.flights[0].fit.get(o))]
+            rows.append((f.flight.name, method, *cells))
+    return Table("fit", "Goodness of fit and residual whiteness",
+                 ("flight", "method", *(h for _ in outputs for h in ("r²", "Theil", "white"))),
+                 tuple(rows), (("", 2), *((o, 3) for o in outputs)), symbols=False,
+                 note="Theil's inequality coefficient: 0 perfect, below 0.25–0.3 good. white: share of residual "
+                 "autocorrelations inside the 95 % band of white noise.")  # fmt: skip
+
+
+def _fit_cells(fit: object) -> list[str]:
+    return (
+        ["", "", ""]
+        if fit is None
+        else [number(getattr(fit, k), d) for k, d in (("r2", 3), ("theil", 3), ("whiteness", 2))]
+    )
+
+
+def _before(session: "Session", name: str) -> list[str]:
+    parameter = session.model.parameter(name)
+    if parameter.reference is None:
+        return ["", ""]
+    return [number(parameter.reference), parameter.reference_source.replace("engineering estimate", "guess")]
+
+
+def _three(e: "Estimate | None") -> list[str]:
+    if e is None:
+        return ["", "", ""]
+    return (
+        [number(e.estimate), significant(e.std, 2), significant(e.std_coloured, 2)]
+        if e.identifiable
+        else [CANNOT_TELL, "", ""]
+    )
+
+
+def _safe(name: str) -> str:
+    return "".join(c if c.isalnum() or c in "-_" else "_" for c in name)

@@ -1,0 +1,148 @@
+"""Natural modes of the aircraft as identified, with the spread that the bounds of the derivatives give them.
+
+The traced model is linearised about straight flight at the medians of what was measured (rates, sideslip, bank and
+derivative inputs at zero); eigenvalues of df/dx. Spread: the same for draws from the estimates' covariance.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimation.engine.trace import constant_names, trace
+from estimation.estimators.result import Result
+from estimation.models.base import Model
+from estimation.report.tables import Table, significant
+from groundstation.flight import Flight
+
+Array = NDArray[np.float64]
+DRAWS = 300
+AT_REST = ("beta", "p", "q", "r", "phi", "delta_a", "delta_r", "V_dot", "alpha_dot", "beta_dot", "ay")
+
+
+@dataclass(frozen=True, slots=True)
+class Mode:
+    """damping: NaN for an aperiodic mode; speed: natural frequency [rad/s], or -eigenvalue [1/s] of an aperiodic one."""
+
+    name: str
+    speed: float
+    damping: float
+
+
+def state_matrix(model: Model, values: Mapping[str, float], state: Array, inputs: Array) -> Array:
+    """(nx, nx) Jacobian df/dx at one point. values: every parameter; state (nx,), inputs (nu,)."""
+    traced = trace(model)
+    p = [*(values[n] for n in model.parameter_names), *(model.constants[n] for n in constant_names(model))]
+    entries = np.asarray(traced.rates_jacobian(state, inputs, p)[1]).ravel()
+    rows, columns = traced.patterns["f_x"]
+    A = np.zeros((len(model.states), len(model.states)))
+    A[list(rows), list(columns)] = entries
+    return A
+
+
+def trim(model: Model, flight: Flight) -> tuple[Array, Array]:
+    """State (nx,) and inputs (nu,) of straight flight: medians of the measured columns."""
+
+    def usual(name: str, source: str) -> float:
+        return 0.0 if name in AT_REST or not flight.measured(source) else float(np.nanmedian(flight[source]))
+
+    rho = {"rho": 1.225}
+    state = np.array([usual(s.name, s.source) for s in model.states])
+    inputs = np.array([usual(s.name, s.source) or rho.get(s.name, 0.0) for s in model.inputs])
+    return state, inputs
+
+
+def modes(A: Array, states: tuple[str, ...]) -> list[Mode]:
+    """Modes of a state matrix by their usual names for the lateral and the longitudinal set of states."""
+    roots = np.linalg.eigvals(A)
+    pairs = sorted((z for z in roots if z.imag > 1e-9), key=lambda z: -abs(z))
+    real = sorted((float(z.real) for z in roots if abs(z.imag) <= 1e-9), key=lambda x: -abs(x))
+    pair_names, real_names = _names(states, len(pairs), len(real))
+    found = [Mode(n, float(abs(z)), float(-z.real / abs(z))) for n, z in zip(pair_names, pairs, strict=True)]
+    return found + [Mode(n, -x, math.nan) for n, x in zip(real_names, real, strict=True)]
+
+
+def _names(states: tuple[str, ...], pairs: int, real: int) -> tuple[list[str], list[str]]:
+    if set(states) == {"beta", "p", "r", "phi"} and (pairs, real) == (1, 2):
+        return ["Dutch roll"], ["roll", "spiral"]
+    if {"alpha", "q", "theta"} <= set(states) <= {"V", "alpha", "q", "theta"} and (pairs, real) == (2, 0):
+        return ["short period", "phugoid"], []
+    return [f"oscillation {i + 1}" for i in range(pairs)], [f"aperiodic {i + 1}" for i in range(real)]
+
+
+@dataclass(frozen=True, slots=True)
+class SpreadMode:
+    """A mode with half the width of the middle 68 % of draws, and the share of draws that are unstable."""
+
+    mode: Mode
+    speed_spread: float
+    damping_spread: float
+    unstable: float
+
+
+def modes_with_spread(result: Result, flight: Flight, rng: np.random.Generator) -> list[SpreadMode]:
+    """Modes at the estimates and over draws from their corrected covariance; undetermined parameters stay put."""
+    model = result.model
+    state, inputs = trim(model, flight)
+    best = modes(state_matrix(model, result.values, state, inputs), model.state_names)
+    draws: dict[str, list[Mode]] = {m.name: [] for m in best}
+    bound = np.array([result.parameters[n].std_coloured for n in result.names])
+    root = _square_root(result.covariance_coloured, np.isfinite(bound))
+    for _ in range(DRAWS):
+        moved = root @ rng.standard_normal(len(bound))
+        values = {**result.values, **{n: result.values[n] + float(d) for n, d in zip(result.names, moved, strict=True)}}
+        for m in modes(state_matrix(model, values, state, inputs), model.state_names):
+            draws.setdefault(m.name, []).append(m)
+    return [
+        SpreadMode(m, _half_width([d.speed for d in draws[m.name]]), _half_width([d.damping for d in draws[m.name]]),
+                   _unstable(draws[m.name]))
+        for m in best
+    ]  # fmt: skip
+
+
+def _unstable(drawn: list[Mode]) -> float:
+    """Share of draws that diverge."""
+    bad = sum((d.speed if math.isnan(d.damping) else d.damping) < 0 for d in drawn)
+    return bad / len(drawn) if drawn else math.nan
+
+
+def _square_root(covariance: Array, told: NDArray[np.bool_]) -> Array:
+    safe = np.where(told[:, None] & told[None, :] & np.isfinite(covariance), covariance, 0.0)
+    values, vectors = np.linalg.eigh(0.5 * (safe + safe.T))
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
+
+
+def _half_width(values: list[float]) -> float:
+    if len(values) < DRAWS // 2 or not np.all(np.isfinite(values)):
+        return math.nan
+    low, high = np.percentile(values, [15.87, 84.13])
+    return float(high - low) / 2
+
+
+def mode_table(entries: list[tuple[str, str, list[SpreadMode]]]) -> Table:
+    """entries: (whose estimates, method, modes)."""
+    rows = []
+    for who, method, found in entries:
+        for m in found:
+            aperiodic = math.isnan(m.mode.damping)
+            period = "" if aperiodic or m.mode.damping >= 1 else significant(
+                2 * math.pi / (m.mode.speed * math.sqrt(1 - m.mode.damping**2)))  # fmt: skip
+            rows.append((who, method, m.mode.name, "" if aperiodic else _pm(m.mode.speed, m.speed_spread),
+                         "" if aperiodic else _pm(m.mode.damping, m.damping_spread), period,
+                         _pm(-m.mode.speed, m.speed_spread) if aperiodic else "", _percent(m.unstable)))  # fmt: skip
+    return Table(
+        "modes", "Natural modes at the flights' median speed and incidence",
+        ("estimates of", "method", "mode", "natural frequency [rad/s]", "damping ratio", "period [s]", "eigenvalue [1/s]",
+         "draws unstable"), tuple(rows), symbols=False,
+        note=f"± is half the middle 68 % over {DRAWS} draws from the corrected covariance of the derivatives.",
+    )  # fmt: skip
+
+
+def _percent(share: float) -> str:
+    return "" if math.isnan(share) else f"{100 * share:.0f} %"
+
+
+def _pm(value: float, spread: float) -> str:
+    return f"{value:.3g} ± {spread:.2g}" if math.isfinite(spread) else f"{value:.3g}"
