@@ -13,7 +13,7 @@ EXAMPLE = (
 @click.argument("flights", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="FLIGHT...")
 @click.option("--factors", "factors_text", default="", help="Factors to estimate, comma-separated; with a leading + they "
               "are added to the standard ones (dax day daz dp dq dr K_beta dbeta). Also K_alpha dalpha K_V dV dphi dtheta, "
-              "x_imu y_imu z_imu, x_vane y_vane z_vane, and delays tau_beta tau_alpha tau_V tau_phi tau_theta tau_psi.")  # fmt: skip
+              "x_imu y_imu z_imu, x_vane y_vane z_vane, delays tau_beta tau_alpha tau_V tau_phi tau_theta tau_psi.")  # fmt: skip
 @click.option("--joint", is_flag=True, help="Also one set of factors shared by all flights.")
 @click.option("--segments", help="Use only these stretches, each with initial states of its own: 2:12,15:25 [s].")
 @click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write the results as JSON.")
@@ -44,12 +44,12 @@ def check(
     from groundstation.flight import read_flight, write_flight
     from groundstation.quality import quality_report, worst
 
-    factors = wanted_factors(factors_text)
+    factors, known = wanted_factors(factors_text)
     read = unique_names([select_segments(read_flight(path), segments) for path in flights])
     quality = [quality_report(flight) for flight in read]
-    results = [(flight.name, compatibility(flight, factors)) for flight in read]
+    results = [(flight.name, compatibility(flight, factors, known=known)) for flight in read]
     if joint and len(read) > 1:
-        results.append(("joint", compatibility(read, factors)))
+        results.append(("joint", compatibility(read, factors, known=known)))
     for line in factor_lines(results):
         click.echo(line)
     for flight, findings in zip(read, quality, strict=True):
@@ -89,15 +89,23 @@ def check(
     return 1 if failed else 0
 
 
-def wanted_factors(text: str) -> tuple[str, ...]:
-    """The factors that --factors asks for."""
+def wanted_factors(text: str) -> tuple[tuple[str, ...], dict[str, float]]:
+    """The factors that --factors asks for, and those it gives a value, like x_imu=0.06."""
+    from estimation.errors import EstimationError
     from estimation.models.kinematic import STANDARD_FACTORS
 
-    names = tuple(n.strip() for n in text.lstrip("+").split(",") if n.strip())
-    if not names:
-        return STANDARD_FACTORS
-    chosen = (*STANDARD_FACTORS, *names) if text.startswith("+") else names
-    return tuple(dict.fromkeys(chosen))
+    words = [n.strip() for n in text.lstrip("+").split(",") if n.strip()]
+    known: dict[str, float] = {}
+    for word in [w for w in words if "=" in w]:
+        name, _, value = word.partition("=")
+        try:
+            known[name.strip()] = float(value)
+        except ValueError:
+            raise EstimationError(f"--factors {word}: {value!r} is not a number; write it like x_imu=0.06") from None
+    names = tuple(w for w in words if "=" not in w)
+    if text.startswith("+") or not names:
+        names = (*STANDARD_FACTORS, *names)
+    return tuple(n for n in dict.fromkeys(names) if n not in known), known
 
 
 def _factor_json(factor: object) -> dict[str, object]:

@@ -233,15 +233,19 @@ def _joined(values: Array) -> Array:
 
 
 def compatibility(
-    flights: Flight | Sequence[Flight], factors: Sequence[str] = STANDARD_FACTORS, *, iterations: int = 15
+    flights: Flight | Sequence[Flight],
+    factors: Sequence[str] = STANDARD_FACTORS,
+    *,
+    known: Mapping[str, float] | None = None,
+    iterations: int = 15,
 ) -> Compatibility:
-    """Estimate instrument factors of one flight, or shared by several.
+    """Estimate instrument factors of one flight, or shared by several. known: factors held at values given.
 
     Raises ModelError for an unknown factor, MissingColumnError or DataError for flights that cannot be used, and
     DataError naming them when factors cannot be told from each other at all.
     """
     many = [flights] if isinstance(flights, Flight) else list(flights)
-    model = compatibility_model(factors, tuple(MEASUREMENTS))
+    model = compatibility_model(factors, tuple(MEASUREMENTS), known)
     problem = _Problem(model, many)
     p = np.array([q.start for q in model.parameters])
     steps = np.array([1e-3 * USEFUL[q.unit] for q in model.parameters])

@@ -20,7 +20,7 @@ from estimation.models.base import Model
 
 LARGEST = 1e9  # sensitivity beyond which the motion counts as running away
 EDGE_STEP = 0.25
-EDGE_SPREAD = 0.5  # prior standard deviation of an edge parameter
+EDGE_SPREAD = 1.5  # prior standard deviation of an edge parameter
 HALVINGS = 8
 FLAT = 1e-4  # of the cost: a smaller predicted decrease ends the iterations
 
@@ -164,7 +164,7 @@ class Problem:
 
     def limits(self, name: str) -> tuple[float, float]:
         if name in self.edges:
-            return -3.0, 3.0
+            return -6.0, 6.0
         p = self.model.parameter(name)
         return p.lower, p.upper
 

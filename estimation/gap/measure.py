@@ -10,6 +10,7 @@ from estimation.gap.baseline import WORK, Baseline, Round, whiteners_for
 from estimation.gap.bench import Bench
 from estimation.gap.fitting import Fit, Problem, fit
 from estimation.gap.nulls import InputErrors, NullFlyer
+from estimation.gap.screen import reduce_record
 from estimation.gap.whitening import NoiseModel
 
 
@@ -59,6 +60,24 @@ def on_holdout(baseline: Baseline, bench: Bench, noise: NoiseModel | None = None
     _, whiteners = whiteners_for(model, bench.base, records, values, noise or baseline.noise, (), baseline.scatter)
     problem = Problem(model, bench.base, records, whiteners, WORK)
     return problem, fit(problem, values, frozen=True)
+
+
+def predictive_cost(baseline: Baseline, bench: Bench, noise: NoiseModel) -> float | None:
+    """Whitened cost of the held-out flights given the training flights.
+
+    Parameters may move within what training left uncertain: without that a barely stable motion, which multiplies small
+    errors of the parameters, would condemn every model. None where there is no held-out flight.
+    """
+    held = on_holdout(baseline, bench, noise)
+    if held is None:
+        return None
+    problem, found = held
+    grams = [reduce_record(problem, found, i, (), ()).gram for i in range(len(problem.records))]
+    gram = np.sum(grams, axis=0)
+    n = len(problem.free)
+    information = gram[:n, :n] + baseline.fit.hessian
+    step = np.linalg.pinv(information, hermitian=True, rcond=1e-13) @ gram[:n, n]
+    return 0.5 * float(gram[n, n] - gram[n, :n] @ step)
 
 
 @dataclass(frozen=True)

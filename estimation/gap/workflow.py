@@ -23,7 +23,7 @@ from estimation.gap.fitting import prior_cost
 from estimation.gap.gate import Gate, kinematic_gate
 from estimation.gap.lineage import fitted
 from estimation.gap.locate import disagreement, locate
-from estimation.gap.measure import Floors, floors, on_holdout, rms_over_noise
+from estimation.gap.measure import Floors, floors, on_holdout, predictive_cost, rms_over_noise
 from estimation.gap.nuisance import is_nuisance, with_nuisance
 from estimation.gap.nulls import InputErrors, input_errors
 from estimation.gap.omnibus import Omnibus, examine
@@ -249,10 +249,10 @@ def by_timing(round_: Round, candidate: Candidate) -> bool:
 
 
 def held_gain(parent: Baseline, child: Baseline, bench: Bench) -> float | None:
-    """Twice the log-likelihood the child gains on the held-out flights, both weighed with the child's noise."""
-    after = on_holdout(child, bench, child.noise)
-    before = on_holdout(parent, bench, child.noise)
-    return None if after is None or before is None else 2.0 * (before[1].cost - after[1].cost)
+    """Twice the log-likelihood the child gains on the held-out flights, both weighed with the child's noise, the fitted
+    parameters uncertain as the training flights leave them."""
+    before, after = predictive_cost(parent, bench, child.noise), predictive_cost(child, bench, child.noise)
+    return None if before is None or after is None else 2.0 * (before - after)
 
 
 def _questioned(setting: Setting, findings: Sequence[Finding]) -> tuple[list[Finding], list[Rejected]] | None:

@@ -9,7 +9,7 @@ Source: kinematic equations of a rigid body over a flat earth; factors as in The
 Table 2.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 from estimation.aircraft import GRAVITY
 from estimation.errors import ModelError
@@ -51,26 +51,36 @@ MEASUREMENTS = {
 
 
 def compatibility_model(
-    factors: Iterable[str] = STANDARD_FACTORS, outputs: Iterable[str] = tuple(MEASUREMENTS)
+    factors: Iterable[str] = STANDARD_FACTORS,
+    outputs: Iterable[str] = tuple(MEASUREMENTS),
+    known: Mapping[str, float] | None = None,
 ) -> Model:
-    """Kinematic model with the named factors free.
+    """Kinematic model with the named factors free, and those of `known` at the values given (a tape measure's).
 
-    Raises ModelError for a factor that does not exist.
+    Raises ModelError for a factor that does not exist, and for IMU and vane positions along the same axis, because the
+    kinematics hold for any point of the body: only the difference between the two shows.
     """
     wanted, measured = tuple(factors), tuple(outputs)
-    unknown = [f for f in wanted if f not in FACTORS and f not in DELAYS]
+    given = dict(known or {})
+    unknown = [f for f in (*wanted, *given) if f not in FACTORS and f not in DELAYS]
     if unknown:
-        known = ", ".join([*FACTORS, *DELAYS])
-        raise ModelError(f"compatibility: no factor {unknown[0]!r}; choose from {known}")
+        choices = ", ".join([*FACTORS, *DELAYS])
+        raise ModelError(f"compatibility: no factor {unknown[0]!r}; choose from {choices}")
+    for axis in "xyz":
+        if f"{axis}_imu" in wanted and f"{axis}_vane" in wanted:
+            raise ModelError(
+                f"compatibility: {axis}_imu and {axis}_vane cannot be told from each other, only their difference shows; "
+                f"measure one and give it, like {axis}_imu=0.06"
+            )
 
     def value(name: str, neutral: float) -> str:
-        return name if name in wanted else f"{neutral}"
+        return name if name in wanted else f"({given.get(name, neutral)!r})"
 
     def less(name: str, bias: str) -> str:
-        return f"({name} - {bias})" if bias in wanted else name
+        return f"({name} - {value(bias, 0.0)})" if bias in wanted or bias in given else name
 
     p, q, r = (less(n, f"d{n}") for n in "pqr")
-    lever = tuple(n for n in ("x_imu", "y_imu", "z_imu") if n in wanted)
+    lever = tuple(n for n in ("x_imu", "y_imu", "z_imu") if n in wanted or n in given)
     ax, ay, az = (less(f"a{x}", f"da{x}") for x in "xyz")
     if lever:
         X, Y, Z = (value(n, 0.0) for n in ("x_imu", "y_imu", "z_imu"))

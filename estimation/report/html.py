@@ -8,6 +8,7 @@ from typing import Any
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from estimation.report.names import html as symbol
+from estimation.report.tables import significant
 
 HERE = Path(__file__).parent
 
@@ -18,6 +19,7 @@ def render(template: str, **context: Any) -> str:
         loader=FileSystemLoader(HERE), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
     environment.filters["symbol"] = symbol
+    environment.filters["significant"] = significant
     style = (HERE / "style.css").read_text(encoding="utf-8")
     return environment.get_template(template).render(style=style, software=software(), written=_now(), **context)
 

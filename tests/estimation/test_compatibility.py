@@ -123,6 +123,15 @@ def test_tied_factors_are_refused_by_name(rng: np.random.Generator) -> None:
         compatibility(level, ("K_beta", "dbeta", "x_vane"))
 
 
+def test_imu_and_vane_position_are_refused_together_and_one_may_be_given(rng: np.random.Generator) -> None:
+    f = flight(rng)
+    with pytest.raises(EstimationError, match="x_imu and x_vane cannot be told"):
+        compatibility(f, ("x_imu", "x_vane"))
+    late = compatibility(f, ("x_vane", "dr"), known={"x_imu": 0.0}).factors["x_vane"]
+    assert abs(late.estimate) < 3 * late.std_coloured
+    assert late.std_coloured < 0.2
+
+
 def test_a_missing_channel_is_named(rng: np.random.Generator) -> None:
     f = flight(rng)
     without = Flight.build("f", f.time, {n: v for n, v in f.columns.items() if n != "ay"})

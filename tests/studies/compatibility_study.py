@@ -69,9 +69,11 @@ def main(count: int) -> None:
     seeds = list(range(100, 100 + count))
     for title, truth, factors in (
         ("Table 2 factors", PLANTED, STANDARD_FACTORS),
-        ("with geometry and delay", {**PLANTED, **GEOMETRY}, (*STANDARD_FACTORS, *GEOMETRY)),
+        ("with vane position and delay, IMU position known", {**PLANTED, **GEOMETRY}, (*STANDARD_FACTORS, "x_vane", "tau_beta")),
+        ("with IMU position and delay, vane position known", {**PLANTED, **GEOMETRY}, (*STANDARD_FACTORS, "x_imu", "tau_beta")),
     ):
-        results = [compatibility(f, factors).factors for f in planted_flights(seeds, truth)]
+        known = {n: v for n, v in truth.items() if n not in factors}
+        results = [compatibility(f, factors, known=known).factors for f in planted_flights(seeds, truth)]
         print(f"\n{title}, {count} seeds\n\n| factor | planted | mean error | rms error/bound | coverage of 95 % |")
         print("|---|---|---|---|---|")
         for name, (bias, ratio, cover) in score(results, truth).items():

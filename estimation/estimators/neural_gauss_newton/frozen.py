@@ -109,7 +109,8 @@ def fit_parameters(
 
     residuals, slopes, R, cost = look(theta)
     converged, used = False, 0
-    for used in range(1, iterations + 1):
+    for _ in range(iterations):
+        used += 1
         information, gradient = normal_equations(slopes, slopes, residuals, counts, R)
         step = np.linalg.lstsq(information, gradient, rcond=1e-13)[0]
         scale = 1.0
@@ -144,7 +145,8 @@ def fit_with_instruments(
     theta = start.copy()
     counts = [np.ones(n) for n in rows] if multiplicity is None else list(multiplicity)
     converged, used = False, 0
-    for used in range(1, iterations + 1):
+    for _ in range(iterations):
+        used += 1
         residuals, slopes = predict(theta)
         _, left = instrument(theta)
         matrix, right = normal_equations(left, slopes, residuals, counts, variance(residuals, counts))

@@ -21,7 +21,9 @@ Array = NDArray[np.float64]
 RESTART_S = 3.0
 
 
-def predicted_signals(axis: Axis, stretches: list[Stretch], motion: tuple[str, ...], step: float) -> list[dict[str, Array]]:
+def predicted_signals(
+    axis: Axis, stretches: list[Stretch], motion: tuple[str, ...], step: float
+) -> list[dict[str, Array]]:
     """Signals of each stretch with the motion replaced by the prediction. step: sample interval [s]."""
     tables = [_table(axis, s, motion) for s in stretches]
     inputs = np.vstack([t[0][:-1] for t in tables])

@@ -1,8 +1,8 @@
 """Training and estimation samples from a flight: the published one-step form, and the interval form.
 
 Published form (`point`): inputs motion(k) and coefficients at k, outputs motion(k+1) and acceleration(k+1). The
-coefficients need p_dot and r_dot at k, from a Savitzky-Golay derivative of the 20 Hz rates. With a roll mode faster than
-a sample that derivative is too small and too early, and the moment derivatives come out 10-15 % low.
+coefficients need p_dot and r_dot at k, from differences of 20 Hz rates without their noise. With a roll mode as fast as
+a sample is long that derivative is too small and too early, and the rolling-moment derivatives come out 3-15 % low.
 
 Interval form: the coefficient that carries the motion from k to k+n is its mean over the interval, and the mean of a
 moment is exactly the increment of angular momentum, so no derivative is taken: C_l = [Ixx dp - Ixz dr - ...] / (n dt
@@ -20,13 +20,13 @@ from scipy.signal import savgol_filter
 
 from estimation.errors import DataError
 from estimation.estimators.neural_gauss_newton.axes import Axis, dynamic_pressure
-from estimation.preprocess import denoise
+from estimation.preprocess import denoise_many
 from groundstation.flight import Flight
 
 Array = NDArray[np.float64]
 Form = Literal["point", "interval"]
 
-SMOOTHING_WINDOW, SMOOTHING_ORDER = 5, 3
+DERIVATIVE_POINTS, DERIVATIVE_DEGREE = 7, 6  # central difference of sixth order, on rates without noise
 INTERVAL_S = 0.2
 SHORTEST = 20  # samples in a stretch that is worth using
 
@@ -89,7 +89,7 @@ def stretches(axis: Axis, flight: Flight, form: Form, motion: tuple[str, ...]) -
     """
     columns = [c for c in axis.columns if c not in axis.optional or c in motion]
     table = np.column_stack([flight[c] for c in columns])
-    known = np.isfinite(table).all(axis=1)
+    known = np.asarray(np.isfinite(table).all(axis=1))
     found = []
     for part in flight.segments:
         for start, stop in _runs(known[part]):
@@ -119,30 +119,41 @@ def _stretch(
 
 
 def _point(axis: Axis, raw: dict[str, Array], time: Array, first: int, motion: tuple[str, ...]) -> Stretch:
-    """The published form. Controls are used as measured, motion is smoothed by the filter that differentiates it."""
+    """The published form: values and derivatives at each sample, of signals with their noise taken off."""
     dt = float(np.median(np.diff(time)))
-
-    def smooth(name: str, derivative: int = 0) -> Array:
-        return savgol_filter(raw[name], SMOOTHING_WINDOW, SMOOTHING_ORDER, deriv=derivative, delta=dt)
-
-    s = {c: raw[c] if c in axis.controls or c == "rho" else smooth(c) for c in raw}
-    loads = axis.inertial(s, {c: smooth(c, 1) for c in axis.angular_rates})
-    u = np.column_stack([*(s[c] for c in motion), loads / dynamic_pressure(s)[:, None]])[:-1]
+    s = _without_noise(axis, raw)
+    slopes = {
+        c: savgol_filter(s[c], DERIVATIVE_POINTS, DERIVATIVE_DEGREE, deriv=1, delta=dt) for c in axis.angular_rates
+    }
+    u = np.column_stack([*(s[c] for c in motion), axis.inertial(s, slopes) / dynamic_pressure(s)[:, None]])[:-1]
     z = np.column_stack([s[c] for c in (*motion, *axis.accelerations)])[1:]
     return Stretch(u, z, first + np.arange(len(u)), s, s, 0)
+
+
+def _without_noise(axis: Axis, raw: dict[str, Array]) -> dict[str, Array]:
+    """Every signal with its noise taken off and its edges kept: straight pieces for controls, parabolic for motion."""
+    smooth = dict(raw)
+    for names, order in (
+        ([c for c in raw if c in axis.controls], 1),
+        ([c for c in raw if c not in axis.controls], 2),
+    ):
+        smooth |= {c: d.values for c, d in zip(names, denoise_many([raw[c] for c in names], order=order), strict=True)}
+    return smooth
 
 
 def _interval(axis: Axis, raw: dict[str, Array], time: Array, first: int, motion: tuple[str, ...]) -> Stretch:
     """The interval form, over the number of samples nearest to INTERVAL_S."""
     dt = float(np.median(np.diff(time)))
     steps = max(1, min(round(INTERVAL_S / dt), len(time) // 4))
-    smooth = {c: denoise(raw[c], order=1 if c in axis.controls else 2).values for c in raw}
+    smooth = _without_noise(axis, raw)
     none = {c: np.zeros(len(time)) for c in axis.angular_rates}
     increments = {c: (raw[c][steps:] - raw[c][:-steps]) / (steps * dt) for c in axis.angular_rates}
     nothing = {c: np.zeros(len(time) - steps) for c in raw}
     # inertial loads are linear in the rate derivatives: mean of the rest, plus what the exact increments carry
     loads = window_mean(axis.inertial(raw, none), steps) + axis.inertial(nothing, increments)
-    u = np.column_stack([*(raw[c][:-steps] for c in motion), loads / window_mean(dynamic_pressure(raw), steps)[:, None]])
+    u = np.column_stack(
+        [*(raw[c][:-steps] for c in motion), loads / window_mean(dynamic_pressure(raw), steps)[:, None]]
+    )
     accelerations = [window_mean(raw[c], steps) for c in axis.accelerations]
     z = np.column_stack([*(raw[c][steps:] for c in motion), *accelerations])
     return Stretch(u, z, first + np.arange(len(u)), raw, smooth, steps)

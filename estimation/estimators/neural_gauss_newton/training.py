@@ -54,9 +54,7 @@ def train(
     weight = torch.ones(len(u), dtype=u.dtype, device=u.device) if multiplicity is None else multiplicity
     fit = weight * (~held_out)
     best: Trained | None = None
-    starts = (
-        initial_weights(shape, generator, options.restarts).to(u.device) if start is None else start.unsqueeze(0)
-    )
+    starts = initial_weights(shape, generator, options.restarts).to(u.device) if start is None else start.unsqueeze(0)
     for w in starts:
         w, iterations = OPTIMISERS[options.optimiser](shape, u, z, fit, w, options)
         result = Trained(w, _error(shape, w, u, z, fit), _error(shape, w, u, z, weight * held_out), iterations)
@@ -119,7 +117,7 @@ def _lbfgs(
         optimiser.zero_grad()
         cost = _cost(shape, w, u, z, weight, options.decay)
         cost.backward()  # type: ignore[no-untyped-call]
-        return float(cost)
+        return float(cost.detach())
 
     optimiser.step(closure)
     return w.detach(), int(optimiser.state[w].get("n_iter", 0))

@@ -1,0 +1,207 @@
+"""Neural Gauss-Newton: exact derivatives, the truth within the stated figures, flights with holes, same seed same bits."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from estimation.aircraft import load_aircraft
+from estimation.errors import DataError, EstimationError
+from estimation.estimators.neural_gauss_newton import NgnOptions, estimate_ngn
+from estimation.estimators.neural_gauss_newton.axes import LateralAxis, LongitudinalAxis
+from estimation.estimators.neural_gauss_newton.campaign import CampaignOptions, train_campaign, usable_device
+from estimation.estimators.neural_gauss_newton.estimate import default_options
+from estimation.estimators.neural_gauss_newton.formulation import Rows, Unknowns
+from estimation.estimators.neural_gauss_newton.network import (
+    Shape,
+    forward,
+    initial_weights,
+    input_jacobian,
+    weight_jacobian,
+)
+from estimation.estimators.neural_gauss_newton.samples import stretches, window_mean
+from estimation.estimators.neural_gauss_newton.training import TrainingOptions, train
+from estimation.laboratory import joint_model
+from estimation.models import load_model
+from groundstation.flight import Flight, MissingColumnError
+from tests.estimation.truth import IXX, IXZ, IYY, IZZ, STRONG, TRUE
+
+AIRCRAFT = load_aircraft("cdfp")
+SHORT = NgnOptions(improved=True, ensemble=1, bootstraps=3)
+
+
+def errors(result, names=STRONG):
+    return {n: abs(result.parameters[n].estimate / TRUE[n] - 1) for n in names}
+
+
+def network(shape, nets=1):
+    w = initial_weights(shape, torch.Generator().manual_seed(3), nets)
+    return w + 0.1 * torch.randn(w.shape, generator=torch.Generator().manual_seed(4), dtype=torch.float64)
+
+
+@pytest.mark.parametrize("skip", [False, True])
+def test_written_out_derivatives_are_those_of_autograd(skip):
+    shape = Shape(5, 4, 3, skip)
+    w = network(shape)[0]
+    u = torch.randn(7, 5, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+    out, by_weights = weight_jacobian(shape, w, u)
+    torch.testing.assert_close(by_weights, torch.func.jacrev(lambda v: forward(shape, v, u))(w))
+    same, by_inputs = input_jacobian(shape, w, u)
+    torch.testing.assert_close(same, out)
+    step = 1e-6
+    for j in range(5):
+        du = torch.zeros(5, dtype=torch.float64)
+        du[j] = step
+        difference = (forward(shape, w, u + du) - forward(shape, w, u - du)) / (2 * step)
+        torch.testing.assert_close(by_inputs[:, :, j], difference, atol=1e-8, rtol=1e-6)
+
+
+def test_an_ensemble_is_its_members():
+    shape = Shape(5, 4, 3, True)
+    w = network(shape, 3)
+    u = torch.randn(7, 5, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+    torch.testing.assert_close(forward(shape, w, u), torch.stack([forward(shape, v, u) for v in w]))
+
+
+@pytest.mark.parametrize("optimiser", ["lm", "lbfgs", "adam"])
+def test_every_optimiser_learns_a_smooth_map(optimiser):
+    generator = torch.Generator().manual_seed(2)
+    u = torch.randn(200, 2, generator=generator, dtype=torch.float64)
+    z = torch.stack([torch.tanh(u[:, 0] - 0.5 * u[:, 1]), 0.3 * u[:, 1]], dim=1)
+    held = torch.arange(200) % 5 == 0
+    result = train(Shape(2, 5, 2, True), u, z, held, TrainingOptions(optimiser, iterations=40), generator)
+    assert result.validation_error < 1e-2 * float(z.var())
+
+
+def test_longitudinal_slopes_are_the_derivatives_of_its_coefficients():
+    axis = LongitudinalAxis(AIRCRAFT)
+    rng = np.random.default_rng(0)
+    s = {c: 0.1 * rng.standard_normal(4) for c in axis.columns} | {"V": np.full(4, 16.0)}
+    theta = rng.standard_normal(10)
+    _, slopes = axis.aerodynamic(s, theta)
+    for j in range(10):
+        d = np.zeros(10)
+        d[j] = 1e-6
+        difference = (axis.aerodynamic(s, theta + d)[0] - axis.aerodynamic(s, theta - d)[0]) / 2e-6
+        np.testing.assert_allclose(slopes[:, :, j], difference, atol=1e-8)
+
+
+def test_interval_moments_are_exact_for_constant_angular_acceleration():
+    """With q = 0 and straight rates, the mean moments over an interval follow in closed form."""
+    t = np.arange(60) * 0.05
+    p_dot, r_dot = 0.3, -0.2
+    columns = {c: np.zeros(60) for c in LateralAxis(AIRCRAFT).columns}
+    columns |= {"p": p_dot * t, "r": r_dot * t, "V": np.full(60, 16.0), "rho": np.full(60, 1.2)}
+    axis = LateralAxis(AIRCRAFT)
+    only = stretches(axis, Flight.build("f", t, columns), "interval", axis.motion)[0]
+    scale = 0.5 * 1.2 * 16.0**2 * AIRCRAFT.area * AIRCRAFT.span
+    np.testing.assert_allclose(only.u[:, -2], (IXX * p_dot - IXZ * r_dot) / scale, rtol=1e-9)
+    np.testing.assert_allclose(only.u[:, -1], (IZZ * r_dot - IXZ * p_dot) / scale, rtol=1e-9)
+    assert AIRCRAFT.Iyy == IYY
+
+
+def test_window_mean_of_a_line_is_its_middle():
+    np.testing.assert_allclose(window_mean(np.arange(10.0), 4), np.arange(6) + 2.0)
+
+
+def test_published_form_is_near_the_truth_and_low_in_roll(made_flights):
+    options = replace(default_options(False), bootstraps=0)
+    each = [estimate_ngn(AIRCRAFT, f, options=options) for f in made_flights]
+    assert all(r.method == "ngn" for r in each)
+    for name in STRONG:
+        mean = np.mean([r.parameters[name].estimate for r in each]) / TRUE[name] - 1
+        assert abs(mean) < 0.15, name
+        if name in ("Cl_beta", "Cl_p", "Cl_da"):
+            assert mean < 0.0, name  # a derivative of 20 Hz rates is too small
+
+
+def test_improved_form_is_within_five_percent_on_average(made_flights):
+    each = [estimate_ngn(AIRCRAFT, f, options=SHORT) for f in made_flights]
+    for name in STRONG:
+        mean = np.mean([r.parameters[name].estimate for r in each])
+        assert abs(mean / TRUE[name] - 1) < 0.06, name
+    assert all(r.method == "ngn-improved" and r.converged for r in each)
+
+
+def test_honest_spread_is_wider_than_the_bound_of_a_frozen_network(made_flights):
+    result = estimate_ngn(AIRCRAFT, made_flights[1], options=NgnOptions(improved=True, ensemble=1, bootstraps=12))
+    ratio = [result.parameters[n].std_coloured / result.parameters[n].std for n in STRONG]
+    assert np.median(ratio) > 1.2
+    assert set(result.extra["bootstrap_spread"]) == set(TRUE)
+    assert {"hidden", "smoothing", "seed", "record"} <= set(result.extra)
+
+
+def test_same_seed_gives_the_same_bits_and_threads_are_left_alone(made_flights):
+    before = torch.get_num_threads()
+    first, second = (estimate_ngn(AIRCRAFT, made_flights[0], options=SHORT) for _ in range(2))
+    assert {n: e.estimate for n, e in first.parameters.items()} == {n: e.estimate for n, e in second.parameters.items()}
+    assert first.std_coloured == second.std_coloured
+    assert torch.get_num_threads() == before
+
+
+def test_joint_estimate_has_constants_for_each_flight(made_flights):
+    flights = made_flights[:2]
+    result = estimate_ngn(AIRCRAFT, flights, model=joint_model(load_model("lateral", AIRCRAFT)), options=SHORT)
+    assert max(errors(result, ("Cl_beta", "Cl_p", "Cl_da", "Cn_beta", "CY_beta")).values()) < 0.06
+    assert "Cl_0" not in result.names
+    assert all("Cl_0" in f.local for f in result.flights)
+
+
+def test_gap_and_dropouts_are_never_crossed(made_flights):
+    whole = made_flights[0]
+    keep = (whole.time < 9.0) | (whole.time > 10.5)
+    holed = whole.part(keep)
+    beta = holed["beta"].copy()
+    beta[100:106] = np.nan
+    flight = Flight.build("holed", holed.time, {**holed.columns, "beta": beta})
+    axis = LateralAxis(AIRCRAFT)
+    steps = {round(float(flight.time[s.first[-1] + 1] - flight.time[s.first[0]]), 3) > 0
+             for s in stretches(axis, flight, "point", ("beta", "phi", "p", "r"))}  # fmt: skip
+    found = stretches(axis, flight, "point", ("beta", "phi", "p", "r"))
+    assert steps == {True}
+    assert len(found) == 3
+    assert all(np.max(np.diff(flight.time[s.first])) < 0.06 for s in found)
+    assert max(errors(estimate_ngn(AIRCRAFT, flight, options=SHORT), ("Cl_beta", "Cl_p", "Cl_da")).values()) < 0.08
+
+
+def test_missing_heading_is_done_without_and_said(made_flights):
+    columns = {k: v for k, v in made_flights[0].columns.items() if k != "psi"}
+    result = estimate_ngn(AIRCRAFT, Flight.build("f", made_flights[0].time, columns), options=SHORT)
+    assert "psi" not in result.extra["inputs"]
+    assert any("psi is not measured" in n for n in result.flights[0].notes)
+    assert max(errors(result, ("Cl_beta", "Cl_p", "Cl_da")).values()) < 0.06
+
+
+def test_what_cannot_be_used_is_said(made_flights):
+    flight = made_flights[0]
+    without = Flight.build("f", flight.time, {k: v for k, v in flight.columns.items() if k != "delta_a"})
+    with pytest.raises(MissingColumnError, match="delta_a"):
+        estimate_ngn(AIRCRAFT, without)
+    broken = flight.with_columns(beta=np.where(np.arange(len(flight)) % 10 == 0, np.nan, flight["beta"]))
+    with pytest.raises(DataError, match="no stretch of 20 samples"):
+        estimate_ngn(AIRCRAFT, broken)
+    with pytest.raises(EstimationError, match="formulation"):
+        estimate_ngn(AIRCRAFT, flight, model=load_model("six-dof", AIRCRAFT))
+
+
+def test_fixed_parameter_stays(made_flights):
+    model = load_model("lateral", AIRCRAFT).fixed(CY_p=-0.05)
+    result = estimate_ngn(AIRCRAFT, made_flights[0], model=model, options=NgnOptions(ensemble=1, bootstraps=0))
+    assert "CY_p" not in result.parameters
+    assert Unknowns.of(model, LateralAxis(AIRCRAFT), 1).base[0, 2] == -0.05
+
+
+def test_campaign_trains_as_one_by_one_does(made_flights):
+    axis = LateralAxis(AIRCRAFT)
+    both = [Rows.build(axis, [f.part(slice(0, n))], "interval") for f, n in zip(made_flights, (200, 160), strict=False)]
+    options = CampaignOptions(bootstraps=2, training=TrainingOptions("adam", iterations=3))
+    together = train_campaign(both, options)
+    assert [t.shape[0] for t in together] == [2, 2]
+    torch.testing.assert_close(train_campaign(both[:1], options)[0], together[0], rtol=1e-9, atol=1e-11)
+
+
+def test_a_device_that_is_not_there_is_said():
+    assert usable_device("auto") in ("cpu", "cuda")
+    with pytest.raises(EstimationError, match="unknown"):
+        usable_device("abacus")
