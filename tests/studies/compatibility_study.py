@@ -69,8 +69,16 @@ def main(count: int) -> None:
     seeds = list(range(100, 100 + count))
     for title, truth, factors in (
         ("Table 2 factors", PLANTED, STANDARD_FACTORS),
-        ("with vane position and delay, IMU position known", {**PLANTED, **GEOMETRY}, (*STANDARD_FACTORS, "x_vane", "tau_beta")),
-        ("with IMU position and delay, vane position known", {**PLANTED, **GEOMETRY}, (*STANDARD_FACTORS, "x_imu", "tau_beta")),
+        (
+            "with vane position and delay, IMU position known",
+            {**PLANTED, **GEOMETRY},
+            (*STANDARD_FACTORS, "x_vane", "tau_beta"),
+        ),
+        (
+            "with IMU position and delay, vane position known",
+            {**PLANTED, **GEOMETRY},
+            (*STANDARD_FACTORS, "x_imu", "tau_beta"),
+        ),
     ):
         known = {n: v for n, v in truth.items() if n not in factors}
         results = [compatibility(f, factors, known=known).factors for f in planted_flights(seeds, truth)]
