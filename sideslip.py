@@ -117,6 +117,12 @@ def main(argv: list[str] | None = None) -> None:
         sys.exit(130)
     except BrokenPipeError:
         sys.exit(0)
+    except OSError as error:
+        if error.filename is None:  # not about a file that somebody named: a mistake of ours, to be seen whole
+            raise
+        where = error.filename2 or error.filename
+        click.echo(f"sideslip: {where}: cannot be read or written ({error.strerror}); choose another place", err=True)
+        sys.exit(2)
     sys.exit(status if isinstance(status, int) else 0)
 
 

@@ -134,12 +134,13 @@ def estimate(
     methods: Sequence[str] = ("ml",),
     *,
     joint: bool = False,
+    device: str = "cpu",
     progress: Callable[[str], None] | None = None,
 ) -> Session:
     """Run every method on every flight, and on all of them together where `joint`.
 
-    progress: told each piece of work as it begins. Raises EstimationError for an unknown method, and what the first
-    method raises when a flight cannot feed the model.
+    device: where networks are trained. progress: told each piece of work as it begins. Raises EstimationError for an
+    unknown method, and what the first method raises when a flight cannot feed the model.
     """
     unknown = [m for m in methods if m not in METHODS]
     if unknown:
@@ -151,13 +152,13 @@ def estimate(
         results: dict[str, Result] = {}
         for method in methods:
             tell(f"{flight.name}: {TITLES[method]}")
-            results[method] = run_method(method, model, [flight], aircraft)
+            results[method] = run_method(method, model, [flight], aircraft, device)
         done.append(FlightEstimates(flight, results))
     together: dict[str, Result] = {}
     if joint:
         for method in methods:
             tell(f"joint over {len(flights)} flights: {TITLES[method]}")
-            together[method] = run_method(method, joint_model(model), flights, aircraft)
+            together[method] = run_method(method, joint_model(model), flights, aircraft, device)
     mean = {m: scatter([f.results[m] for f in done]) for m in methods}
     return Session(aircraft, model, tuple(methods), tuple(done), together, mean)
 
@@ -170,7 +171,7 @@ def joint_model(model: Model) -> Model:
     return model.with_local(*(n for n in model.free_names if n.endswith("_0") and n not in ("CD_0",)))
 
 
-def run_method(method: str, model: Model, flights: Sequence[Flight], aircraft: Aircraft) -> Result:
+def run_method(method: str, model: Model, flights: Sequence[Flight], aircraft: Aircraft, device: str = "cpu") -> Result:
     """One method over one flight or several together; heavy packages are imported only for the method that needs them."""
     if method == "ml":
         from estimation.estimators.output_error import output_error
@@ -186,7 +187,7 @@ def run_method(method: str, model: Model, flights: Sequence[Flight], aircraft: A
         return filter_error(model, flights)
     from estimation.estimators.neural_gauss_newton import estimate_ngn
 
-    return estimate_ngn(aircraft, list(flights), model=model, improved=method == "ngn-improved")
+    return estimate_ngn(aircraft, list(flights), model=model, improved=method == "ngn-improved", device=device)
 
 
 def unique_names(flights: Sequence[Flight]) -> list[Flight]:

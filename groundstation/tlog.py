@@ -91,7 +91,9 @@ def read_tlog(path: str | Path) -> Iterator[tuple[int, bytes]]:
         (stamp,) = _STAMP.unpack_from(data, at)
         at += 8 + len(frame.raw)
         yield stamp * 1000, _unwrapped(frame)
-    if data and not found:
+    if not data:
+        raise TlogError(f"{path}: the telemetry log is empty")
+    if not found:
         raise TlogError(f"{path}: not a MAVLink telemetry log; no frame behind a timestamp in it")
 
 

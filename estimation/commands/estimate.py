@@ -24,6 +24,7 @@ EXAMPLE = "Example: sideslip estimate ld1.mcap ld2.mcap --method ml,ngn --joint 
               help="lateral, lateral-simple, longitudinal, six-dof, a MODEL.toml, or module:Class.")  # fmt: skip
 @click.option("--aircraft", default="cdfp", show_default=True, help="Built-in aircraft or an AIRCRAFT.toml.")
 @click.option("--joint", is_flag=True, help="Also one estimate over all flights together.")
+@click.option("--device", default="cpu", show_default=True, help="Where ngn trains its networks: cpu, cuda or auto.")
 @click.option("--segments", help="Use only these stretches, each with its own initial states: 2:12,15:25 [s].")
 @click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write the results as JSON.")
 @click.option(
@@ -46,6 +47,7 @@ def estimate(
     model: str,
     aircraft: str,
     joint: bool,
+    device: str,
     segments: str | None,
     json_path: Path | None,
     report_folder: Path | None,
@@ -67,7 +69,7 @@ def estimate(
     chosen = load_model(model, craft)
     read = [select_segments(read_flight(path), segments) for path in flights]
     names = tuple(m.strip() for m in methods.split(",") if m.strip())
-    session = laboratory.estimate(chosen, read, craft, names, joint=joint, progress=_progress())
+    session = laboratory.estimate(chosen, read, craft, names, joint=joint, device=device, progress=_progress())
     for line in session_lines(session, brief=brief):
         click.echo(line)
     if model_path is not None:

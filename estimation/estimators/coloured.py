@@ -44,12 +44,33 @@ def score_covariance(pieces: list[Piece], inverse: Array, nuisance_inverse: list
     """
     n = inverse.shape[0]
     ny = pieces[0].residual.shape[1]
+    projected = without_nuisance(pieces, nuisance_inverse)
+    spectrum = noise_spectrum(pieces, projected, inverse, nuisance_inverse)
+    size = 2 * (spectrum.shape[0] - 1)
+    total = np.zeros((n, n))
+    for piece, J in zip(pieces, projected, strict=True):
+        if n == 0:  # everything frozen: nothing to correct
+            continue
+        total += _quadratic(J.reshape(piece.residual.shape[0], ny, n), spectrum, size)
+    return total
+
+
+def without_nuisance(pieces: list[Piece], nuisance_inverse: list[Array]) -> list[Array]:
+    """Jacobian (N ny, n) of each piece with the columns of its initial states projected out."""
     projected = []
     for piece, own in zip(pieces, nuisance_inverse, strict=True):
         J = piece.jacobian
         if piece.nuisance.shape[1]:
             J = J - piece.nuisance @ (own @ (piece.nuisance.T @ J))
         projected.append(J)
+    return projected
+
+
+def noise_spectrum(
+    pieces: list[Piece], projected: list[Array], inverse: Array, nuisance_inverse: list[Array]
+) -> Spectrum:
+    """Spectrum (size/2 + 1, ny, ny) of the noise of one flight, in units of R: colour as the residuals show it, raised
+    by what the fit took away. size: a power of two, at least twice the longest piece."""
     size = 1 << int(np.ceil(np.log2(2 * max(p.residual.shape[0] for p in pieces))))
     lags = autocovariance([p.residual for p in pieces], [p.known for p in pieces])
     order = order_for(lags, sum(p.residual.shape[0] for p in pieces))
@@ -60,12 +81,7 @@ def score_covariance(pieces: list[Piece], inverse: Array, nuisance_inverse: list
         expected = _after_fit(spectrum, pieces, projected, inverse, nuisance_inverse, order, size, rng)
         raise_by = np.real(np.einsum("fii->f", observed)) / np.real(np.einsum("fii->f", expected))
         spectrum = spectrum * np.clip(raise_by, 1.0 / LARGEST_RAISE, LARGEST_RAISE)[:, None, None]
-    total = np.zeros((n, n))
-    for piece, J in zip(pieces, projected, strict=True):
-        if n == 0:  # everything frozen: nothing to correct
-            continue
-        total += _quadratic(J.reshape(piece.residual.shape[0], ny, n), spectrum, size)
-    return total
+    return spectrum
 
 
 def autocovariance(series: list[Array], known: list[NDArray[np.bool_]]) -> Array:
@@ -129,11 +145,11 @@ def _after_fit(
 ) -> Spectrum:
     """Spectrum that the residuals of a fit would show if the noise had `spectrum`."""
     ny = spectrum.shape[1]
-    root = _square_root(spectrum)
+    root = square_root(spectrum)
     shown: list[Array] = []
     for piece, J, own in zip(pieces, projected, nuisance_inverse, strict=True):
         count = piece.residual.shape[0]
-        noise = _coloured_noise(root, count, size, rng) * piece.known[:, :, None]
+        noise = coloured_noise(root, count, DRAWS, rng) * piece.known[:, :, None]
         e = noise.reshape(count * ny, DRAWS)
         rest = e - J @ (inverse @ (J.T @ e))
         if piece.nuisance.shape[1]:
@@ -144,15 +160,17 @@ def _after_fit(
     return autoregressive_spectrum(np.mean(each, axis=0), order, size)
 
 
-def _square_root(spectrum: Spectrum) -> Spectrum:
+def square_root(spectrum: Spectrum) -> Spectrum:
+    """A factor L of each frequency's matrix, L L^H = spectrum."""
     values, vectors = np.linalg.eigh(spectrum)
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :])
 
 
-def _coloured_noise(root: Spectrum, count: int, size: int, rng: np.random.Generator) -> Array:
-    """(count, ny, DRAWS) stationary noise with the spectrum whose square root is given."""
+def coloured_noise(root: Spectrum, count: int, draws: int, rng: np.random.Generator) -> Array:
+    """(count, ny, draws) stationary noise with the spectrum whose square root is given."""
     frequencies, ny = root.shape[:2]
-    white = rng.standard_normal((2, frequencies, ny, DRAWS))
+    size = 2 * (frequencies - 1)
+    white = rng.standard_normal((2, frequencies, ny, draws))
     kick = (white[0] + 1j * white[1]) / np.sqrt(2.0)
     kick[0], kick[-1] = white[0, 0], white[0, -1]
     return np.asarray(np.fft.irfft(root @ kick, size, axis=0)[:count] * np.sqrt(size))

@@ -191,10 +191,12 @@ def compared(model: Model, data: list[FlightData]) -> tuple[Model, list[FlightDa
     return model.without_outputs(*absent), slim
 
 
-def build_problem(model: Model, data: list[FlightData], options: OutputErrorOptions) -> OutputErrorProblem:
+def build_problem(
+    model: Model, data: list[FlightData], options: OutputErrorOptions, fits_wanted: int = 1
+) -> OutputErrorProblem:
     """The likelihood of prepared flights, with the back end that the amount of work deserves."""
     columns = len(model.free_names) + len(model.states)
-    work = 12.0 * sum(d.used for d in data) * columns / 20.0
+    work = fits_wanted * 12.0 * sum(d.used for d in data) * columns / 20.0
     simulator = Simulator.build(
         model, work=work, compile_=options.compile_, substeps=options.substeps, hold=options.hold
     )
@@ -203,6 +205,32 @@ def build_problem(model: Model, data: list[FlightData], options: OutputErrorOpti
         free_states = np.array([n in options.free_states for n in model.state_names])
     sigma = None if options.sigma is None else np.array([options.sigma[n] for n in model.output_names])
     return OutputErrorProblem(model, data, simulator, noise=options.noise, sigma=sigma, free_states=free_states)
+
+
+def reopened(
+    model: Model | str,
+    flights: Flight | FlightData | Sequence[Flight | FlightData],
+    result: Result,
+    options: OutputErrorOptions = STANDARD,
+    fits_wanted: int = 1,
+) -> tuple[OutputErrorProblem, Outcome]:
+    """The problem of an earlier fit at its optimum, in the same pieces and steps, for `fits_wanted` fits more."""
+    chosen = load_model(model).with_starts(result.fitted_model.starts())
+    chosen, data = compared(chosen, prepared(chosen, flights, options.preparation))
+    if len(data) != len(result.flights):
+        raise DataError(f"{len(data)} flights given for a fit of {len(result.flights)}: give those that were fitted")
+    data = _in_pieces_of(data, result)
+    problem = build_problem(chosen, data, options, fits_wanted)
+    start = problem.pack(chosen.starts(), [list(f.initial_states) for f in result.flights])
+    return _fine_enough(problem, minimise(problem, start, options.loop), options)
+
+
+def _in_pieces_of(data: list[FlightData], result: Result) -> list[FlightData]:
+    wanted = [len(f.initial_states) for f in result.flights]
+    for pieces in (data, *([cut(d, seconds) for d in data] for seconds in PIECES)):
+        if [len(p.segments) for p in pieces] == wanted:
+            return pieces
+    raise DataError(f"{data[0].name}: not in the segments of the fit: give the flights that were fitted")
 
 
 def _starts(problem: OutputErrorProblem, options: OutputErrorOptions) -> Array:

@@ -6,7 +6,7 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,10 @@ from numpy.typing import NDArray
 from estimation.estimators.gauss_newton import Status
 from estimation.models.base import Model
 from estimation.validation import ChannelFit
+
+if TYPE_CHECKING:
+    from estimation.estimators.bootstrap import Bootstrap
+    from estimation.estimators.profile import Profile
 
 Array = NDArray[np.float64]
 
@@ -83,6 +87,8 @@ class Result:
     flights: tuple[FlightFit, ...]
     engine: str = ""
     extra: Mapping[str, Any] = field(default_factory=dict)
+    profile: Mapping[str, "Profile"] = field(default_factory=dict)
+    bootstrap: "Bootstrap | None" = None
 
     @property
     def converged(self) -> bool:
@@ -132,6 +138,10 @@ class Result:
         }
         if len(self.flights) > 1:
             data["local"] = {f.name: {n: e.to_json() for n, e in f.local.items()} for f in self.flights if f.local}
+        if self.profile:
+            data["profile"] = {n: p.to_json() for n, p in self.profile.items()}
+        if self.bootstrap is not None:
+            data["bootstrap"] = self.bootstrap.to_json()
         return data
 
     def _fit_json(self) -> dict[str, Any]:

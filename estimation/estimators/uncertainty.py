@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from estimation.engine.data import FlightData
 from estimation.estimators.arrow import FlightBlocks, pseudo_inverse
-from estimation.estimators.coloured import Piece, score_covariance
+from estimation.estimators.coloured import Piece, Spectrum, noise_spectrum, score_covariance, without_nuisance
 from estimation.estimators.likelihood import LikelihoodPoint, OutputErrorProblem, whiten_all
 from estimation.estimators.result import Estimate, correlation
 from estimation.models.base import Model, Parameter
@@ -73,9 +73,28 @@ def flight_score_covariance(
     problem: OutputErrorProblem, point: LikelihoodPoint, index: int, covariance: Array, blocks: FlightBlocks
 ) -> Array:
     """(n, n) covariance of one flight's score about the free parameters, initial states projected out."""
-    n = len(problem.free)
-    if n == 0:
+    if not problem.free:
         return np.zeros((0, 0))
+    return score_covariance(*_pieces(problem, point, index, covariance, blocks))
+
+
+def noise_spectra(problem: OutputErrorProblem, unknowns: Array, point: LikelihoodPoint) -> list[Spectrum]:
+    """Spectrum of each flight's noise in units of R, the one that the corrected bound is made of."""
+    blocks = [problem.flight_blocks(unknowns, point, i) for i in range(len(problem.flights))]
+    covariance, _ = pseudo_inverse(problem.shared_information(unknowns, blocks)[0])
+    spectra = []
+    for i, block in enumerate(blocks):
+        pieces, inverse, nuisance_inverse = _pieces(problem, point, i, covariance, block)
+        projected = without_nuisance(pieces, nuisance_inverse)
+        spectra.append(noise_spectrum(pieces, projected, inverse, nuisance_inverse))
+    return spectra
+
+
+def _pieces(
+    problem: OutputErrorProblem, point: LikelihoodPoint, index: int, covariance: Array, blocks: FlightBlocks
+) -> tuple[list[Piece], Array, list[Array]]:
+    """Segments of one flight, covariance of its free parameters, and of the initial states of each segment."""
+    n = len(problem.free)
     keep = np.concatenate([np.arange(n), n + problem.free_states])
     inverse = np.zeros((n, n))
     inverse[np.ix_(problem.shared, problem.shared)] = covariance
@@ -85,7 +104,7 @@ def flight_score_covariance(
         assert motion.dy is not None
         J, r = whiten_all(motion.dy[:, :, keep], residual, point.R)
         pieces.append(Piece(r.reshape(residual.shape), J[:, :n], J[:, n:], np.isfinite(residual)))
-    return score_covariance(pieces, inverse, [b.xx_inverse for b in point.blocks[index]])
+    return pieces, inverse, [b.xx_inverse for b in point.blocks[index]]
 
 
 # ------------------------------------------------------------------------------------------------ identifiability

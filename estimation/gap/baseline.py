@@ -20,6 +20,7 @@ from estimation.preprocess import noise_level
 
 LEAST_NOISE = 0.25  # of the variance that the sample-to-sample scatter of a channel shows
 PASSES = 3
+SAFETY = 1.25  # on the null threshold: nulls know nothing of what the baseline's own equations and sampling get a little wrong
 WORK = 1e7  # the same right-hand side serves every fit and null: compiling it repays
 
 
@@ -154,8 +155,8 @@ class Round:
     """A baseline with its screen and its nulls.
 
     gains: (hypotheses,) twice the log-likelihood by linear theory; null_gains: (nulls, hypotheses) the same on the nulls.
-    inflation: (hypotheses,) variance of the score on the nulls, at least 1. threshold: family-wise 95 % of the largest
-    standardised score on the nulls.
+    inflation: (hypotheses,) variance of the score on the nulls, at least 1. threshold: family-wise quantile of the
+    largest standardised score on the nulls, with a safety factor.
     """
 
     baseline: Baseline
@@ -195,7 +196,7 @@ def screen_round(
     null_gains = np.array([linear_gains(screen, problem, 1 + c) for c in range(nulls)])
     inflation = null_inflation(screen, nulls)
     largest = np.sqrt(null_gains / inflation).max(axis=1) if screen.hypotheses else np.zeros(nulls)
-    return Round(baseline, screen, gains, null_gains, inflation, upper_quantile(largest, level), tuple(flown))
+    return Round(baseline, screen, gains, null_gains, inflation, SAFETY * upper_quantile(largest, level), tuple(flown))
 
 
 def null_inflation(screen: Screen, nulls: int) -> Array:

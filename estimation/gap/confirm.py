@@ -74,7 +74,7 @@ def assess(problem: Problem, base_fit: Fit, hypothesis: Hypothesis, found: Fit, 
     """Gain, score, evidence and admissibility of a fitted hypothesis."""
     gain = 2.0 * (base_fit.cost - found.cost) if not found.diverged else 0.0
     std = found.std() if not found.diverged else {}
-    evidence = 0.5 * gain / inflation
+    evidence = 0.5 * gain / inflation - float(np.log(len(hypothesis.effect.forms)))  # forms share their effect's prior
     estimates: dict[str, tuple[float, float]] = {}
     why_not = "the fit diverges" if found.diverged else ""
     size = 0.0

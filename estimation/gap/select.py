@@ -115,16 +115,14 @@ def _compared_again(
 
 
 def _weights(candidates: Sequence[Candidate]) -> dict[str, float]:
-    """Weight of each effect: the evidence of its forms, each form with an equal share of the effect's prior."""
+    """Weight of each effect: the evidence of its forms together."""
     if not candidates:
         return {}
     top = max(c.evidence for c in candidates)
     weights: dict[str, float] = {}
     for c in candidates:
-        share = 1.0 / len(c.hypothesis.effect.forms)
-        weights[c.hypothesis.effect.name] = weights.get(c.hypothesis.effect.name, 0.0) + share * float(
-            np.exp(c.evidence - top)
-        )
+        name = c.hypothesis.effect.name
+        weights[name] = weights.get(name, 0.0) + float(np.exp(c.evidence - top))
     total = sum(weights.values())
     return dict(sorted(((n, w / total) for n, w in weights.items()), key=lambda item: -item[1]))
 

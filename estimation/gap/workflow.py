@@ -339,7 +339,8 @@ def conclude_trail(setting: Setting, trail: Trail, gate: Gate) -> GapResult:
         verdict = Verdict.UNKNOWN
     elif steps:
         whole = Gap(steps[0].gap.before, left, floor.training_median)
-        verdict = Verdict.GAP_CLOSED if shut or whole.closed >= NAMED_CLOSED else Verdict.GAP_REDUCED
+        nothing_left = not trail.omnibus.significant
+        verdict = Verdict.GAP_CLOSED if shut or nothing_left or whole.closed >= NAMED_CLOSED else Verdict.GAP_REDUCED
     else:
         asked = {h.effect.name for h in first.screen.hypotheses if not h.effect.tied_to}
         verdict = Verdict.CANNOT_TELL if len(cannot) > BLIND_SHARE * max(len(asked), 1) else Verdict.NO_GAP

@@ -140,7 +140,7 @@ def _integral_slope(time: Array, angle: Array, rate: Array) -> float | None:
         stop = int(np.searchsorted(time, time[start] + 4.0))
         t, a, b = time[start:stop], angle[start:stop], rate[start:stop]
         start = max(stop, start + 1)
-        if t.size < 10 or not np.all(np.isfinite(a)) or not np.all(np.isfinite(b)) or np.any(np.diff(t) <= 0):
+        if t.size < 10 or not all(np.all(np.isfinite(v)) for v in (t, a, b)) or np.any(np.diff(t) <= 0):
             continue
         turned = np.concatenate([[0.0], np.cumsum(0.5 * (b[1:] + b[:-1]) * np.diff(t))])
         line = np.vander(t - t.mean(), 2)

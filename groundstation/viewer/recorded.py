@@ -16,6 +16,9 @@ def as_rrd(file: Path, target: Path, layout: Layout = "full", calibration: Path 
     if file.suffix == ".rrd":
         if not file.is_file():
             raise ViewerError(f"{file}: no such file")
+        with file.open("rb") as opened:
+            if opened.read(3) != b"RRF":
+                raise ViewerError(f"{file}: not a recording of rerun (its first bytes are not 'RRF')")
         return file
     if file.is_dir() or (file.suffix == ".mcap" and _is_raw(file)):
         return _raw(file, target, layout, calibration)

@@ -24,11 +24,14 @@ from estimation.estimators.neural_gauss_newton.samples import stretches, window_
 from estimation.estimators.neural_gauss_newton.training import TrainingOptions, train
 from estimation.laboratory import joint_model
 from estimation.models import load_model
+from firmware_sim.aerodynamics import true_derivatives
+from firmware_sim.direct import direct_flights
+from firmware_sim.scenario import load_scenario
 from groundstation.flight import Flight, MissingColumnError
-from tests.estimation.truth import IXX, IXZ, IYY, IZZ, STRONG, TRUE
+from tests.estimation.truth import IXX, IXZ, IYY, IZZ, NOISE, STRONG, TRUE, Case, fly
 
 AIRCRAFT = load_aircraft("cdfp")
-SHORT = NgnOptions(improved=True, ensemble=1, bootstraps=3)
+SHORT = NgnOptions(improved=True, instruments=True, ensemble=1, bootstraps=3)
 
 
 def errors(result, names=STRONG):
@@ -105,9 +108,10 @@ def test_window_mean_of_a_line_is_its_middle():
     np.testing.assert_allclose(window_mean(np.arange(10.0), 4), np.arange(6) + 2.0)
 
 
-def test_published_form_is_near_the_truth_and_low_in_roll(made_flights):
+def test_published_form_is_near_the_truth_and_low_in_roll():
     options = replace(default_options(False), bootstraps=0)
-    each = [estimate_ngn(AIRCRAFT, f, options=options) for f in made_flights]
+    flights, _ = fly(Case(noise=NOISE), np.random.default_rng(11), 4)
+    each = [estimate_ngn(AIRCRAFT, f, options=options) for f in flights]
     assert all(r.method == "ngn" for r in each)
     for name in STRONG:
         mean = np.mean([r.parameters[name].estimate for r in each]) / TRUE[name] - 1
@@ -124,8 +128,23 @@ def test_improved_form_is_within_five_percent_on_average(made_flights):
     assert all(r.method == "ngn-improved" and r.converged for r in each)
 
 
+@pytest.mark.parametrize(("improved", "allowed"), [(False, 0.2), (True, 0.08)])
+def test_longitudinal_forms_find_lift_drag_and_pitch(improved, allowed):
+    scenarios = [load_scenario("longitudinal")] * 3
+    truth = true_derivatives(AIRCRAFT, {})
+    options = replace(default_options(improved, "longitudinal"), bootstraps=0, ensemble=1)
+    each = []
+    for i, c in enumerate(direct_flights(scenarios, [1, 2, 3])):
+        flight = Flight.build(f"f{i}", c["time"], {k: v for k, v in c.items() if k != "time"})
+        each.append(estimate_ngn(AIRCRAFT, flight, model=load_model("longitudinal", AIRCRAFT), options=options))
+    assert all(r.converged for r in each)
+    for name in ("CL_alpha", "CD_0", "CD_k", "Cm_alpha", "Cm_q", "Cm_de"):
+        mean = np.mean([r.parameters[name].estimate for r in each])
+        assert abs(mean / truth[name] - 1) < allowed, name
+
+
 def test_honest_spread_is_wider_than_the_bound_of_a_frozen_network(made_flights):
-    result = estimate_ngn(AIRCRAFT, made_flights[1], options=NgnOptions(improved=True, ensemble=1, bootstraps=12))
+    result = estimate_ngn(AIRCRAFT, made_flights[1], options=replace(SHORT, bootstraps=12))
     ratio = [result.parameters[n].std_coloured / result.parameters[n].std for n in STRONG]
     assert np.median(ratio) > 1.2
     assert set(result.extra["bootstrap_spread"]) == set(TRUE)

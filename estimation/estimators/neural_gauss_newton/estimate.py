@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from estimation.aircraft import Aircraft
 from estimation.errors import EstimationError
 from estimation.estimators.neural_gauss_newton.axes import axis_for
+from estimation.estimators.neural_gauss_newton.campaign import usable_device
 from estimation.estimators.neural_gauss_newton.formulation import Rows, Unknowns
 from estimation.estimators.neural_gauss_newton.frozen import (
     Frozen,
@@ -44,10 +45,14 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class NgnOptions:
-    """hidden: neurons; ensemble: networks of different seeds whose estimates are averaged; bootstraps: networks of the
-    block bootstrap (0: no honest spread, the Cramer-Rao bound stands alone); device: for torch."""
+    """improved: the interval form with a linear path; instruments: normal equations with instruments.
+
+    hidden: neurons; ensemble: networks of different seeds whose estimates are averaged; bootstraps: networks of the
+    block bootstrap (0: no honest spread, the Cramer-Rao bound stands alone); device: cpu, cuda or auto.
+    """
 
     improved: bool = False
+    instruments: bool = False
     hidden: int = 6
     training: TrainingOptions = field(default_factory=lambda: TrainingOptions(restarts=1))
     ensemble: int = 2
@@ -57,11 +62,17 @@ class NgnOptions:
     device: str = "cpu"
 
 
-def default_options(improved: bool) -> NgnOptions:
-    """What the study found best for each form. The published form's networks differ more, so it needs more of them."""
+def default_options(improved: bool, axis: str = "lateral") -> NgnOptions:
+    """What the study found best. The published form's networks differ more, so it takes more of them.
+
+    Longitudinal: lift follows angle of attack so closely that instruments carry too little of what is left.
+    """
+    if improved and axis == "lateral":
+        return NgnOptions(improved=True, instruments=True)
+    steady = TrainingOptions(restarts=1, decay=1e-2)
     if improved:
-        return NgnOptions(improved=True)
-    return NgnOptions(training=TrainingOptions(restarts=1, decay=1e-2), ensemble=4)
+        return NgnOptions(improved=True, hidden=4, training=steady)
+    return NgnOptions(training=steady, ensemble=4)
 
 
 @dataclass(frozen=True)
@@ -84,23 +95,26 @@ def estimate_ngn(
     model: Model | None = None,
     improved: bool = False,
     options: NgnOptions | None = None,
+    device: str | None = None,
 ) -> Result:
     """Estimates over one flight or several together, in the same form as every other method's.
 
     model: one of the built-in lateral or longitudinal ones (default: lateral), with parameters fixed or local as wished.
+    options: decide over `improved` where given (default: `default_options`). device: cpu, cuda or auto, for torch.
     Raises EstimationError for another model, MissingColumnError and DataError for a flight that cannot be used.
     """
     from estimation.models import load_model
 
     many = [flights] if isinstance(flights, Flight) else list(flights)
     chosen = load_model("lateral", aircraft) if model is None else model
-    opt = options or default_options(improved)
     axis = axis_for(chosen.name, aircraft)
     if axis is None:
         raise EstimationError(
             f"model {chosen.name}: Neural Gauss-Newton has a formulation for lateral, lateral-simple and longitudinal; "
             "use method ml"
         )
+    opt = options or default_options(improved, axis.name)
+    opt = replace(opt, device=usable_device(opt.device if device is None else device))
     unknowns = Unknowns.of(chosen, axis, len(many))
     rows = Rows.build(axis, many, "interval" if opt.improved else "point", opt.device)
     with one_thread(opt.device):
@@ -123,7 +137,7 @@ def one_thread(device: str) -> Iterator[None]:
 def solve(rows: Rows, unknowns: Unknowns, options: NgnOptions) -> Solution:
     """Train, freeze, estimate; then again for the ensemble and the bootstrap."""
     shape = Shape(rows.u.shape[1], options.hidden, rows.z.shape[1], skip=options.improved)
-    instruments = rows.instruments() if options.improved else None
+    instruments = rows.instruments() if options.instruments else None
     trained, fitted = [], []
     for member in range(max(1, options.ensemble)):
         net = _trained(shape, rows, options, member)
@@ -175,15 +189,16 @@ def _parameters(
     """Gauss-Newton with one frozen network; in the improved form from there to the root with instruments."""
     frozen = Frozen(rows.axis, shape, net.weights, rows.standard)
     counts = [len(s.u) for s in rows.stretches]
-    measured = _predict(frozen, rows, unknowns, [None] * len(counts))
+    smooth = _predict(frozen, rows, unknowns, [s.smooth for s in rows.stretches])
     multiplicity = None if drawn is None else rows.split(drawn)
+    believed = unknowns.start if start is None else start
     if instruments is None:
         return fit_parameters(
-            measured, unknowns.size, counts, start=start, multiplicity=multiplicity, iterations=iterations
+            smooth, unknowns.size, counts, start=believed, multiplicity=multiplicity, iterations=iterations
         )
     if start is None:
-        smooth = _predict(frozen, rows, unknowns, [s.smooth for s in rows.stretches])
-        start = fit_parameters(smooth, unknowns.size, counts, multiplicity=multiplicity).theta
+        start = fit_parameters(smooth, unknowns.size, counts, start=believed, multiplicity=multiplicity).theta
+    measured = _predict(frozen, rows, unknowns, [None] * len(counts))
     instrument = _predict(frozen, rows, unknowns, instruments)
     return fit_with_instruments(
         measured, instrument, counts, start, multiplicity=multiplicity, iterations=min(iterations, 20)
@@ -235,6 +250,7 @@ def _settings(rows: Rows, options: NgnOptions) -> dict[str, object]:
         "smoothing": smoothing,
         "training": asdict(options.training),
         "seed": options.seed,
+        "instruments": options.instruments,
         "ensemble": options.ensemble,
         "bootstraps": options.bootstraps,
         "rows": int(rows.u.shape[0]),

@@ -42,6 +42,7 @@ class Unknowns:
     owner: tuple[int, ...]  # flight of each unknown, -1 for shared ones
     base: Array
     index: Index
+    start: Array  # (n,) what is believed before flying
 
     @classmethod
     def of(cls, model: Model, axis: Axis, flights: int) -> "Unknowns":
@@ -54,6 +55,7 @@ class Unknowns:
             )
         names: list[str] = []
         owner: list[int] = []
+        start: list[float] = []
         base, index = np.zeros((flights, len(axis.parameters))), np.full((flights, len(axis.parameters)), -1)
         parameters = [model.parameter(n) for n in axis.parameters]
         base[:] = [p.start if p.fixed else 0.0 for p in parameters]
@@ -65,7 +67,8 @@ class Unknowns:
                     index[f if local else slice(None), j] = len(names)
                     names.append(p.name)
                     owner.append(f)
-        return cls(tuple(names), tuple(owner), base, index)
+                    start.append(p.start)
+        return cls(tuple(names), tuple(owner), base, index, np.array(start))
 
     @property
     def size(self) -> int:

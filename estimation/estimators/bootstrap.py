@@ -1,0 +1,136 @@
+"""Parametric bootstrap: simulate at the estimate, add noise like the residuals, fit again, many times.
+
+It needs no linearisation: bias and skewness of the estimates show, which a bound cannot. The noise has the covariance
+between outputs and the colour of the residuals, from the same autoregressive spectrum as the corrected bound, raised by
+what the fit took away (`estimators.coloured`). Inputs are taken for truth, as output error does. (B. Efron and R. J.
+Tibshirani, An Introduction to the Bootstrap, sections 6.5 and 13.3.)
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from estimation.engine.data import FlightData
+from estimation.engine.kernel import Array
+from estimation.errors import EstimationError
+from estimation.estimators.coloured import Spectrum, coloured_noise, square_root
+from estimation.estimators.gauss_newton import Outcome, minimise
+from estimation.estimators.likelihood import LikelihoodPoint, OutputErrorProblem
+from estimation.estimators.output_error import STANDARD, OutputErrorOptions, build_problem, reopened
+from estimation.estimators.result import Result
+from estimation.estimators.uncertainty import noise_spectra
+from estimation.models.base import Model
+from groundstation.flight import Flight
+
+FEWEST = 10  # replicates
+PERCENTILES = (2.5, 97.5)
+
+
+@dataclass(frozen=True)
+class Spread:
+    """One parameter over the replicates. std: their standard deviation; bias: their mean less the estimate they were
+    made with; interval: 95 %, between percentiles."""
+
+    std: float
+    bias: float
+    interval: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Bootstrap:
+    """names: parameters the data can see; estimates: (replicates that came to an end, names), local parameters as their
+    mean over flights; failed: replicates that did not. text: why there is nothing, else empty."""
+
+    names: tuple[str, ...]
+    estimates: Array
+    parameters: Mapping[str, Spread]
+    failed: int
+    text: str = ""
+
+    def to_json(self) -> dict[str, Any]:
+        data: dict[str, Any] = {
+            "replicates": len(self.estimates),
+            "failed": self.failed,
+            "parameters": {
+                n: {"std": s.std, "bias": s.bias, "interval": list(s.interval)} for n, s in self.parameters.items()
+            },
+        }
+        return {**data, "status": self.text} if self.text else data
+
+
+def parametric_bootstrap(
+    model: Model | str,
+    flights: Flight | FlightData | Sequence[Flight | FlightData],
+    result: Result,
+    replicates: int,
+    rng: np.random.Generator,
+    options: OutputErrorOptions = STANDARD,
+) -> Bootstrap:
+    """Spread of every estimate over `replicates` simulated repetitions; `result` and `options` are those of the fit.
+
+    Raises EstimationError for too few replicates.
+    """
+    if replicates < FEWEST:
+        raise EstimationError(
+            f"{replicates} replicates make no bootstrap: at least {FEWEST} are needed, 100 or more of use"
+        )
+    if not result.converged:
+        return Bootstrap((), np.zeros((0, 0)), {}, 0, f"no bootstrap: {result.text}")
+    problem, best = reopened(model, flights, result, options, replicates)
+    point = best.point
+    assert isinstance(point, LikelihoodPoint)
+    options = replace(options, substeps=problem.simulator.substeps)
+    roots = [square_root(s) for s in noise_spectra(problem, best.unknowns, point)]
+    rows = []
+    for _ in range(replicates):
+        again = build_problem(
+            _prior_redrawn(problem, best, rng), _repeated(problem, point, roots, rng), options, replicates
+        )
+        outcome = minimise(again, best.unknowns, options.loop)
+        if outcome.status.usable:
+            rows.append(_mean_over_flights(problem, outcome.unknowns))
+    names = tuple(n for n in problem.free if np.isfinite(result.parameters[n].std))
+    if len(rows) < FEWEST:
+        return Bootstrap(
+            names, np.zeros((0, len(names))), {}, replicates - len(rows), "hardly any replicate could be fitted"
+        )
+    seen = [problem.free.index(n) for n in names]
+    found, center = np.array(rows)[:, seen], _mean_over_flights(problem, best.unknowns)[seen]
+    low, high = np.percentile(found, PERCENTILES, axis=0)
+    std, bias = found.std(axis=0, ddof=1), found.mean(axis=0) - center
+    spreads = {n: Spread(float(std[i]), float(bias[i]), (float(low[i]), float(high[i]))) for i, n in enumerate(names)}
+    return Bootstrap(names, found, spreads, replicates - len(rows))
+
+
+def _mean_over_flights(problem: OutputErrorProblem, unknowns: Array) -> Array:
+    """(free parameters,): shared ones as they are, local ones as their mean."""
+    return np.mean([problem.parameters(unknowns, i) for i in range(len(problem.flights))], axis=0)
+
+
+def _repeated(
+    problem: OutputErrorProblem, point: LikelihoodPoint, roots: list[Spectrum], rng: np.random.Generator
+) -> list[FlightData]:
+    """The flights as they might be measured another time, with the same samples missing."""
+    factor = np.linalg.cholesky(point.R)
+    repeated = []
+    for flight, motions, root in zip(problem.flights, point.motions, roots, strict=True):
+        segments = []
+        for segment, motion in zip(flight.segments, motions, strict=True):
+            noise = coloured_noise(root, len(segment), 1, rng)[:, :, 0] @ factor.T
+            segments.append(replace(segment, z=np.where(np.isfinite(segment.z), motion.y + noise, np.nan)))
+        repeated.append(replace(flight, segments=tuple(segments)))
+    return repeated
+
+
+def _prior_redrawn(problem: OutputErrorProblem, best: Outcome, rng: np.random.Generator) -> Model:
+    """A prior is a measurement made earlier: repeated, it falls elsewhere too."""
+    values = problem.values(best.unknowns, 0)
+    return problem.model.with_prior(
+        **{
+            p.name: (values[p.name] + p.prior_std * float(rng.standard_normal()), p.prior_std)
+            for p in problem.model.parameters
+            if p.prior_std is not None and not p.fixed
+        }
+    )

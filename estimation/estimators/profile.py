@@ -1,0 +1,159 @@
+"""Profile likelihood: how fast the fit worsens as one parameter leaves its estimate while all others follow.
+
+Unlike a bound it does not believe the likelihood a parabola: limits, curvature and one-sided knowledge show. The 95 %
+interval holds the values whose deviance 2 (J - J_min) is below 3.84 (chi-square, one degree of freedom; Y. Pawitan, In
+All Likelihood, section 3.4). That believes residuals white; where they are coloured, deviance is scaled by the squared
+ratio of Cramer-Rao to corrected bound (R. E. Chandler and S. Bate, Biometrika 94(1), 2007, equation 8).
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from estimation.engine.data import FlightData
+from estimation.engine.kernel import Array
+from estimation.errors import EstimationError
+from estimation.estimators.gauss_newton import Outcome, minimise
+from estimation.estimators.likelihood import LikelihoodPoint, OutputErrorProblem
+from estimation.estimators.output_error import STANDARD, OutputErrorOptions, build_problem, reopened
+from estimation.estimators.result import Result, finite
+from estimation.models.base import Model
+from groundstation.flight import Flight
+
+ROOT_95 = 1.959963984540054  # square root of the 95 % point of chi-square, one degree of freedom
+BEYOND = 1.15  # of the expected half-width: how far the curve is drawn
+FARTHEST = 4.0  # times that, where the interval is longer than expected
+FEWEST = 5  # points
+
+
+@dataclass(frozen=True)
+class Profile:
+    """values, deviance: (points,) ascending, the estimate among them. interval: 95 %, residuals believed white;
+    interval_coloured: widened as the corrected bound is. An end is infinite where the data sets none; a limit of the
+    parameter ends an interval. text: why there is no curve or no end, else empty."""
+
+    name: str
+    estimate: float
+    values: Array
+    deviance: Array
+    interval: tuple[float, float]
+    interval_coloured: tuple[float, float]
+    text: str = ""
+
+    def to_json(self) -> dict[str, Any]:
+        data: dict[str, Any] = {
+            "interval": [finite(v) for v in self.interval],
+            "interval_coloured": [finite(v) for v in self.interval_coloured],
+            "values": self.values.tolist(),
+            "deviance": self.deviance.tolist(),
+        }
+        return {**data, "status": self.text} if self.text else data
+
+
+def profile_likelihood(
+    model: Model | str,
+    flights: Flight | FlightData | Sequence[Flight | FlightData],
+    parameter: str,
+    result: Result,
+    points: int = 13,
+    options: OutputErrorOptions = STANDARD,
+) -> Profile:
+    """Refit everything else at about `points` values of one parameter; `result` and `options` are those of the fit.
+
+    Raises EstimationError for too few points or a parameter that was not estimated, ModelError for an unknown one.
+    """
+    if points < FEWEST:
+        raise EstimationError(f"{points} points make no profile of {parameter}: at least {FEWEST} are needed")
+    if result.model.parameter(parameter).fixed:
+        raise EstimationError(f"model {result.model.name}: {parameter} is fixed, so it has no profile; free it first")
+    estimate = result.parameters[parameter]
+    if why := _no_curve(result, parameter):
+        everything = (-math.inf, math.inf)
+        return Profile(parameter, estimate.estimate, np.zeros(0), np.zeros(0), everything, everything, why)
+    problem, best = reopened(model, flights, result, options, points)
+    line = _Line(problem, best, parameter, replace(options, substeps=problem.simulator.substeps))
+    ratio = estimate.std_coloured / estimate.std
+    reach = BEYOND * ROOT_95 * ratio * estimate.std
+    below, above = (line.side(s * reach / (points // 2), points // 2, ROOT_95 * ratio) for s in (-1.0, 1.0))
+    knots = [*reversed(below), (line.center, 0.0), *above]
+    values = np.array([k[0] for k in knots])
+    deviance = np.maximum([k[1] for k in knots], 0.0)
+    root = np.copysign(np.sqrt(deviance), values - line.center)
+    ends = [_interval(values, root, level, line.limits) for level in (ROOT_95, ROOT_95 * ratio)]
+    open_ = any(not math.isfinite(v) for v in ends[1])
+    text = f"the data sets {parameter} no end within {FARTHEST:g} times its bound" if open_ else ""
+    if line.lower_found:
+        text = "a better fit was found beside the estimate: the fit had not reached the best; start it from elsewhere"
+    return Profile(parameter, line.center, values, deviance, ends[0], ends[1], text)
+
+
+def _no_curve(result: Result, parameter: str) -> str:
+    if not result.converged:
+        return f"no profile: {result.text}"
+    if parameter not in result.names:
+        return f"{parameter} is each flight's own in this fit: profile it flight by flight"
+    estimate = result.parameters[parameter]
+    return "" if math.isfinite(estimate.std) else estimate.why
+
+
+class _Line:
+    """Refits along one parameter, each started from its neighbour. center: value at the optimum."""
+
+    def __init__(self, problem: OutputErrorProblem, best: Outcome, name: str, options: OutputErrorOptions) -> None:
+        self.problem, self.name, self.options = problem, name, options
+        self.at = [problem.free[i] for i in problem.shared].index(name)
+        self.best, self.center = best.unknowns, float(best.unknowns[self.at])
+        self.lowest = _cost(best)  # with the parameter's own prior
+        chosen = problem.model.parameter(name)
+        self.limits = (chosen.lower, chosen.upper)
+        self.lower_found = False
+
+    def _prior(self, value: float) -> float:
+        """The parameter's own prior, which a refit with the parameter held does not count."""
+        chosen = self.problem.model.parameter(self.name)
+        if chosen.prior_mean is None or chosen.prior_std is None:
+            return 0.0
+        return 0.5 * ((value - chosen.prior_mean) / chosen.prior_std) ** 2
+
+    def side(self, step: float, count: int, level: float) -> list[tuple[float, float]]:
+        """(value, deviance) outward from the estimate, to `count` steps or until the root of deviance passes `level`."""
+        found: list[tuple[float, float]] = []
+        unknowns = np.delete(self.best, self.at)
+        for k in range(1, math.ceil(FARTHEST * count) + 1):
+            if k > count and math.sqrt(max(found[-1][1], 0.0)) >= level:
+                break
+            value = min(max(self.center + k * step, self.limits[0]), self.limits[1])
+            if value == (found[-1][0] if found else self.center):  # at a limit
+                break
+            held = build_problem(self.problem.model.fixed(**{self.name: value}), self.problem.flights, self.options)
+            outcome = minimise(held, unknowns, self.options.loop)
+            if not outcome.status.usable:
+                break
+            unknowns = outcome.unknowns
+            deviance = 2.0 * (_cost(outcome) + self._prior(value) - self.lowest)
+            self.lower_found |= deviance < -0.01
+            found.append((value, deviance))
+        return found
+
+
+def _cost(outcome: Outcome) -> float:
+    assert isinstance(outcome.point, LikelihoodPoint)
+    return outcome.point.cost
+
+
+def _interval(values: Array, root: Array, level: float, limits: tuple[float, float]) -> tuple[float, float]:
+    """Where the signed root of deviance passes -level and level; it is nearly straight, so lines between points do."""
+    ends = []
+    center = int(np.flatnonzero(root == 0.0)[0])
+    for side, limit in zip((-1, 1), limits, strict=True):
+        x, r = values[center::side], np.abs(root[center::side])
+        passed = np.flatnonzero(r >= level)
+        if passed.size:
+            k = int(passed[0])
+            ends.append(float(x[k - 1] + (level - r[k - 1]) / (r[k] - r[k - 1]) * (x[k] - x[k - 1])))
+        else:
+            ends.append(limit if x[-1] == limit else side * math.inf)
+    return ends[0], ends[1]
