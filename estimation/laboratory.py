@@ -56,6 +56,18 @@ class FlightEstimates:
 
 
 @dataclass(frozen=True)
+class Extras:
+    """Uncertainty on demand, for method ml. profile: parameters; bootstrap: replicates (0: none); seed: of its noise."""
+
+    profile: tuple[str, ...] = ()
+    bootstrap: int = 0
+    seed: int = 0
+
+
+NO_EXTRAS = Extras()
+
+
+@dataclass(frozen=True)
 class Session:
     """Everything one call of `estimate` found."""
 
@@ -136,6 +148,7 @@ def estimate(
     joint: bool = False,
     device: str = "cpu",
     progress: Callable[[str], None] | None = None,
+    extras: Extras = NO_EXTRAS,
 ) -> Session:
     """Run every method on every flight, and on all of them together where `joint`.
 
@@ -145,22 +158,64 @@ def estimate(
     unknown = [m for m in methods if m not in METHODS]
     if unknown:
         raise EstimationError(f"method {unknown[0]!r} is unknown; known are {', '.join(METHODS)}")
+    _check_extras(extras, model, methods)
     flights = unique_names(flights)
     tell = progress or (lambda _: None)
     done = []
-    for flight in flights:
+    for number, flight in enumerate(flights):
         results: dict[str, Result] = {}
         for method in methods:
             tell(f"{flight.name}: {TITLES[method]}")
-            results[method] = run_method(method, model, [flight], aircraft, device)
+            found = run_method(method, model, [flight], aircraft, device)
+            results[method] = with_extras(found, model, [flight], extras, number, tell) if method == "ml" else found
         done.append(FlightEstimates(flight, results))
     together: dict[str, Result] = {}
     if joint:
         for method in methods:
             tell(f"joint over {len(flights)} flights: {TITLES[method]}")
-            together[method] = run_method(method, joint_model(model), flights, aircraft, device)
+            shared = joint_model(model)
+            found = run_method(method, shared, flights, aircraft, device)
+            if method == "ml":
+                found = with_extras(found, shared, flights, extras, len(flights), tell)
+            together[method] = found
     mean = {m: scatter([f.results[m] for f in done]) for m in methods}
     return Session(aircraft, model, tuple(methods), tuple(done), together, mean)
+
+
+def _check_extras(extras: Extras, model: Model, methods: Sequence[str]) -> None:
+    """EstimationError before any work is done for extras that cannot be had."""
+    if extras == NO_EXTRAS:
+        return
+    if "ml" not in methods:
+        raise EstimationError("--profile and --bootstrap refine method ml: add ml to --method")
+    if extras.bootstrap:
+        from estimation.estimators.bootstrap import check_replicates
+
+        check_replicates(extras.bootstrap)
+    if extras.seed < 0:
+        raise EstimationError(f"--seed {extras.seed}: give a whole number from 0")
+    for name in extras.profile:
+        if model.parameter(name).fixed:
+            raise EstimationError(f"model {model.name}: {name} is fixed, so it has no profile; free it first")
+
+
+def with_extras(
+    result: Result, model: Model, flights: Sequence[Flight], extras: Extras, number: int, tell: Callable[[str], None]
+) -> Result:
+    """A maximum-likelihood result with its profiles and bootstrap. number: of the fit, so that each has noise of its own."""
+    if extras.profile:
+        from estimation.estimators.profile import profile_likelihood
+
+        tell(f"profiles of {', '.join(extras.profile)}")
+        curves = {name: profile_likelihood(model, flights, name, result) for name in extras.profile}
+        result = replace(result, profile=curves)
+    if extras.bootstrap:
+        from estimation.estimators.bootstrap import parametric_bootstrap
+
+        tell(f"{extras.bootstrap} bootstrap replicates")
+        rng = np.random.default_rng([extras.seed, number])
+        result = replace(result, bootstrap=parametric_bootstrap(model, flights, result, extras.bootstrap, rng))
+    return result
 
 
 def joint_model(model: Model) -> Model:

@@ -14,6 +14,8 @@ EXAMPLE = (
 @click.option("--factors", "factors_text", default="", help="Factors to estimate, comma-separated; with a leading + they "
               "are added to the standard ones (dax day daz dp dq dr K_beta dbeta). Also K_alpha dalpha K_V dV dphi dtheta, "
               "x_imu y_imu z_imu, x_vane y_vane z_vane, delays tau_beta tau_alpha tau_V tau_phi tau_theta tau_psi.")  # fmt: skip
+@click.option("--aircraft", default="cdfp", show_default=True,
+              help="Built-in aircraft or an AIRCRAFT.toml: its derivatives predict what the flight can tell.")  # fmt: skip
 @click.option("--joint", is_flag=True, help="Also one set of factors shared by all flights.")
 @click.option("--segments", help="Use only these stretches, each with initial states of its own: 2:12,15:25 [s].")
 @click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write the results as JSON.")
@@ -28,6 +30,7 @@ EXAMPLE = (
 def check(
     flights: tuple[Path, ...],
     factors_text: str,
+    aircraft: str,
     joint: bool,
     segments: str | None,
     json_path: Path | None,
@@ -36,8 +39,10 @@ def check(
     folder: Path | None,
 ) -> int:
     """Check that accelerations, rates, attitude and air data of each FLIGHT tell the same story."""
+    from estimation.aircraft import load_aircraft
     from estimation.commands.estimate import select_segments, write_json
     from estimation.compatibility.correct import corrected
+    from estimation.compatibility.excitation import excitation_findings, predicted_bounds
     from estimation.compatibility.present import factor_lines, fit_of, write_figure
     from estimation.compatibility.reconstruction import compatibility
     from estimation.laboratory import unique_names
@@ -45,8 +50,9 @@ def check(
     from groundstation.quality import quality_report, worst
 
     factors, known = wanted_factors(factors_text)
+    craft = load_aircraft(aircraft)
     read = unique_names([select_segments(read_flight(path), segments) for path in flights])
-    quality = [quality_report(flight) for flight in read]
+    quality = [(*quality_report(f), *excitation_findings(predicted_bounds(f, craft))) for f in read]
     results = [(flight.name, compatibility(flight, factors, known=known)) for flight in read]
     if joint and len(read) > 1:
         results.append(("joint", compatibility(read, factors, known=known)))

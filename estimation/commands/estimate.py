@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 if TYPE_CHECKING:
+    from estimation.estimators.bootstrap import Bootstrap
     from estimation.estimators.result import Result
     from estimation.laboratory import Session
     from groundstation.flight import Flight
@@ -38,6 +39,10 @@ EXAMPLE = "Example: sideslip estimate ld1.mcap ld2.mcap --method ml,ngn --joint 
 )
 @click.option("--save-model", "model_path", type=click.Path(path_type=Path),
               help="Write the model with its estimates: joint if asked for, else of the first flight.")  # fmt: skip
+@click.option("--profile", default="", metavar="NAMES",
+              help="Comma-separated parameters: 95 % interval by profile likelihood (method ml).")  # fmt: skip
+@click.option("--bootstrap", default=0, metavar="N", help="Spread by N refits of simulated repetitions (method ml).")
+@click.option("--seed", default=0, show_default=True, help="Of the bootstrap's noise.")
 @click.option(
     "--brief", is_flag=True, help="Print each flight in one line; tables for the mean and the joint estimate only."
 )
@@ -53,6 +58,9 @@ def estimate(
     report_folder: Path | None,
     figure_path: Path | None,
     model_path: Path | None,
+    profile: str,
+    bootstrap: int,
+    seed: int,
     brief: bool,
 ) -> int:
     """Estimate aerodynamic parameters of each FLIGHT (.mcap, .csv or .parquet), with bounds."""
@@ -69,7 +77,11 @@ def estimate(
     chosen = load_model(model, craft)
     read = [select_segments(read_flight(path), segments) for path in flights]
     names = tuple(m.strip() for m in methods.split(",") if m.strip())
-    session = laboratory.estimate(chosen, read, craft, names, joint=joint, device=device, progress=_progress())
+    profiled = tuple(dict.fromkeys(n.strip() for n in profile.split(",") if n.strip()))
+    extras = laboratory.Extras(profiled, bootstrap, seed)
+    session = laboratory.estimate(
+        chosen, read, craft, names, joint=joint, device=device, progress=_progress(), extras=extras
+    )
     for line in session_lines(session, brief=brief):
         click.echo(line)
     if model_path is not None:
@@ -191,6 +203,24 @@ def result_lines(result: "Result") -> Iterator[str]:
         yield f"  fit r2{' ' + flight.name if len(result.flights) > 1 else ''}: {line}"
     for first, second, rho in result.collinear[:4]:
         yield f"  correlated: {first} and {second}, {rho:+.3f}"
+    for name, p in result.profile.items():
+        if p.values.size:
+            (low, high), (wide_low, wide_high) = p.interval, p.interval_coloured
+            yield f"  profile {name}: 95 % {low:.4g} .. {high:.4g}, corrected {wide_low:.4g} .. {wide_high:.4g}"
+        if p.text:
+            yield f"  profile {name}: {p.text}"
+    if result.bootstrap is not None:
+        yield from _bootstrap_lines(result.bootstrap)
+
+
+def _bootstrap_lines(b: "Bootstrap") -> Iterator[str]:
+    if b.text:
+        yield f"  bootstrap: {b.text}"
+        return
+    yield f"  bootstrap, {len(b.estimates)} replicates" + (f", {b.failed} more could not be fitted" if b.failed else "")
+    yield f"  {'parameter':<12}{'spread':>11}{'bias':>10}  95 % interval"
+    for name, s in b.parameters.items():
+        yield f"  {name:<12}{s.std:11.2g}{s.bias:10.1g}  {s.interval[0]:.4g} .. {s.interval[1]:.4g}"
 
 
 def _mean_lines(session: "Session") -> Iterator[str]:

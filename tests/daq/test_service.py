@@ -75,13 +75,24 @@ def test_garbage_is_collected_when_asked_only() -> None:
     assert gc.get_freeze_count() == 0
 
 
+RECORDED_BYTES = 20_000  # well above what a file without scans holds
+
+
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_a_signal_ends_the_recording_in_order(tmp_path: Path, number: signal.Signals) -> None:
     """With no sensor fitted at all: the logger still runs, records that everything is off, and ends when told."""
     text = '[recorder]\ndirectories = ["rec"]\n[scan]\nrate_hz = 100\n[sensors]\n'
     config = parse_config(text, tmp_path / "logger.toml")
     before = signal.getsignal(number)
-    timer = threading.Timer(0.4, os.kill, (os.getpid(), number))
+
+    def when_it_has_recorded() -> None:
+        for _ in range(1200):  # a busy machine may take long to record a second
+            if sum(f.stat().st_size for f in (tmp_path / "rec").rglob("*.mcap")) > RECORDED_BYTES:
+                break
+            threading.Event().wait(0.05)
+        os.kill(os.getpid(), number)
+
+    timer = threading.Thread(target=when_it_has_recorded, name="signal")
     timer.start()
     outcome = run_until_signal(config, text, Edge(RealClock(), None, None, "simulated"), [])
     timer.join()

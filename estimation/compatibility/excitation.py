@@ -1,0 +1,203 @@
+"""Which derivatives a flight can tell at all, said before anything is fitted.
+
+The motion that the prior model makes of the measured inputs has exact sensitivities; with the noise of the measured
+outputs they give the Cramer-Rao bound of every derivative: the inverse of the information matrix, initial states
+taken out. A bound is a promise about a model that
+is right in white noise; residuals of real flights are coloured, so the verdict widens it by `USUAL_WIDENING`.
+The rules of the verdict are those of a fit (`estimation.estimators.uncertainty.estimates`).
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimation.aircraft import Aircraft
+from estimation.engine.data import FlightData, prepare
+from estimation.engine.simulate import simulate_with_sensitivities
+from estimation.errors import DataError
+from estimation.estimators.arrow import pseudo_inverse
+from estimation.estimators.output_error import PIECES, cut
+from estimation.estimators.uncertainty import STILL, TIED, estimates, input_movement
+from estimation.models import load_model
+from estimation.models.base import Model
+from groundstation.flight import Flight, MissingColumnError
+from groundstation.noise import noise
+from groundstation.quality import SENSOR_NOISE, Finding
+
+Array = NDArray[np.float64]
+
+CHECK = "excitation of derivatives"
+USUAL_WIDENING = 2.0
+"""Corrected over Cramer-Rao bound: 1.5 to 4.2, median 2.2, over derivatives of ordinary_0, cdfp_ld1 and cdfp_ld4."""
+
+WANDERED = 5.0
+"""Prior motion beyond this many times the measured one has left the flight: it is started again in shorter pieces."""
+
+ELEVATOR = "delta_e"
+_RUDDER = "a rudder doublet or 3-2-1-1 of 5 deg or more, its steps about half a Dutch-roll period, ailerons held"
+_AILERON = "aileron doublets or bank-to-bank rolls of 20 deg of bank or more, rudder held"
+_BOTH = "rudder and aileron doublets one after the other in the same flight, so that p, r and beta move independently"
+_ELEVATOR = "an elevator 3-2-1-1 of 3 deg or more, its steps about half a short period"
+_SPEED = "a slow sweep of airspeed in level flight at measured thrust, from near the stall to full speed"
+_MANOEUVRES = {
+    "dr": _RUDDER, "beta": _RUDDER, "r": _BOTH, "p": _BOTH, "da": _AILERON,
+    "de": _ELEVATOR, "alpha": _ELEVATOR, "q": _ELEVATOR, "k": _SPEED,
+}  # fmt: skip
+_CONSTANTS = {"CL_0": _SPEED, "CD_0": _SPEED, "Cm_0": _SPEED}
+_TRIM = "a stretch of steady, wings-level flight before the manoeuvre"
+
+
+@dataclass(frozen=True, slots=True)
+class PredictedBound:
+    """One derivative before the fit. prior, bound: [1/rad]; relative: bound/|prior|, None where the prior is zero;
+    reason, manoeuvre: why it cannot be told and what would tell it, empty where it can."""
+
+    model: str
+    name: str
+    prior: float
+    bound: float
+    relative: float | None
+    can_tell: bool
+    reason: str = ""
+    manoeuvre: str = ""
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """What a flight holds for one model. why: one sentence where the model cannot be judged on it, else empty."""
+
+    model: str
+    bounds: tuple[PredictedBound, ...]
+    why: str = ""
+
+
+def predicted_bounds(flight: Flight, aircraft: Aircraft) -> tuple[Prediction, ...]:
+    """Predicted bounds of the `lateral` and `longitudinal` derivatives; never raises for what a flight lacks."""
+    return tuple(_prediction(load_model(name, aircraft), flight) for name in ("lateral", "longitudinal"))
+
+
+def excitation_findings(predictions: Sequence[Prediction]) -> tuple[Finding, ...]:
+    """One finding of what can be told per model, and one warning per reason why something cannot."""
+    found: list[Finding] = []
+    for prediction in predictions:
+        if prediction.why:
+            # the quality report has its own warning for missing and unmoved controls
+            found.append(Finding(CHECK, "ok", f"{prediction.model}: not judged: {prediction.why}"))
+            continue
+        told = [b for b in prediction.bounds if b.can_tell]
+        if told:
+            words = ", ".join(f"{b.name} {_size(b)}" for b in told)
+            found.append(
+                Finding(CHECK, "ok", f"{prediction.model}: can tell (bound predicted from the prior model): {words}")
+            )
+        groups: dict[tuple[str, str], list[str]] = {}
+        for b in prediction.bounds:
+            if not b.can_tell:
+                groups.setdefault((b.reason, b.manoeuvre), []).append(f"{b.name} ({_size(b)})")
+        for (reason, manoeuvre), names in groups.items():
+            text = f"{prediction.model}: cannot tell {', '.join(names)}: {reason}; would tell it: {manoeuvre}"
+            found.append(Finding(CHECK, "warn", text))
+    return tuple(found)
+
+
+def _size(bound: PredictedBound) -> str:
+    if not math.isfinite(bound.bound):
+        return "no bound"
+    return f"+-{bound.relative:.2g} of it" if bound.relative is not None else f"+-{bound.bound:.1g}"
+
+
+def _prediction(model: Model, flight: Flight) -> Prediction:
+    try:
+        data = prepare(model, flight)
+    except (MissingColumnError, DataError) as error:
+        return Prediction(model.name, (), str(error))
+    if model.name == "longitudinal":
+        moved, level = input_movement(model, [data])[ELEVATOR]
+        if moved <= max(STILL * level, 1e-12):
+            why = f"{ELEVATOR} moved only {math.degrees(moved):.2g} deg rms; would tell it: {_ELEVATOR}"
+            return Prediction(model.name, (), why)
+    covariance, undetermined = _covariance(model, data, _output_noise(model, flight))
+    names = model.free_names
+    prior = np.array([model.parameter(n).start for n in names])
+    widened = covariance * USUAL_WIDENING**2
+    judged, _ = estimates(model, names, prior, covariance, widened, undetermined, [data])
+    bounds = []
+    for name, value in zip(names, prior.tolist(), strict=True):
+        e = judged[name]
+        relative = e.std / abs(value) if value else None
+        manoeuvre = "" if e.identifiable else _manoeuvre(name)
+        bounds.append(PredictedBound(model.name, name, value, e.std, relative, e.identifiable, e.why, manoeuvre))
+    return Prediction(model.name, tuple(bounds))
+
+
+def _manoeuvre(name: str) -> str:
+    variable = name.rpartition("_")[2]
+    return _CONSTANTS.get(name) or _MANOEUVRES.get(variable, _TRIM)
+
+
+def _output_noise(model: Model, flight: Flight) -> Array:
+    """(ny,) noise of each output: as measured, and no less than the sensor's own.
+
+    A filtered channel (attitude) or a coarse one shows less from sample to sample than the error it carries.
+    """
+    own = {**SENSOR_NOISE, **_stated_noise(flight)}
+    levels = []
+    for signal in model.outputs:
+        measured = noise(flight[signal.source]) if flight.measured(signal.source) else None
+        levels.append(max(measured or 0.0, own[signal.source]))
+    return np.array(levels)
+
+
+def _stated_noise(flight: Flight) -> dict[str, float]:
+    stated = flight.provenance.detail.get("sensor_noise", {})
+    return {str(k): float(v) for k, v in stated.items()} if isinstance(stated, dict) else {}
+
+
+def _covariance(model: Model, data: FlightData, sigma: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """(n, n) Cramer-Rao bound and which derivatives the data does not see, at the prior; initial states taken out."""
+    data, by_parameter, by_state = _staying_near(model, data, sigma)
+    n, nx = by_parameter.shape[2], by_state.shape[2]
+    information = np.zeros((n, n))
+    for s in data.segments:
+        rows = slice(s.first, s.first + len(s))
+        J = np.concatenate([by_parameter[rows], by_state[rows]], axis=2) / sigma[None, :, None]
+        J = J[np.isfinite(s.z) & np.isfinite(J).all(axis=2)]
+        H = J.T @ J
+        inverse, _ = pseudo_inverse(H[n:, n:]) if nx else (np.zeros((0, 0)), None)
+        information += H[:n, :n] - H[:n, n:] @ inverse @ H[n:, :n]
+    covariance, blind = pseudo_inverse(information)
+    undetermined = np.any(np.abs(blind) > TIED, axis=1) if blind.size else np.zeros(n, bool)
+    return covariance, undetermined
+
+
+def _staying_near(model: Model, data: FlightData, sigma: Array) -> tuple[FlightData, Array, Array]:
+    """The flight and its sensitivities, cut into the longest pieces over which the prior motion stays in it.
+
+    Sensitivities along a motion that has run away promise bounds no flight could give.
+    """
+    tried = data
+    for seconds in (None, *PIECES):
+        tried = data if seconds is None else cut(data, seconds)
+        y, by_parameter, by_state = simulate_with_sensitivities(model, tried)
+        if _near(y, tried, sigma):
+            break
+    return tried, by_parameter, by_state
+
+
+def _near(y: Array, data: FlightData, sigma: Array) -> bool:
+    for s in data.segments:
+        motion = y[s.first : s.first + len(s)]
+        if not np.isfinite(motion).all():
+            return False
+        for made, measured, level in zip(motion.T, s.z.T, sigma.tolist(), strict=True):
+            seen = measured[np.isfinite(measured)]
+            if not seen.size:
+                continue
+            middle = float(np.median(seen))
+            reach = max(float(np.abs(seen - middle).max()), 3.0 * level)
+            if float(np.abs(made - middle).max()) > WANDERED * reach:
+                return False
+    return True
