@@ -72,10 +72,7 @@ def parametric_bootstrap(
 
     Raises EstimationError for too few replicates.
     """
-    if replicates < FEWEST:
-        raise EstimationError(
-            f"{replicates} replicates make no bootstrap: at least {FEWEST} are needed, 100 or more of use"
-        )
+    check_replicates(replicates)
     if not result.converged:
         return Bootstrap((), np.zeros((0, 0)), {}, 0, f"no bootstrap: {result.text}")
     problem, best = reopened(model, flights, result, options, replicates)
@@ -102,6 +99,14 @@ def parametric_bootstrap(
     std, bias = found.std(axis=0, ddof=1), found.mean(axis=0) - center
     spreads = {n: Spread(float(std[i]), float(bias[i]), (float(low[i]), float(high[i]))) for i, n in enumerate(names)}
     return Bootstrap(names, found, spreads, replicates - len(rows))
+
+
+def check_replicates(replicates: int) -> None:
+    """EstimationError where there are too few."""
+    if replicates < FEWEST:
+        raise EstimationError(
+            f"{replicates} replicates make no bootstrap: at least {FEWEST} are needed, 100 or more of use"
+        )
 
 
 def _mean_over_flights(problem: OutputErrorProblem, unknowns: Array) -> Array:

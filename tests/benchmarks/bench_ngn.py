@@ -29,6 +29,8 @@ def test_networks_of_a_bootstrap() -> None:
         estimate_ngn(aircraft, flight, improved=improved)
     each = (time.perf_counter() - begin) / 2
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    print(f"\n64 bootstrap networks {seconds:.1f} s; one estimate with intervals {each:.1f} s; peak memory {peak:.0f} MB")
+    print(
+        f"\n64 bootstrap networks {seconds:.1f} s; one estimate with intervals {each:.1f} s; peak memory {peak:.0f} MB"
+    )
     assert seconds < 60.0
     assert peak < 1024.0
