@@ -96,16 +96,20 @@ def _session_folder(settings: "GroundConfig") -> Path:
 
 @contextmanager
 def _terminated_is_interrupt() -> Iterator[None]:
-    """SIGTERM ends a session as Ctrl-C does: files are closed and the flight is written."""
+    """SIGTERM and SIGINT end a session alike: files are closed and the flight is written.
+
+    SIGINT too is asked for, because a shell's background job starts with it ignored.
+    """
 
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 
-    before = signal.signal(signal.SIGTERM, interrupt)
+    before = {number: signal.signal(number, interrupt) for number in (signal.SIGTERM, signal.SIGINT)}
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _station(settings: "GroundConfig", folder: Path, replay: "Replay | None", make_view: Any) -> "Station":

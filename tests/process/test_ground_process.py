@@ -47,6 +47,7 @@ def test_telemetry_over_udp_until_a_signal(ending: signal.Signals, tmp_path: Pat
     finally:
         station.kill()
         station.wait()
+        station.stdout.close()
     assert station.returncode == 130, said
     summary = json.loads((tmp_path / "ground.json").read_text())
     assert summary["scans_received"] == flown.summary["scans_received"]
