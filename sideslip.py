@@ -147,9 +147,14 @@ def info(ctx: click.Context, file: Path, json_path: Path | None) -> int:
                f"{found['rate_hz']:.2f} Hz")  # fmt: skip
     for channel in found["channels"]:
         click.echo(f"  {channel['name']:<24} {channel['unit'] or '-':<6} {channel['samples']:>8} samples")
-    if json_path is not None:
-        json_path.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+    _write_json(json_path, found)
     return 0
+
+
+def _write_json(path: Path | None, content: dict[str, Any]) -> None:
+    if path is not None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
 
 
 def _flight_info(file: Path) -> dict[str, Any]:
@@ -319,8 +324,7 @@ def fly(
     click.echo(f"radio: {s['scans_received']} scans received, {lost} lost, {s['backfilled']} fetched after landing")
     click.echo(f"air and ground agree: {'yes' if flown.agreed else 'no'}")
     click.echo(f"onboard flight: {flown.onboard}")
-    if json_path is not None:
-        json_path.write_text(json.dumps(s, indent=1) + "\n", encoding="utf-8")
+    _write_json(json_path, s)
     return 0
 
 

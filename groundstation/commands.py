@@ -48,6 +48,7 @@ def ground(
 
     CONFIG is a TOML file (see docs/ground.md). Ctrl-C ends the session and writes the flight.
     """
+    from groundstation.commands_data import write_json
     from groundstation.config import load_ground_config
     from groundstation.replay import Replay, parse_speed, replay_into
 
@@ -76,11 +77,7 @@ def ground(
             click.echo(line)
     summary["flight"] = str(handed[0].path) if handed else None
     summary["flights"] = [str(h.path) for h in handed]
-    if json_path is not None:
-        import json
-
-        json_path.parent.mkdir(parents=True, exist_ok=True)
-        json_path.write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
+    write_json(json_path, summary)
     lost = sum(b - a + 1 for a, b in summary["scans_lost"])
     click.echo(f"{summary['frames_received']} frames, {summary['scans_received']} scans received, {lost} lost, "
                f"{summary['backfilled']} backfilled, {summary['unsigned_rejected']} refused")  # fmt: skip

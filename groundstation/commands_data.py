@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 _JSON = click.option("--json", "report", type=click.Path(path_type=Path), help="Write the same as JSON.")
 
 
-def _write_json(report: Path | None, content: Any) -> None:
+def write_json(report: Path | None, content: Any) -> None:
     if report is not None:
         report.parent.mkdir(parents=True, exist_ok=True)
         report.write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
@@ -43,7 +43,7 @@ def _say(flight: "Flight", output: Path, report: Path | None) -> None:
             **flight.provenance.detail,
         },
     }
-    _write_json(report, content)
+    write_json(report, content)
 
 
 @click.command()
@@ -133,7 +133,7 @@ def bench(
     for fit in fits:
         click.echo(fit.text)
     click.echo(f"{output}: {len(fits)} of {len(base.instruments)} calibration files fitted, the others taken over")
-    _write_json(
+    write_json(
         report,
         [
             {"text": fit.text, **fit.instrument.model_dump(mode="json", exclude_none=True, exclude_defaults=True)}
