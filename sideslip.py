@@ -143,11 +143,11 @@ def info(ctx: click.Context, file: Path, json_path: Path | None) -> int:
         found = info_tlog(file)
     else:
         found = _flight_info(file)
+    _write_json(json_path, found)
     click.echo(f"{file}: {found['kind']}, {found['source']}, {found['scans']} scans in {found['duration_s']:.2f} s, "
                f"{found['rate_hz']:.2f} Hz")  # fmt: skip
     for channel in found["channels"]:
         click.echo(f"  {channel['name']:<24} {channel['unit'] or '-':<6} {channel['samples']:>8} samples")
-    _write_json(json_path, found)
     return 0
 
 

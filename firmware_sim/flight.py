@@ -262,17 +262,21 @@ def _gnss_port(aircraft: Aircraft, kind: Literal["memory", "pty"]) -> tuple[Seri
 def logger_config(
     scenario: Scenario, folder: Path, config_file: Path, calibration: Path | None
 ) -> tuple[LoggerConfig, str]:
-    """The logger's configuration for a simulated flight, and its text: the file with the scenario's `[logger]` in it."""
+    """The logger's configuration for a simulated flight, and its text: the file with the scenario's `[logger]` in it.
+
+    The text goes into the recording, so it names folders as another machine could read them, not where they lie here.
+    """
     table = merged(tomllib.loads(config_file.read_text(encoding="utf-8")), scenario.logger)
     table.setdefault("aircraft", {})["name"] = scenario.flight.aircraft
-    table.setdefault("recorder", {})["directories"] = [str((folder / "onboard").resolve())]
     table.pop("calibration", None)
-    if calibration is not None:
-        table["calibration"] = str(calibration.resolve())
     if table.get("downlink"):
         table["downlink"].pop("port", None)
-    text = toml_text(table)
-    return parse_config(text, config_file), text
+    here = {"recorder": {"directories": [str((folder / "onboard").resolve())]}}
+    told = {"recorder": {"directories": ["onboard"]}}
+    if calibration is not None:
+        here["calibration"] = str(calibration.resolve())
+        told["calibration"] = calibration.name
+    return parse_config(toml_text(merged(table, here)), config_file), toml_text(merged(table, told))
 
 
 def _refuse_old_recordings(folder: Path) -> None:
