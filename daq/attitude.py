@@ -8,13 +8,15 @@ PhD thesis, University of Bristol 2014, chapter 7, with its rejection of acceler
 The filter itself runs in its north-west-up convention, whose accelerometer sign (level reads +1 g upward) has been the
 same in all releases of imufusion; that of its north-east-down one changed. Half a turn about x leads from one to the other.
 
-Two things are added for aircraft. The gyro is integrated by the trapezoidal rule, because at 20 Hz the end value alone
-would lead by 25 ms. And in a turn the accelerometer's plumb line leans into the turn, for as long as the turn lasts, and
-in a launch backwards; the acceleration of the aircraft along its path, rates times airspeed and the airspeed's own
-change, is therefore taken off when an airspeed is known.
+Three things are added for aircraft. The gyro is integrated by the implicit Adams rule of third order: at 20 Hz the end
+value alone would lead by 25 ms, and straight lines between samples would round every rolling edge. An accelerometer's
+plumb line leans with every acceleration of the path, in turns, launches and sideslips; that acceleration is taken off
+(`daq.plumb_line`). And the filter begins aligned with the first sample instead of level and north, weighs what follows
+like a mean of all there was, and says `INITIALISING` until that has settled.
 """
 
 import math
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntFlag
@@ -22,9 +24,9 @@ from enum import IntFlag
 import imufusion
 import numpy as np
 
+from daq.plumb_line import GRAVITY, AirPath, GroundVelocity, VelocityFix
 from daq.sensors.config import AttitudeConfig
 
-GRAVITY = 9.80665
 SCALE = 32767
 
 Vector = Sequence[float]
@@ -66,33 +68,32 @@ class AttitudeFilter:
     """
 
     SLOWEST_FLIGHT = 8.0  # [m/s]
-    AIRSPEED_SMOOTHING_S = 0.4
     LONGEST_STEP_S = 1.0  # after a longer gap the old attitude is worth nothing: start again
+    SETTLING_S = 3.0
+    FIRST_GAIN = 2.0  # [1/s]; falls as a mean's does, 1 / (time + 1 / FIRST_GAIN), to the configured one
+    VELOCITY_GAIN = 3.0  # of the velocity, in those of the attitude: just short of critical damping
 
     def __init__(self, config: AttitudeConfig, rate_hz: float, gyro_range: float) -> None:
         self._config = config
-        settings = imufusion.AhrsSettings(
-            rate_hz,
-            imufusion.CONVENTION_NWU,
-            config.gain,
-            math.degrees(gyro_range),
-            config.acceleration_rejection_deg,
-            config.magnetic_rejection_deg,
-            config.rejection_timeout_s,
-        )
+        self._rate_hz, self._gyro_range_deg = rate_hz, math.degrees(gyro_range)
         self._ahrs = imufusion.Ahrs()
-        self._ahrs.set_settings(settings)
+        self._gain = 0.0
+        self._set_gain(self.FIRST_GAIN)
+        self._begun: float | None = None
         self._bias = imufusion.Bias()
         self._bias.set_settings(imufusion.BiasSettings(rate_hz, config.standstill_dps, config.standstill_s))
         self._magnetic_offset = np.array(config.hard_iron_ut) * 1e-6
         half = math.radians(config.declination_deg) / 2
         self._declination = (math.cos(half), math.sin(half))
         self._time: float | None = None
-        self._last_gyro = np.zeros(3)
+        self._last_gyro: deque[np.ndarray] = deque(maxlen=2)  # newest first
         self._standing: list[tuple[float, np.ndarray]] = []
         self._bias_known = False
-        self._airspeed: float | None = None
-        self._speeding_up = 0.0  # [m/s2]
+        self._air = AirPath()
+        self._ground = GroundVelocity()
+        self._heading_known = (
+            False  # velocities over ground say nothing to an aircraft that does not know where north is
+        )
 
     @property
     def gyro_bias(self) -> tuple[float, float, float]:
@@ -101,32 +102,100 @@ class AttitudeFilter:
         return float(x), float(y), float(z)
 
     def update(
-        self, time: float, gyro: Vector, accel: Vector, mag: Vector | None = None, airspeed: float | None = None
+        self,
+        time: float,
+        gyro: Vector,
+        accel: Vector,
+        mag: Vector | None = None,
+        airspeed: float | None = None,
+        fix: VelocityFix | None = None,
     ) -> Attitude:
-        """Advance to `time` [s] with gyro [rad/s], specific force [m/s2], field [T] and airspeed [m/s]."""
-        rate = np.array(gyro, dtype=np.float64)
+        """Advance to `time` [s] with gyro [rad/s], specific force [m/s2], field [T] and airspeed [m/s].
+
+        fix: a GPS velocity that has come in since the last sample, at the time at which the IMU showed its instant.
+        """
+        force = np.array(accel, dtype=np.float64)
         step = self._step(time)
-        rate_deg = self._unbiased(time, np.degrees(rate), self._at_rest(airspeed))
-        mean_rate = rate_deg if step is None else (rate_deg + self._last_gyro) / 2
-        self._last_gyro = rate_deg
-        if step is not None:
-            self._ahrs.set_sample_period(step)
-        self._follow_airspeed(airspeed, step)
-        down = self._plumb_line(np.array(accel, dtype=np.float64), np.radians(rate_deg)) / GRAVITY
-        magnetic = mag is not None and self._config.use_magnetometer
-        if magnetic:
-            field = (np.array(mag, dtype=np.float64) - self._magnetic_offset) * 1e6
-            self._ahrs.update(mean_rate * _FLIP, down * _FLIP, field * _FLIP)
+        rate_deg = self._unbiased(time, np.degrees(np.array(gyro, dtype=np.float64)), self._at_rest(airspeed))
+        turn_rate = self._turn_rate(rate_deg, step)
+        self._air.follow(airspeed if self._config.airspeed_correction else None, step)
+        down = self._air.plumb_line(force, np.radians(rate_deg))
+        field = None if mag is None or not self._config.use_magnetometer else np.array(mag) - self._magnetic_offset
+        if step is None or self._begun is None:
+            self._begun = time
+            self._align(down, field)
         else:
-            self._ahrs.update_no_magnetometer(mean_rate * _FLIP, down * _FLIP)
-        return Attitude(self._quaternion(), self._status(magnetic))
+            self._ground.hear(fix)
+            self._heading_known |= field is not None
+            aided = self._heading_known and self._ground.known(time)
+            self._set_gain(self._gain_at(time - self._begun, aided))
+            if aided:
+                down = self._ground.plumb_line(self._axes(), self.VELOCITY_GAIN * self._gain)
+            self._ahrs.set_sample_period(step)
+            self._advance(turn_rate, down, field)
+        axes, antenna = self._axes(), np.cross(np.radians(rate_deg), self._config.antenna_m)
+        self._ground.advance(time, step or 0.0, axes, force, self.VELOCITY_GAIN * self._gain, axes @ antenna)
+        return Attitude(self._quaternion(), self._status(time, field is not None))
+
+    def _advance(self, rate_deg: np.ndarray, down: np.ndarray, field: np.ndarray | None) -> None:
+        plumb_line = down / GRAVITY * _FLIP
+        if field is None:
+            self._ahrs.update_no_magnetometer(rate_deg * _FLIP, plumb_line)
+        else:
+            self._ahrs.update(rate_deg * _FLIP, plumb_line, field * 1e6 * _FLIP)
+
+    def _align(self, down: np.ndarray, field: np.ndarray | None) -> None:
+        """Begin where plumb line and compass point (Black 1964, "TRIAD"); without a compass, at heading zero."""
+        self._ahrs.restart()
+        self._ahrs.skip_startup()
+        self._set_gain(self.FIRST_GAIN)
+        self._ground.restart()
+        self._heading_known = field is not None
+        z = -down / max(float(np.linalg.norm(down)), 1e-9)
+        ahead = np.array((1.0, 0.0, 0.0)) if field is None else field
+        y = np.cross(z, ahead)
+        if np.linalg.norm(y) < 1e-9:
+            return
+        y /= np.linalg.norm(y)
+        self._ahrs.set_quaternion(_quaternion_of(np.array((np.cross(y, z), y, z))) * (1.0, 1.0, -1.0, -1.0))
+
+    def _gain_at(self, since_begin: float, aided: bool) -> float:
+        configured = self._config.aided_gain if aided else self._config.gain
+        if since_begin >= self.SETTLING_S:
+            return configured
+        return max(configured, 1.0 / (since_begin + 1.0 / self.FIRST_GAIN))
+
+    def _set_gain(self, gain: float) -> None:
+        if gain == self._gain:
+            return
+        self._gain, config = gain, self._config
+        self._ahrs.set_settings(
+            imufusion.AhrsSettings(
+                self._rate_hz,
+                imufusion.CONVENTION_NWU,
+                gain,
+                self._gyro_range_deg,
+                config.acceleration_rejection_deg,
+                config.magnetic_rejection_deg,
+                config.rejection_timeout_s,
+            )
+        )
+
+    def _axes(self) -> np.ndarray:
+        """(3, 3) turning body vectors to north-east-down, by the attitude as it is."""
+        w, x, y, z = self._quaternion()
+        return np.array(
+            (
+                (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+                (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+                (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+            )
+        )
 
     def _step(self, time: float) -> float | None:
         """Time since the last sample [s]; None, and a restart, when there was none recently."""
         last, self._time = self._time, time
         if last is None or not 0.0 < time - last <= self.LONGEST_STEP_S:
-            if last is not None:
-                self._ahrs.restart()
             return None
         return time - last
 
@@ -149,26 +218,27 @@ class AttitudeFilter:
             return rate_deg - mean
         return unbiased
 
+    def _turn_rate(self, rate_deg: np.ndarray, step: float | None) -> np.ndarray:
+        """Rate that, held over the last step, turns the filter as far as the sampled rates did [deg/s].
+
+        Mean by the implicit Adams rule, (5 w_k + 8 w_k-1 - w_k-2)/12, until there are three samples by the trapezoidal one
+        (Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I, III.1). The filter adds half the turn to a
+        quaternion and normalises it, which turns it by the arctangent: undone here.
+        """
+        if step is None:
+            self._last_gyro.clear()
+        mean = rate_deg
+        if len(self._last_gyro) == 1:
+            mean = (rate_deg + self._last_gyro[0]) / 2
+        elif self._last_gyro:
+            mean = (5 * rate_deg + 8 * self._last_gyro[0] - self._last_gyro[1]) / 12
+        self._last_gyro.appendleft(rate_deg)
+        half = math.radians(float(np.linalg.norm(mean))) * (step or 0.0) / 2
+        return np.asarray(mean * (math.tan(half) / half if 1e-6 < half < 0.5 else 1.0))
+
     def _at_rest(self, airspeed: float | None) -> bool:
         """Whether the aircraft may stand still; a trimmed flight is as quiet to the gyro as the ground is."""
         return airspeed is None or airspeed < self.SLOWEST_FLIGHT
-
-    def _follow_airspeed(self, airspeed: float | None, step: float | None) -> None:
-        """Smooth the airspeed (first order) and find its rate of change."""
-        smooth = self._airspeed
-        if airspeed is None or step is None or smooth is None:
-            self._airspeed, self._speeding_up = airspeed, 0.0
-            return
-        share = step / (self.AIRSPEED_SMOOTHING_S + step)
-        self._airspeed = smooth + share * (airspeed - smooth)
-        self._speeding_up = (self._airspeed - smooth) / step
-
-    def _plumb_line(self, accel: np.ndarray, rate: np.ndarray) -> np.ndarray:
-        """Specific force less the path's acceleration, dV/dt + omega x V with V along body x [m/s2]."""
-        speed = self._airspeed
-        if speed is None or not self._config.airspeed_correction:
-            return accel
-        return accel - np.array((self._speeding_up, speed * rate[2], -speed * rate[1]))
 
     def _quaternion(self) -> tuple[float, float, float, float]:
         w, x, left, up = (float(v) for v in self._ahrs.get_quaternion())
@@ -177,10 +247,10 @@ class AttitudeFilter:
         q = (c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w)
         return q if q[0] >= 0 else (-q[0], -q[1], -q[2], -q[3])
 
-    def _status(self, magnetic: bool) -> AttitudeStatus:
+    def _status(self, time: float, magnetic: bool) -> AttitudeStatus:
         flags, inside = self._ahrs.get_flags(), self._ahrs.get_internal_states()
         status = AttitudeStatus(0)
-        if flags.startup:
+        if flags.startup or self._begun is None or time - self._begun < self.SETTLING_S:
             status |= AttitudeStatus.INITIALISING
         if flags.overrange_recovery:
             status |= AttitudeStatus.RATE_RECOVERY
@@ -191,3 +261,18 @@ class AttitudeFilter:
             if inside.magnetometer_ignored:
                 status |= AttitudeStatus.MAGNETIC_REJECTED
         return status
+
+
+def _quaternion_of(axes: np.ndarray) -> np.ndarray:
+    """Quaternion (w, x, y, z) of the attitude whose body components of north, east and down are the rows of (3, 3)."""
+    (a, b, c), (d, e, f), (g, h, i) = axes
+    candidates = np.array(
+        (
+            (1 + a + e + i, h - f, c - g, d - b),
+            (h - f, 1 + a - e - i, b + d, c + g),
+            (c - g, b + d, 1 - a + e - i, f + h),
+            (d - b, c + g, f + h, 1 - a - e + i),
+        )
+    )
+    best = candidates[int(np.argmax(np.diag(candidates)))]  # the largest component: nothing is divided by little
+    return np.asarray(best / np.linalg.norm(best))

@@ -33,12 +33,15 @@ def pack_scans(encoded: list[bytes]) -> bytes:
 
 
 class ScanStore:
-    """All scans offered so far, compressed, the oldest given up beyond `room_bytes`; and their running hash."""
+    """All scans offered so far, compressed, the oldest given up beyond `room_bytes`; and their running hash.
+
+    A scan is only kept when it comes: its bytes are made once the recorder has most likely made them already.
+    """
 
     def __init__(self, room_bytes: int) -> None:
         self._room = room_bytes
         self._chunks: OrderedDict[int, bytes] = OrderedDict()  # chunk number -> compressed (number, data) rows
-        self._open: dict[int, bytes] = {}
+        self._open: dict[int, Scan] = {}  # of the chunk in progress, not in the hash yet
         self._open_chunk = 0
         self._held = 0
         self._hash = hashlib.sha256()
@@ -50,25 +53,27 @@ class ScanStore:
 
     def add(self, scan: Scan) -> None:
         """Keep a scan; numbers must rise."""
-        data = encode_scan(scan)
         number = scan.number
         if self.first is None:
             self.first = number
-        if self.count and number // _SNAPSHOT != self.last // _SNAPSHOT:
-            self._snapshots[self.last] = (self.count, self._hash.digest())
         if number // _CHUNK != self._open_chunk:
             self._close_chunk()
+            if self.count and number // _SNAPSHOT != self.last // _SNAPSHOT:
+                self._snapshots[self.last] = (self.count, self._hash.digest())
             self._open_chunk = number // _CHUNK
-        self._open[number] = data
-        self._hash.update(_LENGTH.pack(len(data)) + data)
+        self._open[number] = scan
         self.last = number
         self.count += 1
 
     def _close_chunk(self) -> None:
         if not self._open:
             return
-        rows = b"".join(struct.pack("<II", n, len(d)) + d for n, d in self._open.items())
-        packed = zlib.compress(rows, 6)
+        rows = []
+        for number, scan in self._open.items():
+            data = encode_scan(scan)
+            rows.append(struct.pack("<II", number, len(data)) + data)
+            self._hash.update(_LENGTH.pack(len(data)) + data)
+        packed = zlib.compress(b"".join(rows), 1)
         self._chunks[self._open_chunk] = packed
         self._held += len(packed)
         self._open = {}
@@ -78,7 +83,7 @@ class ScanStore:
     def get(self, number: int) -> bytes | None:
         """The encoded scan of a number; None when there was none or it has been given up."""
         if number in self._open:
-            return self._open[number]
+            return encode_scan(self._open[number])
         chunk = number // _CHUNK
         if self._cache[0] != chunk:
             packed = self._chunks.get(chunk)
@@ -90,7 +95,10 @@ class ScanStore:
     def summary(self, through: int) -> tuple[int, int, bytes]:
         """Last number, count and hash of the scans up to the last remembered instant not after `through`."""
         if through >= self.last:
-            return self.last, self.count, self._hash.digest()
+            digest = self._hash.copy()
+            for data in map(encode_scan, self._open.values()):
+                digest.update(_LENGTH.pack(len(data)) + data)
+            return self.last, self.count, digest.digest()
         known = [n for n in self._snapshots if n <= through]
         if not known:
             return self.first or 0, 0, hashlib.sha256().digest()

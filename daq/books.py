@@ -1,6 +1,7 @@
 """The books of a recording session: every scan slot is in exactly one count."""
 
 from dataclasses import dataclass, field
+from typing import Any
 
 from daq.contract.ranges import ranges
 
@@ -27,6 +28,21 @@ class Books:
     def pending(self) -> int:
         """Scans in memory."""
         return self.offered - self.written - self.dropped - self.lost
+
+    def counts(self) -> dict[str, Any]:
+        """The books as fields of a `Statistics` report."""
+        return {
+            "first_number": self.first or 0,
+            "next_number": self.next,
+            "written": self.written,
+            "dropped": self.dropped,
+            "lost": self.lost,
+            "missed": self.missed,
+            "pending": self.pending,
+            "absent": tuple(self.absent),
+            "write_errors": self.write_errors,
+            "queue_high_water": self.high_water,
+        }
 
     def offer(self, number: int) -> None:
         """A scan has been made; the numbers passed over since the last one were missed."""

@@ -10,6 +10,7 @@ left to `daq.sensors.open`.
 
 import errno
 from collections.abc import Sequence
+from functools import cache
 from typing import Any, Protocol, runtime_checkable
 
 from smbus2 import i2c_msg
@@ -67,9 +68,15 @@ class SerialPort(Protocol):
 
 def read_raw(bus: I2cBus, address: int, count: int) -> bytes:
     """Read `count` bytes from a chip that has no register pointer (a plain read transaction)."""
-    message = i2c_msg.read(address, count)
+    message = _reading(address, count)
     bus.i2c_rdwr(message)
     return bytes(message)
+
+
+@cache
+def _reading(address: int, count: int) -> i2c_msg:
+    """A message to be filled by a transfer, and again by the next; making one takes longer than sending it."""
+    return i2c_msg.read(address, count)
 
 
 def write_raw(bus: I2cBus, address: int, data: bytes) -> None:

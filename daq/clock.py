@@ -33,11 +33,8 @@ class Clock(Protocol):
 class RealClock:
     """The clock of the machine."""
 
-    def monotonic_ns(self) -> int:
-        return time.monotonic_ns()
-
-    def utc_ns(self) -> int:
-        return time.time_ns()
+    monotonic_ns = staticmethod(time.monotonic_ns)  # asked some sixty times a scan
+    utc_ns = staticmethod(time.time_ns)
 
     def sleep_until(self, monotonic_ns: int) -> None:
         remaining = monotonic_ns - time.monotonic_ns()

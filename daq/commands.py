@@ -68,12 +68,17 @@ def verify(recording: Path, json_path: Path | None) -> None:
 @click.option("-o", "--out", required=True, type=click.Path(path_type=Path), help="The new recording.")
 @_JSON
 def recover(recording: Path, out: Path, json_path: Path | None) -> None:
-    """Save everything undamaged in a recording, FILE or directory, to a new and sound one."""
+    """Save everything undamaged in a recording, FILE or directory, to a new and sound one.
+
+    Exit status as with 'sideslip verify': 1 when FILE is not sound, though all that can be saved is in the new recording.
+    """
     from daq.contract.accounting import recover as salvage
 
     result = salvage(recording, out)
     _write_json(json_path, result.to_dict())
     click.echo(result.to_dict()["text"])
+    if not result.verification.ok:
+        raise click.exceptions.Exit(1)
 
 
 @click.command(epilog="Example: sideslip preflight /etc/sideslip/cdfp.toml")
@@ -96,7 +101,10 @@ def preflight(config: Path, json_path: Path | None) -> None:
 @click.option("--skip-preflight", is_flag=True, help="Record at once; that too goes into the recording.")
 @_JSON
 def record(config: Path, override: str | None, skip_preflight: bool, json_path: Path | None) -> None:
-    """Run the logger on this machine's sensors until SIGTERM or Ctrl-C. Refuses to start on a no-go."""
+    """Run the logger on this machine's sensors until SIGTERM or Ctrl-C. Refuses to start on a no-go.
+
+    Exit status 1 when scans were dropped or lost; else 0 after SIGTERM and 130 after Ctrl-C, all files closed.
+    """
     from daq.service.run import record_on_hardware
 
     outcome = record_on_hardware(config, override=override, skip_preflight=skip_preflight)

@@ -33,10 +33,14 @@ class GroupHealth:
     required: bool = True
 
     @property
+    def title(self) -> str:
+        """What it is, for a person."""
+        return _TITLES.get(self.group, self.group)
+
+    @property
     def words(self) -> str:
         """One line for a person: what it is, how it is, and why."""
-        title = _TITLES.get(self.group, self.group)
-        return f"{title}: {self.state.words}" + (f" ({self.detail})" if self.detail else "")
+        return f"{self.title}: {self.state.words}" + (f" ({self.detail})" if self.detail else "")
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,13 +100,19 @@ class Watch:
 
     def forget(self) -> None:
         """Start afresh, after the sensor was away."""
-        self._same: dict[str, tuple[RawValue, int]] = {}
+        self._last: dict[str, RawValue] = {}
+        self._since: dict[str, int] = {}  # time at which each channel took its last value
         self._level: dict[str, RawValue] = {}
         self._doubtful: dict[str, RawValue] = {}
 
     def judge(self, values: Mapping[str, RawValue], time_ns: int) -> Verdict:
         """The verdict on one sample taken at `time_ns`."""
-        return self._range(values) or self._spike(values) or self._stuck(values, time_ns) or WELL
+        verdict = self._range(values) if self._limits else None
+        if verdict is None and self._max_step:
+            verdict = self._spike(values)
+        if verdict is None and self._stuck_ns:
+            verdict = self._stuck(values, time_ns)
+        return verdict or WELL
 
     def _range(self, values: Mapping[str, RawValue]) -> Verdict | None:
         for name, (low, high) in self._limits.items():
@@ -118,6 +128,9 @@ class Watch:
             if value is None:
                 continue
             level = self._level.get(name, value)
+            if not self._doubtful and abs(value - level) <= step:
+                self._level[name] = value
+                continue
             doubtful = self._doubtful.pop(name, None)
             confirmed = doubtful is not None and abs(value - doubtful) <= step
             if abs(value - level) <= step or confirmed:
@@ -133,10 +146,9 @@ class Watch:
             value = values.get(name)
             if value is None:
                 continue
-            last, since = self._same.get(name, (None, time_ns))
-            if value != last:
-                self._same[name] = (value, time_ns)
-            elif time_ns - since > limit_ns:
+            if value != self._last.get(name):
+                self._last[name], self._since[name] = value, time_ns
+            elif time_ns - (since := self._since[name]) > limit_ns:
                 verdict = Verdict(SensorState.STUCK, f"{name} at {value} for {(time_ns - since) * 1e-9:.1f} s")
         return verdict
 
@@ -162,7 +174,9 @@ class Record:
 
     def note(self, state: SensorState, detail: str, time_ns: int) -> None:
         """One scan in a state."""
-        self.turn(state, time_ns, detail)
+        if state is not self.state:
+            self.state, self.since_ns = state, time_ns
+        self.detail = detail
         self.scans[state] += 1
 
     def snapshot(self) -> GroupHealth:

@@ -8,8 +8,9 @@ from typing import Protocol
 
 from daq.backfill import BackfillServer, ScanStore
 from daq.clock import Clock
+from daq.contract.lasting import open_lasting
 from daq.contract.messages import Event, Statistics
-from daq.contract.ports import BytePort, PortError, SerialPort, open_socket_port, parse_port
+from daq.contract.ports import BytePort, SerialPort
 from daq.contract.recording import RecordingInfo
 from daq.contract.scan import Scan
 from daq.contract.signing import Signer, load_key
@@ -21,17 +22,13 @@ from daq.uplink import Uplink
 
 def open_port(text: str) -> BytePort:
     """Open a port by its description; PortError says what is wrong with the description or the port."""
-    spec = parse_port(text)
-    if spec.kind != "serial":
-        return open_socket_port(spec)
+    return open_lasting(text, _serial)
+
+
+def _serial(device: str, baud: int) -> SerialPort:
     import serial
 
-    try:
-        return SerialPort(serial.Serial(spec.address, spec.number, timeout=0, exclusive=True))
-    except (OSError, ValueError) as error:
-        raise PortError(
-            f"serial port {spec.address} cannot be opened ({error}); check the name, or who uses it"
-        ) from error
+    return SerialPort(serial.Serial(device, baud, timeout=0, exclusive=True))
 
 
 def signer_for(config: DownlinkConfig, clock: Clock) -> Signer | None:

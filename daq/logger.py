@@ -232,7 +232,9 @@ class Logger:
                 self._link_fault = fault
                 self.say(LogLevel.ERROR, "link", f"radio port fails ({fault}); recording goes on")
         else:
-            self._link_fault = ""
+            if self._link_fault:
+                self._link_fault = ""
+                self.say(LogLevel.INFO, "link", "radio port works again")
 
     # ------------------------------------------------------------------------------------------ health and books
 
@@ -323,7 +325,9 @@ class Logger:
     def _end(self) -> Statistics:
         recorder, self._recorder = self._recorder, None
         if recorder is not None:
-            recorder.log(LogLevel.INFO, "logger", "recording ends")
+            summary = self._sampler.health()
+            recorder.health(_as_message(summary, self._clock.utc_ns(), self._number))
+            recorder.log(LogLevel.INFO, "logger", f"recording ends{_repetitions(summary)}")
             self._close(recorder)
         for closer in self._closers:
             while closer.is_alive():
@@ -349,6 +353,12 @@ _PYTHON_LEVEL: Mapping[LogLevel, int] = {
     LogLevel.FATAL: logging.CRITICAL,
 }
 _SYSLOG: Mapping[LogLevel, int] = {LogLevel.WARNING: 4, LogLevel.ERROR: 3, LogLevel.FATAL: 2}
+
+
+def _repetitions(summary: HealthSummary) -> str:
+    """Which sensors had to be asked again, in words: a connector on its way out shows here first."""
+    found = [f"{g.title} {g.retries}" for g in summary.groups if g.retries]
+    return f"; transfers repeated: {', '.join(found)}" if found else ""
 
 
 def _as_message(summary: HealthSummary, utc_ns: int, number: int) -> Health:

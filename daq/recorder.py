@@ -22,13 +22,14 @@ from daq.contract.recording import Entry, RecordingInfo, message_entry, scan_ent
 from daq.contract.scan import SCAN_TOPIC, Scan
 from daq.recorder_config import RecorderConfig
 from daq.segment import Segment, Syncer
-from daq.storage import RealStorage, Storage, StorageFile
-from daq.timing import EDGES_US, Histogram, LoopTiming
+from daq.segment_files import SegmentFiles
+from daq.storage import RealStorage, Storage
+from daq.timing import Histogram, LoopTiming
 
 _LOG = logging.getLogger("sideslip.recorder")
 
 _MESSAGE_ROOM = 256  # places in memory for events and log lines beyond those for scans
-_IDLE_S = 0.2  # longest wait of the writer before it looks what there is to do
+_IDLE_S = 0.2  # so long after a chunk should have been full, the writer looks by itself what there is to do
 _LAST_WORDS_S = 2.0  # given to the writer to end after it has been told to give up
 
 
@@ -53,8 +54,6 @@ class Recorder:
         self._config = config
         self._info = info
         self._clock = clock
-        self._folder = folder
-        self._storage = storage or RealStorage()
         self._timing = timing or LoopTiming()
         self._capacity = math.ceil(config.queue_s * info.scan_rate_hz)
         self._news = threading.Condition()
@@ -67,17 +66,27 @@ class Recorder:
         self._abandoned: list[int] = []
         self._free: dict[str, int] = {}  # free_bytes of the card, as far as it is known
         self._segment: Segment | None = None
-        self._next_segment = 0
         self._reported_ns: int | None = None
         self._write_latency = Histogram()
         self._complaints: deque[str] = deque(maxlen=8)  # the last ones, so as not to repeat them while retrying
         self._closing = False
         self._given_up = False
         self._syncer = Syncer(self._sync_failed, clock, config.sync)
+        self._files = SegmentFiles(
+            config,
+            info,
+            storage or RealStorage(),
+            folder=folder,
+            keep=self._capacity + _MESSAGE_ROOM,
+            close_later=self._syncer.close_later,
+            complain=self._complain,
+        )
         # A chunk spans this much message time from its first to its last scan.
         self._chunk_ns = max(0, round((config.flush_s - 1 / info.scan_rate_hz) * NS))
-        # The writer wakes for so many scans, or a few times a second: a wake-up costs more than writing a scan.
-        self._batch = max(1, round(config.flush_s * info.scan_rate_hz))
+        # The writer is woken by the scan that completes a chunk: a wake-up costs more than writing a scan.
+        self._chunk_full_ns: int | None = None  # message time of that scan; None until the chunk's first has come
+        self._chunk_is_full = False
+        self._patience_s = config.flush_s + _IDLE_S
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
 
     # ------------------------------------------------------------------------------------------ for the scan loop
@@ -98,7 +107,10 @@ class Recorder:
                 books.drop(scan.number)
                 return False
             self._inbox.append(scan)
-            if len(self._inbox) >= self._batch:
+            if self._chunk_full_ns is None:
+                self._chunk_full_ns = scan.time_monotonic_ns + self._chunk_ns
+            if not self._chunk_is_full and scan.time_monotonic_ns >= self._chunk_full_ns:
+                self._chunk_is_full = True
                 self._news.notify_all()
         return True
 
@@ -120,39 +132,25 @@ class Recorder:
             self._new_details.update(details)
 
     def busy(self) -> bool:
-        """Whether the writer is more than two flushes behind; a simulated clock waits on this (`follow`)."""
+        """Whether the writer is more than a flush behind; a simulated clock waits on this (`follow`)."""
         with self._news:
-            return len(self._inbox) > max(4, 2 * self._config.flush_s * self._info.scan_rate_hz)
+            return self._books.pending > max(4, self._config.flush_s * self._info.scan_rate_hz)
 
     def statistics(self, *, final: bool = False) -> Statistics:
         """The books and the timing as they are now."""
         with self._news:
             books = replace(self._books, absent=list(self._books.absent))
-        loop = self._timing
         return Statistics(
             time_monotonic_ns=self._clock.monotonic_ns(),
             time_utc_ns=max(0, self._clock.utc_ns()),
             session=self.session,
-            segment=max(0, self._next_segment - 1),
-            first_number=books.first or 0,
-            next_number=books.next,
-            written=books.written,
-            dropped=books.dropped,
-            lost=books.lost,
-            missed=books.missed,
-            pending=books.pending,
-            absent=tuple(books.absent),
-            write_errors=books.write_errors,
-            queue_high_water=books.high_water,
-            late_scans=loop.late,
-            edges_us=EDGES_US,
-            lateness=tuple(loop.lateness.counts),
-            interval_error=tuple(loop.interval_error.counts),
-            scan_duration=tuple(loop.scan_duration.counts),
-            write_latency=tuple(self._write_latency.counts),
-            sync_latency=tuple(self._syncer.latency.counts),
+            segment=max(0, self._files.next_number - 1),
             final=final,
             extra={f"abandoned_{n}": 1 for n in self._abandoned} | self._free,
+            **books.counts(),
+            **self._timing.counts(),
+            write_latency=tuple(self._write_latency.counts),
+            sync_latency=tuple(self._syncer.latency.counts),
         )
 
     @property
@@ -199,6 +197,7 @@ class Recorder:
     # ------------------------------------------------------------------------------------------ the writer's thread
 
     def _run(self) -> None:
+        self._write_pending()  # nothing yet: but the file is there from the start
         while not self._given_up:
             items, closing = self._wait_for_news()
             self._pending.extend(_entry(item) for item in items)
@@ -209,12 +208,17 @@ class Recorder:
                 self._clock.sleep_until(self._clock.monotonic_ns() + round(self._config.retry_s * NS))
 
     def _wait_for_news(self) -> tuple[list[Scan | Message], bool]:
+        segment = self._segment
+        begun_ns = segment.chunk_started_ns if segment is not None else None
         with self._news:
+            if not self._inbox:
+                self._chunk_full_ns = None if begun_ns is None else begun_ns + self._chunk_ns
             self._news.wait_for(
-                lambda: len(self._inbox) >= self._batch or self._closing or self._returned or self._failed(), _IDLE_S
+                lambda: self._chunk_is_full or self._closing or self._returned or self._failed(), self._patience_s
             )
             items = list(self._inbox)
             self._inbox.clear()
+            self._chunk_is_full = False
             return items, self._closing
 
     def _is_empty(self) -> bool:
@@ -263,7 +267,7 @@ class Recorder:
         now = self._clock.monotonic_ns()
         if self._reported_ns is None or now - self._reported_ns >= self._config.statistics_s * NS:
             self._reported_ns = now
-            self._free = {"free_bytes": self._storage.free_bytes(segment.path.parent)}
+            self._free = {"free_bytes": self._files.free_bytes(segment)}
             segment.writer.write_message(self.statistics())
         ended = (segment.chunk_started_ns or 0) + self._chunk_ns
         segment.writer.flush()
@@ -280,7 +284,7 @@ class Recorder:
         if segment is None or segment.chunk_started_ns is None:
             return True
         waited = self._clock.monotonic_ns() - segment.chunk_started_ns
-        if waited >= (self._config.flush_s + _IDLE_S) * NS:
+        if waited >= self._patience_s * NS:
             try:
                 self._flush(segment)
             except OSError as error:
@@ -299,49 +303,12 @@ class Recorder:
     # ------------------------------------------------------------------------------------------ segments
 
     def _open_segment(self) -> bool:
-        """Open the next segment in the first directory that takes it."""
-        return any(self._open_in(root) for root in self._config.directories)
-
-    def _open_in(self, root: Path) -> bool:
-        self._make_room(root)
-        try:
-            path, file = self._create(root / self._folder)
-        except OSError as error:
-            self._complain(f"{root}: no new file can be opened ({error.strerror or error})")
-            return False
+        """Open the next segment; False when no directory takes it at present."""
         with self._news:
             self._details.update(self._new_details)
             self._new_details = {}
-        details = {**self._info.details, **self._details}
-        info = replace(self._info, segment=self._next_segment, details=details)
-        keep = self._capacity + _MESSAGE_ROOM
-        try:
-            segment = Segment(path, file, info, compress=self._config.compress, keep=keep)
-            segment.writer.flush()
-        except OSError as error:
-            self._complain(f"{root}: a new file cannot be written ({error.strerror or error})")
-            self._remove(path, file)
-            return False
-        self._segment = segment
-        self._next_segment += 1
-        return True
-
-    def _create(self, directory: Path) -> tuple[Path, StorageFile]:
-        while True:
-            path = directory / f"{self.session}_{self._next_segment:03d}.mcap"
-            try:
-                return path, self._storage.create(path)
-            except FileExistsError:
-                self._next_segment += 1
-
-    def _remove(self, path: Path, file: StorageFile) -> None:
-        """Remove a file that holds nothing of worth."""
-        self._syncer.close_later(file)
-        try:
-            self._storage.remove(path)
-        except OSError as error:
-            self._complain(f"{path} cannot be removed ({error.strerror or error})")
-            self._next_segment += 1
+        self._segment = self._files.open(self._details)
+        return self._segment is not None
 
     def _close_segment(self, *, final: bool) -> bool:
         """End the segment in order; its messages stay in memory until the card has them. False when it failed."""
@@ -370,7 +337,7 @@ class Recorder:
         if segment.flushes:
             self._syncer.close_later(segment.file)
         else:
-            self._remove(segment.path, segment.file)
+            self._files.remove(segment.path, segment.file)
 
     def _sync_failed(self, segment: Segment, error: OSError, finished: bool) -> None:
         """In the sync thread: the card did not take a segment's content."""
@@ -392,21 +359,6 @@ class Recorder:
             self._books.written -= sum(1 for e in entries if e.topic == SCAN_TOPIC)
             self._abandoned.append(segment.number)
         return entries
-
-    def _make_room(self, root: Path) -> None:
-        """Remove the oldest recordings, never those of this session, if that is allowed and space is short."""
-        if not self._config.remove_oldest:
-            return
-        wanted = self._config.keep_free_mb * 1e6
-        try:
-            for path in self._storage.recordings(root):
-                if self._storage.free_bytes(root) >= wanted:
-                    return
-                if not path.name.startswith(f"{self.session}_"):
-                    self._storage.remove(path)
-                    self._complain(f"{path} removed to make room", LogLevel.WARNING)
-        except OSError as error:
-            self._complain(f"{root}: no room could be made ({error.strerror or error})")
 
     def _count_lost(self) -> None:
         """At the very end: scans still in memory could not be written."""

@@ -20,6 +20,7 @@ from daq.clock import Clock
 from daq.contract.channels import GROUP_NAMES
 from daq.contract.scan import GroupStatus, RawValue, Scan, SensorState
 from daq.health import HealthSummary, Record
+from daq.plumb_line import VelocityFix
 from daq.sensors.config import PitotConfig, SensorsConfig
 from daq.sensors.icm20948 import COUNTS_PER_DPS, COUNTS_PER_G
 from daq.sensors.ms4525do import FULL, SPAN
@@ -85,7 +86,7 @@ class Sampler:
         self._pulse = pulse
         self._period_ns = round(1e9 / rate_hz)
         self._budget_ns = round(BUDGET * self._period_ns)
-        latency = config.gnss.latency_s if config.gnss else 0.0
+        latency = config.gnss.arrival_s if config.gnss else 0.0
         self.timebase = TimeBase(round(latency * 1e9), self._period_ns)
         around = Surroundings(bus, serial, autopilot, clock.monotonic_ns, self.timebase)
         now = clock.monotonic_ns()
@@ -166,7 +167,8 @@ class Sampler:
             if outcome is not None:
                 groups[group] = outcome.status(start)
                 values.update(outcome.values)
-                self._report_events(outcome, number)
+                for time_ns in outcome.events:
+                    self.on_event(EventMark(time_ns, number, "switch"))
         if self._attitude is not None and "imu" in outcomes:
             attitude = self._attitude.update(outcomes, start)
             groups["attitude"] = attitude.status(start)
@@ -174,10 +176,6 @@ class Sampler:
         utc, accuracy = self.timebase.utc(start)
         lateness_us = min(max(0, start - deadline_ns) // 1000, 2**32 - 1)
         return Scan(number, start, utc, accuracy, lateness_us, groups, values)
-
-    def _report_events(self, outcome: Outcome, number: int) -> None:
-        for time_ns in outcome.events:
-            self.on_event(EventMark(time_ns, number, "switch"))
 
     def _due(self, supervisor: Supervisor, number: int) -> bool:
         return supervisor.every == 1 or supervisor.starved or (number + self._phase(supervisor)) % supervisor.every == 0
@@ -189,7 +187,7 @@ class Sampler:
     def _read_bus(self, number: int, start: int, outcomes: dict[str, Outcome]) -> None:
         due = []
         for supervisor in self._on_bus:
-            if supervisor.sampling:
+            if supervisor.ready_ns is not None:
                 due.append(supervisor)
             elif self._due(supervisor, number):
                 if supervisor.up:
@@ -209,13 +207,14 @@ class Sampler:
         now = start
         while waiting and now <= limit:
             supervisor = self._next(waiting, now)
-            if not supervisor.sampling:
+            ready = supervisor.ready_ns
+            if ready is None:
                 supervisor.starved = False
                 supervisor.begin(now)
-            elif supervisor.ready_ns > now:
-                if supervisor.ready_ns > limit:
+            elif ready > now:
+                if ready > limit:
                     return
-                clock.sleep_until(supervisor.ready_ns)
+                clock.sleep_until(ready)
                 now = clock.monotonic_ns()
             outcome = supervisor.advance(now, may_retry=now < limit)
             now = clock.monotonic_ns()
@@ -232,20 +231,26 @@ class Sampler:
             elif self._bus_held:
                 self._bus_held, self._bus_pause_ns = "", BUS_RETRY_NS
         for supervisor in waiting:
-            if not supervisor.sampling:
+            if supervisor.ready_ns is None:
                 supervisor.starved = True
                 outcomes[supervisor.group] = supervisor.passed_over("scan ran out of time", SensorState.STALE, now)
 
     @staticmethod
     def _next(waiting: list[Supervisor], now: int) -> Supervisor:
         """Who has the bus next: the urgent and the starved if not begun, then whoever can go on, else waits least."""
+        willing: Supervisor | None = None
+        soonest, soonest_ns = waiting[0], math.inf
         for supervisor in waiting:
-            if not supervisor.sampling and (supervisor.starved or supervisor.group in _BEGUN_FIRST):
-                return supervisor
-        for supervisor in waiting:
-            if not supervisor.sampling or supervisor.ready_ns <= now:
-                return supervisor
-        return min(waiting, key=lambda s: s.ready_ns)
+            ready = supervisor.ready_ns
+            if ready is None:
+                if supervisor.starved or supervisor.group in _BEGUN_FIRST:
+                    return supervisor
+                willing = willing or supervisor
+            elif ready <= now:
+                willing = willing or supervisor
+            elif ready < soonest_ns:
+                soonest, soonest_ns = supervisor, ready
+        return willing or soonest
 
     def _hold_bus(self, now: int) -> None:
         self._bus_held = "I2C bus is held low: transfers time out"
@@ -305,7 +310,7 @@ class Sampler:
 
 
 class _AttitudeSource:
-    """Feeds the attitude filter from a scan's IMU, magnetometer and pitot counts."""
+    """Feeds the attitude filter from a scan's IMU, magnetometer, pitot and GPS counts."""
 
     AIRSPEED_HELD_NS = 500_000_000
 
@@ -317,6 +322,8 @@ class _AttitudeSource:
         self._accel_scale = 9.80665 / COUNTS_PER_G[getattr(imu, "accel_range_g", 8)]
         self._gyro_scale = math.radians(1 / COUNTS_PER_DPS[gyro_range])
         self._filter = AttitudeFilter(config.attitude, imu_rate_hz, math.radians(gyro_range))
+        lowpass_hz = getattr(imu, "accel_lowpass_hz", 0.0)
+        self._imu_delay_s = 1.0 / (2.0 * math.pi * lowpass_hz) if lowpass_hz else 0.0
         self._pitot = config.pitot
         self._airspeed: float | None = None
         self._airspeed_ns = 0
@@ -333,6 +340,7 @@ class _AttitudeSource:
             [imu.values[f"accel_{axis}"] * self._accel_scale for axis in "xyz"],
             self._field(outcomes.get("mag")),
             self._airspeed if imu.time_ns - self._airspeed_ns < self.AIRSPEED_HELD_NS else None,
+            self._fix(outcomes.get("gnss")),
         )
         if imu.state is not SensorState.OK:
             return self._report(SensorState.RECOVERING, f"IMU is {imu.state.words}", imu.time_ns, attitude.counts())
@@ -349,6 +357,12 @@ class _AttitudeSource:
         if mag is None or mag.state is not SensorState.OK:
             return None
         return [mag.values[f"mag_{axis}"] * 0.15e-6 for axis in "xyz"]
+
+    def _fix(self, gnss: Outcome | None) -> VelocityFix | None:
+        if gnss is None or gnss.state is not SensorState.OK or "velocity_north_mm" not in gnss.values:
+            return None
+        north, east, down = (gnss.values[f"velocity_{axis}_mm"] * 1e-3 for axis in ("north", "east", "down"))
+        return VelocityFix(gnss.time_ns * 1e-9 + self._imu_delay_s, (north, east, down))
 
     def _note_airspeed(self, pitot: Outcome | None) -> None:
         """Airspeed by the pitot sensor's nominal transfer function; good to a few per cent, enough for the turn."""

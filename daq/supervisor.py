@@ -1,8 +1,8 @@
 """One sensor under supervision: reads it, judges it, loses it, finds it again, and never lets it stop the scan.
 
-A sensor that fails is read again once in the same scan; failing twice in a row it is given up and tried again at growing
-intervals, at most one short set-up step in a scan. After its return a number of good samples are marked recovering
-before they count. Every exception of a driver that means trouble with hardware ends here as a state.
+A sensor that fails is read again up to three times in the same scan; failing in two scans in a row it is given up and
+tried anew at growing intervals, at most one short set-up step in a scan. After its return a number of good samples are
+marked recovering before they count. Every exception of a driver that means trouble with hardware ends here as a state.
 """
 
 from collections.abc import Generator, Mapping
@@ -14,6 +14,9 @@ from daq.contract.scan import GroupStatus, RawValue, SensorState
 from daq.health import Record, Watch
 from daq.sensors.base import SECOND, Driver, Reading, SensorError, Wait
 from daq.sensors.config import HealthConfig, SensorSection
+
+REPETITIONS = 3
+"""How often a sample that failed is begun again within a scan, while the scan's budget lasts."""
 
 GIVE_UP_AFTER = 2
 """Failed scans in a row after which a sensor is no longer read but tried anew."""
@@ -49,15 +52,15 @@ class Supervisor:
         self.every = every
         self.record = Record(self.group, SensorState.ABSENT, now_ns, section.required)
         self.starved = False  # a scan ran out of time before this sensor's turn: it goes first in the next
+        self.ready_ns: int | None = None  # when the sample under way can go on [ns]; None when there is none
         self.timed_out = False  # the last transfer ended in a time-out: the bus itself may be held
+        self.up = False  # set up and being read
         self._config = config
         self._watch = Watch(tuple(c.name for c in channels_of(self.group)), config)
-        self._up = False
         self._setup: Generator[Wait, None, None] | None = None
         self._sample: Generator[Wait, None, Reading] | None = None
         self._sample_ns = 0
-        self._ready_ns = 0
-        self._retried = False
+        self._repetitions = 0  # left to the sample under way
         self._failures = 0
         self._excused = 0
         self._next_try_ns = now_ns
@@ -68,11 +71,6 @@ class Supervisor:
         self._lost_detail = "not set up yet"
 
     # -- set-up -----------------------------------------------------------------------------------------------
-
-    @property
-    def up(self) -> bool:
-        """Set up and being read."""
-        return self._up
 
     @property
     def setting_up(self) -> bool:
@@ -100,7 +98,7 @@ class Supervisor:
             self._setup_failed(SensorState.ABSENT, f"does not answer: {error.strerror or error}", now_ns)
 
     def _come_up(self, trusted: bool, now_ns: int) -> None:
-        self._up = True
+        self.up = True
         self._failures = 0
         self._pause_ns = round(self._config.retry_s * SECOND)
         self._untrusted = 0 if trusted else self._config.trust_after
@@ -117,7 +115,7 @@ class Supervisor:
         self._pause_ns = min(2 * self._pause_ns, round(self._config.retry_limit_s * SECOND))
 
     def _go_down(self, state: SensorState, detail: str, now_ns: int) -> None:
-        self._up = False
+        self.up = False
         self._setup = None
         self._lost_state, self._lost_detail = state, detail
         self._next_try_ns = now_ns
@@ -131,21 +129,11 @@ class Supervisor:
 
     # -- reading ----------------------------------------------------------------------------------------------
 
-    @property
-    def sampling(self) -> bool:
-        """A sample has been begun and not yet finished."""
-        return self._sample is not None
-
-    @property
-    def ready_ns(self) -> int:
-        """When the sample under way can be continued [ns]."""
-        return self._ready_ns
-
     def begin(self, now_ns: int) -> None:
         """Begin a sample; `advance` does the work."""
         self._sample = self.driver.stages()
-        self._ready_ns = now_ns
-        self._retried = False
+        self.ready_ns = now_ns
+        self._repetitions = REPETITIONS
 
     def advance(self, now_ns: int, may_retry: bool) -> Outcome | None:
         """Take the sample one stage further; the outcome when it is finished, else None."""
@@ -153,24 +141,28 @@ class Supervisor:
         self.timed_out = False
         self._sample_ns = now_ns
         try:
-            self._ready_ns = now_ns + next(self._sample)
+            self.ready_ns = now_ns + next(self._sample)
             return None
         except StopIteration as finished:
-            self._sample = None
+            self._end_sample()
             return self._finished(finished.value, now_ns)
         except SensorError as error:
-            self._sample = None
+            self._end_sample()
             self._go_down(SensorState.FAULT, str(error), now_ns)
             return self._outcome(SensorState.FAULT, str(error), now_ns)
         except OSError as error:
             return self._failed(error, now_ns, may_retry)
 
+    def _end_sample(self) -> None:
+        self._sample = self.ready_ns = None
+
     def _failed(self, error: OSError, now_ns: int, may_retry: bool) -> Outcome | None:
-        self._sample = None
+        self._end_sample()
         self.timed_out = error.errno in TIMEOUT_ERRNOS
-        if may_retry and not self._retried and not self.timed_out:
+        if may_retry and self._repetitions and not self.timed_out:
+            left = self._repetitions - 1
             self.begin(now_ns)
-            self._retried = True
+            self._repetitions = left
             self.record.retries += 1
             return None
         detail = f"does not answer: {error.strerror or error}"
@@ -181,11 +173,14 @@ class Supervisor:
 
     def _finished(self, reading: Reading, started_ns: int) -> Outcome:
         self._failures = self._excused = 0
+        if self.driver.repeated:
+            self.record.retries += self.driver.repeated
+            self.driver.repeated = 0
         time_ns = started_ns if reading.time_ns is None else reading.time_ns
         if reading.state is SensorState.FAULT:
             self._go_down(SensorState.FAULT, reading.detail, started_ns)
         elif reading.state in (SensorState.STALE, SensorState.ABSENT):
-            self._check_staleness(started_ns)
+            self._check_staleness(reading, started_ns)
         else:
             self._stale_since_ns = None
         state, detail = self._judge(reading, time_ns)
@@ -203,7 +198,7 @@ class Supervisor:
             return SensorState.RECOVERING, "answers again"
         return SensorState.OK, ""
 
-    def _check_staleness(self, now_ns: int) -> None:
+    def _check_staleness(self, reading: Reading, now_ns: int) -> None:
         """A chip that answers without new samples for long has lost its settings, or hangs: set it up anew."""
         if self._stale_since_ns is None:
             self._stale_since_ns = now_ns
@@ -212,7 +207,10 @@ class Supervisor:
             waited >= self._config.stale_s * SECOND and not self._intact()
         ):
             self._stale_since_ns = None
-            self._go_down(SensorState.FAULT, "no new samples; being set up again", now_ns)
+            if reading.state is SensorState.ABSENT:
+                self._go_down(reading.state, reading.detail, now_ns)
+            else:
+                self._go_down(SensorState.FAULT, "no new samples; being set up again", now_ns)
 
     def _intact(self) -> bool:
         """Whether the chip does not say that it lost its settings; silence is for the next reading to judge."""
@@ -229,14 +227,14 @@ class Supervisor:
 
     def audit(self, now_ns: int) -> None:
         """Look whether the chip still has its settings; a brown-out can reset one without silencing it."""
-        if self._up and not self.sampling and not self._intact():
+        if self.up and self._sample is None and not self._intact():
             self._go_down(SensorState.FAULT, "lost its settings (supply dip); being set up again", now_ns)
 
     def passed_over(self, reason: str, state: SensorState, now_ns: int) -> Outcome:
         """The outcome of a scan in which the sensor could not be read at all, through no fault of its own."""
         if self._sample is not None:
             self._sample.close()
-            self._sample = None
+            self._end_sample()
         return self._outcome(state, reason, now_ns)
 
     def lost(self, now_ns: int) -> Outcome:

@@ -43,6 +43,7 @@ class _Line:
     """
 
     _BINS = 128
+    _EAGER = 16  # a line through so many bins need not follow each change of the last one at once
     _AGREED = 5
 
     def __init__(self, jump_ns: int, drift_after_s: float) -> None:
@@ -51,6 +52,7 @@ class _Line:
         self._bins: deque[tuple[int, int]] = deque(maxlen=self._BINS)  # monotonic, offset = utc - monotonic
         self._contradictions: list[tuple[int, int]] = []
         self._line = (0, 0, 0.0)  # reference, offset, drift
+        self.scatter_ns = 0.0  # root mean square distance of the observations from the line [ns]
 
     def __len__(self) -> int:
         return len(self._bins)
@@ -61,12 +63,14 @@ class _Line:
             return
         self._contradictions.clear()
         bins = self._bins
-        if bins and monotonic_ns // NS <= bins[-1][0] // NS:
+        same_second = bool(bins) and monotonic_ns // NS <= bins[-1][0] // NS
+        if same_second:
             if offset_ns <= bins[-1][1]:
                 return
             bins.pop()  # a larger offset came with a smaller delay: the better one of its second
         bins.append((monotonic_ns, offset_ns))
-        self._fit()
+        if not same_second or len(bins) < self._EAGER:
+            self._fit()
 
     def _contradict(self, monotonic_ns: int, offset_ns: int) -> None:
         others = self._contradictions
@@ -90,6 +94,10 @@ class _Line:
             spread = sum((t - t0 - mean_t) ** 2 for t, _ in bins)
             drift = sum((t - t0 - mean_t) * (o - o0 - mean_o) for t, o in bins) / spread
         self._line = (t0 + round(mean_t), o0 + round(mean_o), drift)
+        if n >= 3:  # here, and not when asked: every scan asks
+            self.scatter_ns = math.sqrt(sum((o - self.offset_at(t)) ** 2 for t, o in bins) / n)
+        else:
+            self.scatter_ns = 0.0
 
     @property
     def line(self) -> tuple[int, int, float]:
@@ -99,13 +107,6 @@ class _Line:
     def offset_at(self, monotonic_ns: int) -> int:
         reference, offset, drift = self._line
         return offset + round(drift * (monotonic_ns - reference))
-
-    @property
-    def scatter_ns(self) -> float:
-        """Root mean square distance of the observations from the line [ns]."""
-        if len(self._bins) < 3:
-            return 0.0
-        return math.sqrt(sum((o - self.offset_at(t)) ** 2 for t, o in self._bins) / len(self._bins))
 
 
 class TimeBase:
@@ -120,6 +121,7 @@ class TimeBase:
     PPS_SIGMA_NS = 5_000  # interrupt latency of the kernel's stamp
 
     def __init__(self, latency_ns: int, poll_ns: int) -> None:
+        self.poll_ns = poll_ns
         self._delay_ns = latency_ns + poll_ns // 2
         self._poll_sigma_ns = poll_ns / math.sqrt(12)
         self._fixes = _Line(jump_ns=300 * MS, drift_after_s=60.0)

@@ -3,7 +3,9 @@
 The bins are fixed so that reports of one flight and another can be added and compared.
 """
 
+from bisect import bisect_right
 from collections.abc import Sequence
+from typing import Any
 
 from daq.contract.messages import Statistics
 
@@ -25,15 +27,9 @@ class Histogram:
     def add(self, time_us: int) -> None:
         """Count one time; negative ones count as their magnitude."""
         time_us = abs(time_us)
-        self.largest_us = max(self.largest_us, time_us)
-        low, high = 0, len(EDGES_US)
-        while low < high:
-            middle = (low + high) // 2
-            if time_us < EDGES_US[middle]:
-                high = middle
-            else:
-                low = middle + 1
-        self.counts[low] += 1
+        if time_us > self.largest_us:
+            self.largest_us = time_us
+        self.counts[bisect_right(EDGES_US, time_us)] += 1
 
     def percentile(self, percent: float) -> float:
         """Upper edge of the bin that holds the percentile, at most the largest time seen [us]; 0 when empty."""
@@ -73,3 +69,13 @@ class LoopTiming:
         self.interval_error = Histogram()
         self.scan_duration = Histogram()
         self.late = 0
+
+    def counts(self) -> dict[str, Any]:
+        """The histograms as fields of a `Statistics` report."""
+        return {
+            "late_scans": self.late,
+            "edges_us": EDGES_US,
+            "lateness": tuple(self.lateness.counts),
+            "interval_error": tuple(self.interval_error.counts),
+            "scan_duration": tuple(self.scan_duration.counts),
+        }

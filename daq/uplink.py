@@ -11,6 +11,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from statistics import fmean
 from typing import Any, Protocol
 
+from daq import courtesy
 from daq.backfill import BackfillServer
 from daq.clock import NS, Clock
 from daq.contract import commands as c
@@ -82,6 +83,7 @@ class Uplink:
         self._done: OrderedDict[tuple[Any, ...], tuple[int, int]] = OrderedDict()  # command -> time, result
         self._reported_ns: int | None = None
         self._unreported = 0
+        self._refusal = ""
         self._saver: Future[None] | None = None
         self._worker: ThreadPoolExecutor | None = None
         downlink.outbox.bulk = self._next_bulk
@@ -109,6 +111,7 @@ class Uplink:
         for found in self._decoder.feed(self._port.read(READ_BYTES)):
             if isinstance(found, Frame) and found.known:
                 self._take(found, now_ns, control)
+        self._report_refusals(now_ns)
         self._save_signing()
 
     def close(self) -> None:
@@ -144,7 +147,7 @@ class Uplink:
         if self._signer is not None and frame.msg_id != RADIO_STATUS_ID:
             verdict = self._signer.judge(frame.signed_part, (frame.system, frame.component), frame.signature)
             if not verdict.accepted:
-                self._refuse(frame, verdict, now_ns)
+                self._refuse(frame, verdict)
                 return
         fields = frame.fields()
         target = fields.get("target_system", 0)
@@ -153,20 +156,29 @@ class Uplink:
         if frame.name == "COMMAND_LONG":
             self._command(frame, fields, now_ns, control)
             return
+        if frame.name in courtesy.REQUESTS:
+            made = courtesy.answer(
+                frame.name, fields, (frame.system, frame.component), lambda: self._downlink.config.rate_hz
+            )
+            if made is not None:
+                self._downlink.outbox.put_low(made)
+            return
         handler = self._handlers.get(frame.name)
         if handler is not None:
             handler(fields, now_ns)
 
-    def _refuse(self, frame: Frame, verdict: Verdict, now_ns: int) -> None:
+    def _refuse(self, frame: Frame, verdict: Verdict) -> None:
         self._downlink.refusals.rejected_frames += 1
         if frame.name in _HARMLESS and verdict is Verdict.UNSIGNED:
             return
         self._unreported += 1
-        if self._reported_ns is not None and now_ns - self._reported_ns < _REPORT_NS:
+        self._refusal = f"refused {frame.name} from {frame.system}/{frame.component}: {verdict.value}"
+
+    def _report_refusals(self, now_ns: int) -> None:
+        """Tell of refusals, at most every five seconds, all of them in time."""
+        if not self._unreported or (self._reported_ns is not None and now_ns - self._reported_ns < _REPORT_NS):
             return
-        words = f"refused {frame.name} from {frame.system}/{frame.component}: {verdict.value}"
-        if self._unreported > 1:
-            words += f" ({self._unreported} such)"
+        words = self._refusal + (f" (and {self._unreported - 1} more)" if self._unreported > 1 else "")
         _LOG.warning("%s", words)
         self._downlink.text(_WARNING, words)
         self._reported_ns, self._unreported = now_ns, 0

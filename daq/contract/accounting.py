@@ -92,8 +92,7 @@ def verify_recording(recording: Recording) -> Verification:
     missing = ranges(sorted(set(range(first, end)) - set(numbers)))
     not_told = subtract(missing, books.absent if books else ())
     unexplained = subtract(not_told, json.loads(recording.info.details.get(_LOST_TO_DAMAGE, "[]")))
-    given_up = _given_up(recording, books)
-    damages = tuple((s.path, d) for s in recording.segments if s not in given_up for d in s.damages)
+    given_up, damages = recording.given_up, recording.damages
     closed = all(s.closed for s in recording.segments if s not in given_up)
     gaps_expected = recording.info.role == "received"
     ok = closed and not damages and bool(numbers) and (gaps_expected or not unexplained)
@@ -119,14 +118,6 @@ def verify_recording(recording: Recording) -> Verification:
         text=text,
         given_up=tuple(s.path for s in given_up),
     )
-
-
-def _given_up(recording: Recording, books: Statistics | None) -> list[Segment]:
-    """Segments that the logger itself says it gave up: their torn end is accounted for."""
-    if books is None:
-        return []
-    numbers = {int(k.removeprefix("abandoned_")) for k in books.extra if k.startswith("abandoned_")}
-    return [s for s in recording.segments if s.info is not None and s.info.segment in numbers and not s.closed]
 
 
 def _is_whole(recording: Recording) -> bool:

@@ -11,6 +11,8 @@ LOGGING_STOP = 2511
 EVENT_MARK = 31010
 """MAV_CMD_USER_1: mark an event; parameter 1 is its number, chosen by the ground, and makes it unique."""
 
+KNOWN = (SET_MESSAGE_INTERVAL, PREFLIGHT_CALIBRATION, LOGGING_START, LOGGING_STOP, EVENT_MARK)
+
 AIRSPEED_PARAMETER = 6
 AIRSPEED_CALIBRATION = 2.0
 
@@ -19,6 +21,7 @@ TEMPORARILY_REJECTED = 1
 DENIED = 2
 UNSUPPORTED = 3
 FAILED = 4
+COMMAND_LONG_ONLY = 7
 
 RESULT_WORDS = {
     ACCEPTED: "accepted",
@@ -26,6 +29,7 @@ RESULT_WORDS = {
     DENIED: "denied",
     UNSUPPORTED: "unsupported",
     FAILED: "failed",
+    COMMAND_LONG_ONLY: "to be sent as COMMAND_LONG",
 }
 
 _PITOT_ZERO = re.compile(r"pitot_zero count=([0-9.]+) scans=([0-9]+)")

@@ -7,6 +7,7 @@ named.
 
 import errno
 import os
+import select
 import socket
 from collections import deque
 from dataclasses import dataclass
@@ -19,6 +20,7 @@ MAX_PEERS = 8
 _LOOPBACK = "127.0.0.1"
 _READ_BYTES = 65536
 _CLIENT_BACKLOG = 1 << 20
+_CONNECT_S = 3.0
 _WOULD_BLOCK = (errno.EAGAIN, errno.EWOULDBLOCK, errno.EINTR)
 _PEER_GONE = (errno.ECONNREFUSED, errno.ENETUNREACH, errno.EHOSTUNREACH, errno.ENETDOWN)
 
@@ -88,8 +90,20 @@ def open_socket_port(spec: PortSpec) -> "UdpPort | TcpClientPort | TcpServerPort
     except OSError as error:
         what = error.strerror or str(error)
         raise PortError(
-            f"{spec.kind}:{spec.address}:{spec.number} cannot be opened ({what}); is another program using it?"
+            f"{spec.kind}:{spec.address}:{spec.number} cannot be opened ({what}); {_advice(spec, error)}"
         ) from error
+
+
+def _advice(spec: PortSpec, error: OSError) -> str:
+    if isinstance(error, socket.gaierror) or error.errno == socket.EAI_NONAME:
+        return f"check the host name {spec.address!r}"
+    if error.errno == errno.EADDRNOTAVAIL:
+        return f"{spec.address} is no address of this computer; write one that is, or leave the host out"
+    if error.errno == errno.EACCES:
+        return "take a port above 1023"
+    if spec.kind == "tcp":
+        return "nobody answers there; check host and port"
+    return "is another program using it?"
 
 
 class UdpPort:
@@ -214,7 +228,7 @@ class TcpClientPort:
     """A connection to a listening peer."""
 
     def __init__(self, host: str, number: int) -> None:
-        self._stream = _Stream(socket.create_connection((host, number), timeout=5.0), f"{host}:{number}")
+        self._stream = _Stream(socket.create_connection((host, number), timeout=_CONNECT_S), f"{host}:{number}")
 
     @property
     def is_open(self) -> bool:
@@ -292,6 +306,13 @@ class SerialPort:
         self._device = device
         self._descriptor = int(device.fileno())
         os.set_blocking(self._descriptor, False)
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the device, or a pseudo-terminal's other end, is still there."""
+        watch = select.poll()
+        watch.register(self._descriptor, 0)
+        return not watch.poll(0)  # hang-up and error are told unasked
 
     def read(self, limit: int = _READ_BYTES) -> bytes:
         try:

@@ -95,9 +95,22 @@ class Recording:
         return tuple(self._decoded(HEALTH_TOPIC))
 
     @property
-    def damages(self) -> tuple[Damage, ...]:
-        """Damages of all segments."""
-        return tuple(d for s in self.segments for d in s.damages)
+    def given_up(self) -> tuple[Segment, ...]:
+        """Segments that the logger itself says it left after a write error, writing what was in doubt to the next file.
+
+        Their torn ends are accounted for: no damage of the recording.
+        """
+        books = self.statistics
+        if not books:
+            return ()
+        numbers = {int(k.removeprefix("abandoned_")) for k in books[-1].extra if k.startswith("abandoned_")}
+        return tuple(s for s in self.segments if s.info is not None and s.info.segment in numbers and not s.closed)
+
+    @property
+    def damages(self) -> tuple[tuple[Path, Damage], ...]:
+        """Damages of all segments but those given up, and the file of each."""
+        given_up = self.given_up
+        return tuple((s.path, d) for s in self.segments if s not in given_up for d in s.damages)
 
     def _decoded(self, topic: str) -> Iterator[Any]:
         return (DECODERS[topic](e.data) for e in self.entries if e.topic == topic)
@@ -215,17 +228,16 @@ def unique(entries: Iterable[Entry]) -> tuple[Entry, ...]:
 def read_recording(path: str | Path, *, salvage: bool = False) -> Recording:
     """Read a raw recording, a file or a directory of segments.
 
-    Raises RecordingError for anything that is no raw recording and, unless `salvage`, for a damaged one, saying where.
+    Raises RecordingError for anything that is no raw recording and, unless `salvage`, for a damaged one, saying where. A
+    file that the logger gave up and continued in the next one does not count as damaged.
     """
     path = Path(path)
     recording = join(path, read_segments(path))
     if salvage:
         return recording
-    for segment in recording.segments:
-        if segment.damages:
-            first = segment.damages[0]
-            raise RecordingError(
-                f"{segment.path}: damaged at byte {first.at_byte} ({first.what}); "
-                f"'sideslip recover {segment.path} -o OUT.mcap' saves what is intact"
-            )
+    for damaged, first in recording.damages:
+        raise RecordingError(
+            f"{damaged}: damaged at byte {first.at_byte} ({first.what}); "
+            f"'sideslip recover {damaged} -o OUT.mcap' saves what is intact"
+        )
     return recording

@@ -78,6 +78,7 @@ class Scan:
     lateness_us: int = 0
     groups: Mapping[str, GroupStatus] = field(default_factory=dict)
     values: Mapping[str, RawValue] = field(default_factory=dict)  # only channels that have a value
+    _encoded: bytes = field(default=b"", init=False, repr=False, compare=False)  # kept by `encode_scan`
 
     @property
     def time(self) -> float:
@@ -144,13 +145,17 @@ def scan_message_class() -> Any:
 
 
 def encode_scan(scan: Scan) -> bytes:
-    """A scan as sealed protobuf bytes."""
+    """A scan as sealed protobuf bytes; made once, for recorder and radio link need the same."""
+    if scan._encoded:
+        return scan._encoded
     fields: dict[str, RawValue] = {name: getattr(scan, name) for name, _ in _HEADER}
     for group, status in scan.groups.items():
         fields[f"{group}_state"] = int(status.state)
         fields[f"{group}_offset_us"] = status.offset_us
     fields.update(scan.values)
-    return seal(SCHEMA_NAME, scan_message_class()(**fields).SerializeToString(deterministic=True))
+    encoded = seal(SCHEMA_NAME, scan_message_class()(**fields).SerializeToString(deterministic=True))
+    object.__setattr__(scan, "_encoded", encoded)
+    return encoded
 
 
 def decode_scan(data: bytes) -> Scan:

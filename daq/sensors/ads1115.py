@@ -11,8 +11,9 @@ Self-test: the written configuration is read back. Plausibility: full-scale code
 """
 
 from collections.abc import Callable, Generator
+from typing import TypeVar
 
-from daq.bus import I2cBus
+from daq.bus import NACK_ERRNOS, I2cBus
 from daq.contract.channels import channels_of
 from daq.contract.scan import RawValue, SensorState
 from daq.sensors.base import SECOND, US, Driver, Reading, SelfTestError, Wait, signed
@@ -24,8 +25,10 @@ DONE = 0x8000
 RANGES = (6.144, 4.096, 2.048, 1.024, 0.512, 0.256)
 RATES = (8, 16, 32, 64, 128, 250, 475, 860)
 CLOCK_TOLERANCE = 1.1
+T = TypeVar("T")
 WAKE = 30 * US  # section 7.4.2.1: about 25 us from power-down to conversion
 _POLLS = 8
+_REPETITIONS = 2
 _LOWEST_V = -0.05
 
 
@@ -55,8 +58,8 @@ class Ads1115(Driver):
         self._conversion = round(SECOND / config.samples_per_second)
         self._wait = round(self._conversion * CLOCK_TOLERANCE) + WAKE
         self._lowest = round(_LOWEST_V / config.range_v * 32768)
-        self._latest_us: tuple[int, ...] = (0,) * len(self._names)
-        self._kept_us: tuple[int, ...] | None = None
+        self._middles: list[int] = [0] * len(self._names)  # of the latest conversions [ns]
+        self._kept: list[int] | None = None
         self.max_rate_hz = SECOND / (len(self._names) * (self._wait + 300 * US))
 
     def initialise(self) -> Generator[Wait, None, None]:
@@ -75,30 +78,33 @@ class Ads1115(Driver):
         raise NotImplementedError("an ADS1115 is read in stages")
 
     def stages(self) -> Generator[Wait, None, Reading]:
-        counts: list[int] = []
+        values: dict[str, RawValue] = {}
         middles: list[int] = []
-        for word in self._words:
+        for name, word in zip(self._names, self._words, strict=True):
             self._start(word)
             middles.append(self._now() + self._conversion // 2)
             yield self._wait
-            yield from self._finish(word)
-            counts.append(signed(self._word(CONVERSION), 16))
-        centre = sum(middles) // len(middles)
-        self._latest_us = tuple((m - centre) // US for m in middles)
-        return self._judge(dict(zip(self._names, counts, strict=True)), centre)
+            found = self._word(CONFIG)
+            if found != word:  # done and nothing changed reads as it was written
+                yield from self._finish(word, found)
+            values[name] = signed(self._word(CONVERSION), 16)
+        self._middles = middles
+        return self._judge(values, sum(middles) // len(middles))
 
-    def _finish(self, word: int) -> Generator[Wait, None, None]:
+    def _finish(self, word: int, found: int) -> Generator[Wait, None, None]:
         """Wait until the conversion is over; raise SelfTestError when the chip has lost its settings or hangs."""
         for _ in range(_POLLS):
-            found = self._word(CONFIG)
             if (found | DONE) != word:
                 raise SelfTestError(f"ADS1115 at 0x{self._address:02x} was reset")
             if found & DONE:
                 return
             yield self._conversion // 8
+            found = self._word(CONFIG)
         raise SelfTestError(f"ADS1115 at 0x{self._address:02x} does not finish a conversion")
 
     def _judge(self, values: dict[str, RawValue], time_ns: int) -> Reading:
+        if self._lowest <= min(values.values()) and max(values.values()) < 32767:
+            return Reading(values, time_ns=time_ns)
         for name, count in values.items():
             if count in (32767, -32768):
                 return Reading(values, SensorState.OUT_OF_RANGE, f"{name} beyond the converter's range", time_ns)
@@ -107,20 +113,43 @@ class Ads1115(Driver):
         return Reading(values, time_ns=time_ns)
 
     def _start(self, word: int) -> None:
-        self._bus.write_i2c_block_data(self._address, CONFIG, [word >> 8, word & 0xFF])
+        data = [word >> 8, word & 0xFF]
+        try:
+            self._bus.write_i2c_block_data(self._address, CONFIG, data)
+        except OSError as error:
+            self._repeat(error, lambda: self._bus.write_i2c_block_data(self._address, CONFIG, data))
 
     def _word(self, register: int) -> int:
-        high, low = self._bus.read_i2c_block_data(self._address, register, 2)
+        try:
+            high, low = self._bus.read_i2c_block_data(self._address, register, 2)
+        except OSError as error:
+            high, low = self._repeat(error, lambda: self._bus.read_i2c_block_data(self._address, register, 2))
         return high << 8 | low
 
+    def _repeat(self, error: OSError, transfer: Callable[[], T]) -> T:
+        """A refused transfer once more, or twice; raises the last error. Time-outs are not for a driver to repeat.
+
+        A sample takes twelve transfers: at one refusal in five hardly any would come through whole.
+        """
+        for _ in range(_REPETITIONS):
+            if error.errno not in NACK_ERRNOS:
+                break
+            self.repeated += 1
+            try:
+                return transfer()
+            except OSError as again:
+                error = again
+        raise error
+
     def keep_timing(self) -> None:
-        self._kept_us = self._latest_us
+        self._kept = self._middles
 
     def metadata(self) -> dict[str, str]:
         """`NAME_after_s`: time of a channel's conversion after the group's offset, which is their mean."""
-        after_us = self._kept_us or self._latest_us
+        middles = self._kept or self._middles
+        centre = sum(middles) // len(middles)
         return {
             "chip": "ADS1115",
             "scale_v": repr(self._range_v / 32768),
-            **{f"{n}_after_s": f"{d * 1e-6:.6f}" for n, d in zip(self._names, after_us, strict=True)},
+            **{f"{n}_after_s": f"{(m - centre) * 1e-9:.6f}" for n, m in zip(self._names, middles, strict=True)},
         }

@@ -61,6 +61,9 @@ class Driver(ABC):
     """Highest rate at which the chip, as configured, has a new sample for each reading [Hz]."""
 
     uses_i2c: bool = True
+    repeated: int = 0
+    """Transfers that the driver repeated by itself since the supervisor last looked; it sets this to 0 again."""
+
     needs: str = ""
     """Group that has to be set up before this one can be."""
 

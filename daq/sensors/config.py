@@ -103,19 +103,23 @@ class MagConfig(SensorSection):
 class AttitudeConfig(SensorSection):
     """`[sensors.attitude]`: the onboard attitude filter (imufusion).
 
-    gain: weight of accelerometer and magnetometer against the gyro [1/s]. rejection_deg: a direction further off
-    than this is not used. airspeed_correction: take the turn's centripetal acceleration, from the pitot's nominal
-    transfer function, out of the accelerometer before it is used as a plumb line.
+    gain: weight of accelerometer and magnetometer against the gyro [1/s]; aided_gain: the same while GPS velocities tell
+    the accelerations of the path, so that the plumb line deserves more. rejection_deg: a direction further off
+    than this is not used. airspeed_correction: without GPS, take the turn's centripetal acceleration, from the pitot's
+    nominal transfer function, out of the accelerometer before it is used as a plumb line.
+    antenna_m: the GPS antenna's place from the IMU, body axes [m].
     hard_iron_ut: body-axes offset taken off the magnetometer [uT]; declination_deg: + east, added to the heading.
     """
 
     driver: str = "imufusion"
     gain: Annotated[float, Field(ge=0, le=10)] = 0.2
+    aided_gain: Annotated[float, Field(ge=0, le=10)] = 0.4
     acceleration_rejection_deg: Annotated[float, Field(ge=0, le=90)] = 10.0
     magnetic_rejection_deg: Annotated[float, Field(ge=0, le=90)] = 20.0
     rejection_timeout_s: NotNegative = 5.0
     use_magnetometer: bool = True
     airspeed_correction: bool = True
+    antenna_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     hard_iron_ut: tuple[float, float, float] = (0.0, 0.0, 0.0)
     declination_deg: Annotated[float, Field(ge=-180, le=180)] = 0.0
     standstill_dps: Positive = 1.5  # rates below this for standstill_s count as standing still
@@ -206,7 +210,8 @@ class GnssConfig(SensorSection):
     """`[sensors.gnss]`: u-blox receiver.
 
     generation: how it is told what to send; `m9` (and M10) by CFG-VALSET, `m8` by the older messages, `none` leaves
-    the receiver as it was set up. latency_s: shortest time from the instant of a fix to its arrival here.
+    the receiver as it was set up. latency_s: from the instant of a fix to the first byte of its message, the receiver's
+    computing time; the time on the line follows from `baud`. No data sheet states it: measure it once against a pulse.
     pps: sysfs file of the kernel's pulse-per-second stamps, e.g. /sys/class/pps/pps0/assert.
     """
 
@@ -215,8 +220,13 @@ class GnssConfig(SensorSection):
     baud: Annotated[int, Field(ge=9600)] = 115200
     rate_hz: Annotated[float, Field(gt=0, le=25)] = 10.0
     generation: Literal["m9", "m8", "none"] = "m9"
-    latency_s: Annotated[float, Field(ge=0, le=1)] = 0.06
+    latency_s: Annotated[float, Field(ge=0, le=1)] = 0.05
     pps: str | None = None
+
+    @property
+    def arrival_s(self) -> float:
+        """From the instant of a fix to the last byte of its NAV-PVT message: 100 bytes of ten bits [s]."""
+        return self.latency_s + 1000.0 / self.baud
 
 
 # A quiet chip still shows its own noise: these are many times the longest run of equal codes that noise permits.

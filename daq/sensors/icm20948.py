@@ -36,7 +36,7 @@ COUNTS_PER_DPS = {250: 131.0, 500: 65.5, 1000: 32.8, 2000: 16.4}
 COUNTS_PER_G = {2: 16384.0, 4: 8192.0, 8: 4096.0, 16: 2048.0}
 
 _BURST = Struct(">7h")
-_CLIPPED = (-32768, 32767)
+_LEAST, _MOST = -32768, 32767
 _NAMES = ("accel_x", "accel_y", "accel_z", "gyro_x", "gyro_y", "gyro_z", "imu_temperature")
 
 
@@ -110,10 +110,10 @@ class Icm20948(Driver):
         if not fresh:
             return Reading(state=SensorState.STALE, detail="IMU has no new sample")
         values = dict(zip(_NAMES, (*self._turn(*raw[0:3]), *self._turn(*raw[3:6]), raw[6]), strict=True))
-        clipped = [name for name, count in zip(_NAMES[:6], raw[:6], strict=True) if count in _CLIPPED]
-        if clipped:
-            return Reading(values, SensorState.OUT_OF_RANGE, f"IMU beyond its range ({clipped[0][:-2]})")
-        return Reading(values)
+        if min(raw[:6]) > _LEAST and max(raw[:6]) < _MOST:
+            return Reading(values)
+        clipped = [name for name, count in zip(_NAMES[:6], raw[:6], strict=True) if count in (_LEAST, _MOST)]
+        return Reading(values, SensorState.OUT_OF_RANGE, f"IMU beyond its range ({clipped[0][:-2]})")
 
     def _explain_zeros(self) -> Reading:
         asleep = self._bus.read_byte_data(self._address, PWR_MGMT_1) & SLEEP

@@ -8,11 +8,17 @@ Rotation = Callable[[int, int, int], tuple[int, int, int]]
 """Chip x, y, z counts to body x, y, z counts."""
 
 
+def _as_it_is(x: int, y: int, z: int) -> tuple[int, int, int]:
+    return x, y, z
+
+
 def rotation(mounting: Mounting) -> Rotation:
     """The turn of a mounting: entry i names the chip axis along body axis i.
 
     A reversed axis maps -32768 to 32767, so that the result always fits 16 bits; that count is out of range anyway.
     """
+    if tuple(mounting) == ("+x", "+y", "+z"):
+        return _as_it_is
     (i, si), (j, sj), (k, sk) = (("xyz".index(axis[1]), -1 if axis[0] == "-" else 1) for axis in mounting)
 
     def turn(x: int, y: int, z: int) -> tuple[int, int, int]:

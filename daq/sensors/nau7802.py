@@ -1,7 +1,8 @@
 """NAU7802: 24-bit converter of the thrust load cell.
 
-Nuvoton datasheet revision 1.7 (January 2012). Transfer function: count = 2^23 * gain * (V_in / V_reference), two's
-complement (section 7.2); newtons come from the load cell's calibration file.
+Nuvoton datasheet revision 1.7 (January 2012). Transfer function: full scale is +-0.5 V_reference / gain, so
+count = 2^24 * gain * (V_in / V_reference), two's complement (section 7.2); newtons come from the load cell's
+calibration file, so nothing here depends on that factor.
 
 Self-test: revision code 0xF in register 0x1F; power-up ready; offset calibration ends without error. Plausibility: CR clear
 is stale; end codes are out of range. The first six conversions after set-up are thrown away (settling of the filter).

@@ -38,7 +38,8 @@ class Ublox(Driver):
         self._parser = UbxParser()
         self._backlog: deque[tuple[NavPvt, int]] = deque(maxlen=_BACKLOG)
         self._last_byte_ns = self._last_fix_ns = now_ns()
-        self._stale_after = round(3 * SECOND / config.rate_hz)
+        # A fix is missing once it should have been seen at the scan before; receivers are some ten milliseconds uneven.
+        self._stale_after = round(SECOND / config.rate_hz) + max(3 * timebase.poll_ns // 2, 50 * MS)
 
     def initialise(self) -> Generator[Wait, None, None]:
         setup = _SETUP.get(self._config.generation)
@@ -100,7 +101,7 @@ class Ublox(Driver):
             "speed_accuracy_mm": fix.speed_accuracy_mm,
         }
         time_ns = (self._timebase.monotonic_ns(fix.utc_ns) if fix.utc_ns else None) or (
-            received_ns - round(self._config.latency_s * SECOND)
+            received_ns - round(self._config.arrival_s * SECOND)
         )
         if fix.fix not in _FIX_3D or not fix.fix_ok:
             return Reading(values, SensorState.RECOVERING, "GPS receiver has no 3-D fix", time_ns)

@@ -8,6 +8,7 @@ anything that is not a frame it goes on at the next byte, so it loses exactly th
 import calendar
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import accumulate
 from struct import Struct
 
 SYNC = b"\xb5\x62"
@@ -21,11 +22,7 @@ _FIX_OK = 0x01
 
 def checksum(data: bytes) -> tuple[int, int]:
     """8-bit Fletcher checksum over class, id, length and payload."""
-    a = b = 0
-    for byte in data:
-        a += byte
-        b += a
-    return a & 0xFF, b & 0xFF
+    return sum(data) & 0xFF, sum(accumulate(data)) & 0xFF
 
 
 def frame(message: tuple[int, int], payload: bytes) -> bytes:

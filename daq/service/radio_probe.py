@@ -3,6 +3,8 @@
 Signal in dBm is RSSI / 1.9 - 127 (SiK firmware, Si4463 scale).
 """
 
+from contextlib import suppress
+
 from daq.clock import NS, Clock
 from daq.contract.mavlink_codec import RADIO_STATUS_ID, Frame, FrameDecoder, FrameEncoder
 from daq.contract.ports import BytePort
@@ -13,20 +15,21 @@ _FIXED_WING, _STANDBY, _MAVLINK_2 = 1, 3, 3
 
 
 def listen(port: BytePort, clock: Clock, *, seconds: float = 3.0, system_id: int = 1) -> RadioReport | None:
-    """Send heartbeats and wait for the radio's report; None when there is none within `seconds`."""
+    """Send heartbeats and wait for the radio's report; None when there is none within `seconds`, or no port."""
     decoder = FrameDecoder()
     encoder = FrameEncoder(system_id, 1)
     start = now = clock.monotonic_ns()
     next_heartbeat = start
     while now - start < seconds * NS:
-        if now >= next_heartbeat:
-            next_heartbeat += NS
-            port.write(
-                encoder.message("HEARTBEAT", type=_FIXED_WING, system_status=_STANDBY, mavlink_version=_MAVLINK_2)
-            )
-        for found in decoder.feed(port.read()):
-            if isinstance(found, Frame) and found.msg_id == RADIO_STATUS_ID:
-                return _report(found)
+        with suppress(OSError):  # a port that is away at present
+            if now >= next_heartbeat:
+                next_heartbeat += NS
+                port.write(
+                    encoder.message("HEARTBEAT", type=_FIXED_WING, system_status=_STANDBY, mavlink_version=_MAVLINK_2)
+                )
+            for found in decoder.feed(port.read()):
+                if isinstance(found, Frame) and found.msg_id == RADIO_STATUS_ID:
+                    return _report(found)
         clock.sleep_until(now + _STEP_NS)
         now = clock.monotonic_ns()
     return None

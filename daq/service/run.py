@@ -42,8 +42,10 @@ class Outcome:
 
     @property
     def exit_status(self) -> int:
-        """0 when every scan was written, 1 when some were dropped or lost."""
-        return 1 if self.books.dropped or self.books.lost else 0
+        """0 when every scan was written, 1 when some were dropped or lost; 130 instead of 0 after Ctrl-C."""
+        if self.books.dropped or self.books.lost:
+            return 1
+        return 130 if self.signal_name == signal.SIGINT.name else 0
 
     @property
     def text(self) -> str:
@@ -101,12 +103,18 @@ def run_until_signal(config: LoggerConfig, text: str, edge: Edge, opening: list[
             notifier.alive(_status_line(made))
             garbage.collect()
 
+        def asked_to_end() -> bool:
+            if not stop():
+                return False
+            notifier.stopping()  # first, for to end a recording on a bad card may take longer than the watchdog waits
+            return True
+
         made = assemble(config, text, edge, opening=opening, housekeeping=every_second)
+        garbage.freeze()
         notifier.ready(f"recording {made.session}")
         try:
-            books = made.logger.run(stop)
+            books = made.logger.run(asked_to_end)
         finally:
-            notifier.stopping()
             notifier.close()
             if made.link is not None:
                 made.link.uplink.close()

@@ -1,81 +1,62 @@
-"""The logger alone in a process, on a replayed bus, in real time: prints its CPU time and memory as JSON lines.
+"""The logger as the service runs it, on a replayed bus and GPS port, until SIGTERM; prints its books as one JSON line.
 
-Arguments: configuration, recorded answers, seconds.
+Arguments: configuration, recorded answers. Who measures looks from outside.
 """
 
 import json
-import os
-import resource
 import sys
-from collections.abc import Callable
+import threading
 from pathlib import Path
 
-from daq.assembly import Edge, assemble
-from daq.clock import NS, RealClock
+from daq.assembly import Edge
+from daq.clock import RealClock
 from daq.config import load_config
 from daq.contract.ports import memory_pair
 from daq.health import HealthSummary
-from daq.service.realtime import GarbageDiscipline
+from daq.sampler import Sampler
+from daq.service.run import run_until_signal
 from daq.timing import describe
-from tests.benchmarks.replayed_bus import ReplayedBus
+from tests.benchmarks.replayed_bus import ReplayedBus, ReplayedReceiver
+
+_EMPTY_RADIO_S = 10.0
 
 
-def resident_mb() -> float:
-    """Resident memory of this process now [MB]."""
-    pages = int(Path("/proc/self/statm").read_text().split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
-
-
-def cpu_s() -> float:
-    """CPU time of this process so far [s]."""
-    usage = resource.getrusage(resource.RUSAGE_SELF)
-    return usage.ru_utime + usage.ru_stime
-
-
-def main(config_path: Path, answers: Path, seconds: float) -> None:
+def main(config_path: Path, answers: Path) -> None:
+    """Run the logger and print how it went."""
     config, text = load_config(config_path)
-    clock = RealClock()
     air, ground = memory_pair()
-    seen: list[tuple[float, float, float]] = []
-    with GarbageDiscipline(enabled=True) as garbage:
+    bus = ReplayedBus(answers)
+    set_up = Sampler.start
 
-        def every_second() -> None:
-            garbage.collect()
+    def start(sampler: Sampler) -> HealthSummary:
+        summary = set_up(sampler)
+        bus.scans_begin()
+        return summary
+
+    Sampler.start = start  # type: ignore[method-assign]
+    over = threading.Event()
+
+    def listen() -> None:
+        while not over.wait(_EMPTY_RADIO_S):
             ground.read()
-            seen.append((clock.monotonic_ns() / NS, cpu_s(), resident_mb()))
 
-        bus = ReplayedBus(answers)
-        edge = Edge(clock, bus, None, "simulated", radio=air)
-        made = assemble(config, text, edge, session="bench", folder="", housekeeping=every_second)
-        start = made.sampler.start
-
-        def started() -> HealthSummary:
-            summary = start()
-            bus.scans_begin()
-            return summary
-
-        made.sampler.start = started  # type: ignore[method-assign]
-        books = made.logger.run(_after(clock, seconds))
-    first, last = seen[min(5, len(seen) - 1)], seen[-1]
+    listener = threading.Thread(target=listen, name="listener")
+    listener.start()
+    edge = Edge(RealClock(), bus, ReplayedReceiver(answers), "simulated", radio=air)
+    outcome = run_until_signal(config, text, edge, [])
+    over.set()
+    listener.join()
+    books = outcome.books
     result = {
-        "seconds": round(last[0] - first[0], 1),
-        "cpu_percent": round(100 * (last[1] - first[1]) / (last[0] - first[0]), 2),
-        "resident_mb": [round(s[2], 1) for s in (first, seen[len(seen) // 2], last)],
+        "directory": str(outcome.directory),
         "slots": books.slots,
         "written": books.written,
         "missed": books.missed,
-        "late": books.late_scans,
-        "health": made.sampler.health().words,
+        "later_than_5_ms": books.late_scans,
         "timing_us": {name: {"p50": p50, "p99": p99} for name, p50, p99 in describe(books)},
-        "lateness_max_us": made.logger.timing.lateness.largest_us,
     }
     print(json.dumps(result))
 
 
-def _after(clock: RealClock, seconds: float) -> Callable[[], bool]:
-    end = clock.monotonic_ns() + round(seconds * NS)
-    return lambda: clock.monotonic_ns() >= end
-
-
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), Path(sys.argv[2]), float(sys.argv[3]))
+    main(Path(sys.argv[1]), Path(sys.argv[2]))

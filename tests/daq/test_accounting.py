@@ -135,6 +135,8 @@ def test_commands_print_write_json_and_exit(session: Path, tmp_path: Path) -> No
     done = run(commands.info, [str(session)])
     assert done.exit_code == 0
     assert "200 scans in 9.95 s" in done.output
+    done = run(commands.recover, [str(session), "-o", str(out / "copy.mcap")])
+    assert done.exit_code == 0
     segment = session / "s1_002.mcap"
     data = bytearray(segment.read_bytes())
     data[len(data) // 2] ^= 16
@@ -146,8 +148,9 @@ def test_commands_print_write_json_and_exit(session: Path, tmp_path: Path) -> No
     assert report["ok"] is False
     assert report["damaged"]
     done = run(commands.recover, [str(session), "-o", str(out / "r.mcap"), "--json", str(out / "r.json")])
-    assert done.exit_code == 0
+    assert done.exit_code == 1, "the same verdict as verify: the original is damaged"
     report = json.loads((out / "r.json").read_text())
+    assert report["ok"] is False
     assert report["recovered"] == report["scans"] == 199
     assert verify(out / "r.mcap").scans == 199
 

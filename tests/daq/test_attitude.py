@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from daq.attitude import AttitudeFilter, AttitudeStatus
+from daq.plumb_line import VelocityFix
 from daq.sensors.config import AttitudeConfig
 
 G = 9.80665
@@ -174,3 +175,95 @@ def test_counts_fit_the_channels() -> None:
     counts = f.update(8.0, (0, 0, 0), (0, 0, -G), FIELD, 15.0).counts()
     assert counts["quaternion_w"] == pytest.approx(32767, abs=1)
     assert set(counts) == {"quaternion_w", "quaternion_x", "quaternion_y", "quaternion_z", "attitude_status"}
+
+
+def weave(f: AttitudeFilter, late: float | None, compass: bool = True, seconds: float = 40.0) -> np.ndarray:
+    """A skid from side to side: 2 m/s of sideways velocity at 0.25 Hz, heading east, a little bank.
+
+    late: how old a fix is when it comes [s], None without GPS. Returns the error of the bank over the second half [deg].
+    """
+    turn, amplitude, bank = 2 * math.pi * 0.25, 2.0, math.radians(5)
+    c = body_from_ned(bank, 0.0, math.pi / 2)
+    across = c.T @ np.array((0.0, math.cos(bank), -math.sin(bank)))  # level and square to the flight path
+    errors = []
+    for k in range(int(seconds * RATE_HZ)):
+        t = k / RATE_HZ
+        force = c @ (amplitude * turn * math.cos(turn * t) * across - np.array((0.0, 0.0, G)))
+        fix = None
+        if late is not None and k % 2 == 0:
+            velocity = np.array((0.0, 17.0, 0.0)) + amplitude * math.sin(turn * (t - late)) * across
+            fix = VelocityFix(t - late, tuple(velocity))
+        q = f.update(t, (0, 0, 0), force, c @ FIELD if compass else None, 17.0, fix).quaternion
+        errors.append(angles(q)[0] - 5.0)
+    return np.array(errors[len(errors) // 2 :])
+
+
+def test_sideslip_leaves_no_trace_with_gps_velocities() -> None:
+    """Airspeed and rates know nothing of a sideways velocity: the bank follows it by a degree and more. GPS knows it."""
+    without = weave(make(acceleration_rejection_deg=0.0), None)
+    assert np.abs(without).max() > 1.5
+    assert np.abs(weave(make(acceleration_rejection_deg=0.0), 0.0)).max() < 0.1
+
+
+def test_late_fixes_are_compared_with_their_own_time() -> None:
+    assert np.abs(weave(make(acceleration_rejection_deg=0.0), 0.15)).max() < 0.1
+
+
+def test_gps_velocities_are_not_used_without_a_heading() -> None:
+    blind = weave(make(acceleration_rejection_deg=0.0), 0.0, compass=False)
+    plain = weave(make(acceleration_rejection_deg=0.0), None, compass=False)
+    assert blind == pytest.approx(plain, abs=1e-9)
+
+
+def test_attitude_goes_on_when_the_fixes_stop() -> None:
+    f = make(acceleration_rejection_deg=0.0)
+    c = body_from_ned(0.0, 0.0, 0.0)
+    for k in range(400):
+        fix = VelocityFix(k / RATE_HZ, (17.0, 0.0, 0.0)) if k < 200 else None
+        q = f.update(k / RATE_HZ, (0, 0, 0), c @ (0, 0, -G), c @ FIELD, 17.0, fix).quaternion
+    assert angles(q) == pytest.approx((0.0, 0.0, 0.0), abs=0.05)
+
+
+def test_antenna_away_from_the_imu_is_allowed_for() -> None:
+    """Rolling with the antenna a metre below: it moves sideways, the aircraft does not."""
+    place, turn = (0.0, 0.0, 1.0), 2 * math.pi * 0.3
+    worst = {}
+    for antenna in (place, (0.0, 0.0, 0.0)):
+        f = make(acceleration_rejection_deg=0.0, antenna_m=antenna)
+        error = 0.0
+        for k in range(600):
+            t = k / RATE_HZ
+            bank, rate = 0.3 * math.sin(turn * t), (0.3 * turn * math.cos(turn * t), 0.0, 0.0)
+            c = body_from_ned(bank, 0.0, 0.0)
+            fix = VelocityFix(t, tuple(c.T @ np.cross(rate, place)))
+            q = f.update(t, rate, c @ (0, 0, -G), c @ FIELD, 17.0, fix).quaternion
+            error = max(error, abs(angles(q)[0] - math.degrees(bank)) if t > 10.0 else 0.0)
+        worst[antenna] = error
+    assert worst[place] < 0.1
+    assert worst[(0.0, 0.0, 0.0)] > 3 * worst[place]
+
+
+@pytest.mark.parametrize(("phi", "theta", "psi"), [(0, 0, 0), (25, -10, 200), (-40, 30, -75), (170, 20, 10)])
+def test_begins_where_the_first_sample_points_and_says_until_when_it_settles(
+    phi: float, theta: float, psi: float
+) -> None:
+    f = make()
+    c = body_from_ned(*np.radians((phi, theta, psi)))
+    first = f.update(0.0, (0, 0, 0), c @ (0, 0, -G), c @ FIELD)
+    expected = np.array((phi, theta, psi if psi <= 180 else psi - 360), dtype=float)
+    assert angles(first.quaternion) == pytest.approx(expected, abs=0.01)
+    states = [f.update(k / RATE_HZ, (0, 0, 0), c @ (0, 0, -G), c @ FIELD).initialising for k in range(1, 80)]
+    assert states.index(False) == pytest.approx(AttitudeFilter.SETTLING_S * RATE_HZ, abs=1)
+    assert not any(states[states.index(False) :])
+
+
+@pytest.mark.parametrize("rate", [0.5, 3.0, 6.0])
+def test_fast_roll_is_added_up_to_the_right_angle(rate: float) -> None:
+    """Ten seconds of constant roll rate: the finite turn of a step is a turn, not its tangent."""
+    f = make(gain=0.0, aided_gain=0.0, use_magnetometer=False, airspeed_correction=False)
+    settle(f, np.eye(3))
+    for k in range(1, 201):
+        q = f.update(8.0 - 1 / RATE_HZ + k / RATE_HZ, (rate, 0, 0), (0, 0, -G)).quaternion
+    expected = rate * (10.0 - 0.5 / RATE_HZ)  # the rate comes up over the first step
+    error = (math.radians(angles(q)[0]) - expected + math.pi) % (2 * math.pi) - math.pi
+    assert abs(error) < 1e-3

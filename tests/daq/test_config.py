@@ -1,5 +1,6 @@
 """The configuration: the example is complete and true, and every mistake is one sentence that names the key."""
 
+import math
 import tomllib
 from pathlib import Path
 
@@ -8,7 +9,11 @@ from pydantic import BaseModel
 
 from daq.config import ConfigError, LoggerConfig, load_config, parse_config, read_calibration
 from daq.sensors.config import cdfp_sensors
+from firmware_sim.atmosphere import Site
+from firmware_sim.registers.ublox import Fix, nav_pvt
+from firmware_sim.sensor_models import GnssModel
 
+FIX = Fix(1_790_000_000 * 10**9, 3, 9, 26.5, 80.2, 60.0, (15.0, 0.0, 0.0), 3e-8, 1.0, 1.0, 0.1)
 EXAMPLE = Path(__file__).resolve().parents[2] / "daq/configs/cdfp.toml"
 
 
@@ -87,3 +92,14 @@ def test_calibration_files_are_read_or_missed_by_name(tmp_path: Path) -> None:
         read_calibration(tmp_path / "cal")
     (tmp_path / "cal/pitot.toml").write_bytes(b"a = 1\n")
     assert read_calibration(tmp_path / "cal") == {"pitot.toml": b"a = 1\n"}
+
+
+def test_the_example_and_the_simulated_aircraft_mean_the_same_field_and_receiver() -> None:
+    """Declination of the simulated field, latency of the simulated receiver: what a flight's heading and times rest on."""
+    sensors = load_config(EXAMPLE)[0].sensors
+    assert sensors.attitude is not None
+    assert sensors.gnss is not None
+    north, east, _ = Site().magnetic_ned_t
+    assert sensors.attitude.declination_deg == pytest.approx(math.degrees(math.atan2(east, north)), abs=0.01)
+    assert sensors.gnss.latency_s == pytest.approx(GnssModel().latency_ms * 1e-3)
+    assert sensors.gnss.arrival_s == pytest.approx(sensors.gnss.latency_s + len(nav_pvt(FIX)) * 10 / sensors.gnss.baud)

@@ -30,6 +30,7 @@ class FakeSampler:
         self.state = SensorState.OK
         self.starts: list[int] = []
         self.numbers: list[int] = []
+        self.retries = 0
         self._clock = clock
         self._duration = duration_ns
 
@@ -46,7 +47,9 @@ class FakeSampler:
 
     def health(self) -> HealthSummary:
         detail = "" if self.state is SensorState.OK else "does not answer"
-        return HealthSummary(self._clock.monotonic_ns(), (GroupHealth("imu", self.state, detail),))
+        return HealthSummary(
+            self._clock.monotonic_ns(), (GroupHealth("imu", self.state, detail, retries=self.retries),)
+        )
 
     def metadata(self) -> dict[str, str]:
         return {"imu.accel_range_g": "8"}
@@ -149,10 +152,19 @@ def test_a_change_of_health_reaches_file_ground_and_log(tmp_path: Path) -> None:
     rig.logger.run(stop)
     recording = read_recording(tmp_path / "s1")
     states = [h.entries[0].state for h in recording.health]
-    assert states == [SensorState.OK, SensorState.ABSENT, SensorState.OK]
+    assert states == [SensorState.OK, SensorState.ABSENT, SensorState.OK, SensorState.OK], "changes, and the end"
     assert "does not answer" in recording.health[1].entries[0].text
     assert any(severity == 4 and "does not answer" in words for severity, words in link.texts)
     assert recording.info.details["imu.accel_range_g"] == "8"
+
+
+def test_repeated_transfers_are_in_the_last_report_and_the_last_line(tmp_path: Path) -> None:
+    rig = Rig(tmp_path)
+    rig.sampler.retries = 7
+    rig.logger.run(rig.until(2))
+    recording = read_recording(tmp_path / "s1")
+    assert recording.health[-1].entries[0].failures == 7
+    assert recording.log[-1].message == "recording ends; transfers repeated: accelerometer and gyro 7"
 
 
 def test_a_failing_radio_does_not_touch_the_recording(tmp_path: Path) -> None:
@@ -161,6 +173,7 @@ def test_a_failing_radio_does_not_touch_the_recording(tmp_path: Path) -> None:
     assert books.missed == books.dropped == 0
     lines = [line.message for line in read_recording(tmp_path / "s1").log]
     assert sum("radio port fails" in line for line in lines) == 1
+    assert sum("radio port works again" in line for line in lines) == 1
     assert any("overridden" in line for line in lines)
 
 

@@ -1,6 +1,7 @@
 """The recorder under good and bad conditions: every scan is in a file or in the books."""
 
 import errno
+import threading
 from pathlib import Path
 
 import pytest
@@ -120,6 +121,7 @@ def test_a_card_that_fails_for_a_while_costs_nothing(tmp_path: Path, number: int
     result = verify(tmp_path)
     assert result.ok, result.text
     assert [p.name for p in result.given_up] == ["s1_000.mcap"]
+    assert read_recording(tmp_path).numbers == list(range(1000)), "nothing is lost: no damage to the reader either"
     lines = [line for line in read_recording(tmp_path, salvage=True).log if line.level is LogLevel.ERROR]
     assert any("given up" in line.message for line in lines)
 
@@ -219,3 +221,14 @@ def test_an_existing_file_is_never_overwritten(tmp_path: Path) -> None:
     record(SimulatedClock(), range(20), RecorderConfig(directories=(tmp_path,)))
     assert (tmp_path / "s1_000.mcap").read_bytes() == b"precious"
     assert read_recording(tmp_path / "s1_001.mcap").numbers == list(range(20))
+
+
+def test_the_file_is_there_before_the_first_scan(tmp_path: Path) -> None:
+    recorder = Recorder(RecorderConfig(directories=(tmp_path,)), make_info(), SimulatedClock())
+    recorder.detail({"nvm bmp390": "00ff"})
+    recorder.start()
+    while recorder.path is None:
+        threading.Event().wait(0.001)
+    info = read_recording(recorder.path, salvage=True).info
+    assert (info.session, info.details) == ("s1", {"nvm bmp390": "00ff"})
+    recorder.close()

@@ -119,7 +119,7 @@ def test_unplugged_sensor_is_marked_and_its_return_noticed(device: str) -> None:
     while r.clock.monotonic_ns() < 8_000_000_000:
         r.fly(0.05)
     away = r.fly(2.8)
-    patience = 60 if device == "gnss" else 2  # silence of a talker shows only in time
+    patience = 5 if device == "gnss" else 2  # its next fix was due two scans later; two scans after that it is missing
     affected = {device, *(("mag", "attitude") if device == "imu" else ())}
     after = away[patience:]
     assert all(not s.groups[device].state.usable for s in after)
@@ -149,6 +149,15 @@ def test_single_nacks_cost_no_sample() -> None:
     assert r.sampler.health().group("imu").retries > 5
     assert sum(st is OK for st in states(scans, "imu")) > 0.99 * len(scans)
     assert all(st is OK for st in states(scans, "pitot"))
+
+
+def test_one_refusal_in_five_costs_no_vane_sample() -> None:
+    """A sample of a converter takes twelve transfers: they are repeated one by one, and the repetitions counted."""
+    r = rig(({"kind": "nack", "device": "analog_a", "probability": 0.2, "start_s": 1.0},))
+    scans = r.fly(10.0)
+    assert sum(st is OK for st in states(scans, "analog_a")) > 0.98 * len(scans)
+    assert r.sampler.health().group("analog_a").retries > 300
+    assert all(st is OK for st in states(scans, "imu"))
 
 
 def test_nack_storm_never_stops_the_scan() -> None:

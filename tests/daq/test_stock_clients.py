@@ -148,3 +148,54 @@ def test_stock_commands_are_acknowledged(session: Session) -> None:
     assert session.logger.stops == 1
     session.client.mav.command_long_send(1, 1, m.MAV_CMD_REQUEST_MESSAGE, 0, 148, 0, 0, 0, 0, 0, 0)
     assert session.until("COMMAND_ACK").result == m.MAV_RESULT_UNSUPPORTED
+
+
+def test_a_general_ground_station_is_not_left_waiting(session: Session) -> None:
+    from pymavlink import mavutil
+
+    m, ask = mavutil.mavlink, session.client.mav
+    session.until("HEARTBEAT")
+    ask.param_request_list_send(1, 1)
+    value = session.until("PARAM_VALUE")
+    assert (value.param_id, value.param_value, value.param_count) == ("DOWNLINK_RATE", 11.5, 1)
+    ask.param_set_send(1, 1, b"DOWNLINK_RATE", 3.0, m.MAV_PARAM_TYPE_REAL32)
+    assert session.until("PARAM_VALUE").param_value == 11.5
+    ask.param_request_read_send(1, 1, b"", 0)
+    assert session.until("PARAM_VALUE").param_index == 0
+    ask.mission_request_list_send(1, 1, 2)
+    mission = session.until("MISSION_COUNT")
+    assert (mission.count, mission.mission_type, mission.target_system) == (0, 2, 255)
+    ask.command_int_send(1, 1, 0, m.MAV_CMD_DO_REPOSITION, 0, 0, 0, 0, 0, 0, 0, 0, 0)
+    assert session.until("COMMAND_ACK").result == m.MAV_RESULT_UNSUPPORTED
+    ask.command_int_send(1, 1, 0, m.MAV_CMD_LOGGING_STOP, 0, 0, 0, 0, 0, 0, 0, 0, 0)
+    assert session.until("COMMAND_ACK").result == m.MAV_RESULT_COMMAND_LONG_ONLY
+    assert session.logger.stops == 0
+
+
+def test_what_strangers_send_is_refused_or_ignored_and_breaks_nothing(session: Session) -> None:
+    from pymavlink import mavutil
+
+    m, ask = mavutil.mavlink, session.client.mav
+    session.until("HEARTBEAT")
+    unknown = (
+        m.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES, m.MAV_CMD_GET_MESSAGE_INTERVAL, m.MAV_CMD_COMPONENT_ARM_DISARM,
+        m.MAV_CMD_DO_SET_MODE, m.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, 65535,
+    )  # fmt: skip
+    for command in unknown:
+        ask.command_long_send(1, 1, command, 0, 1, 0, 0, 0, 0, 0, 0)
+        ack = session.until("COMMAND_ACK")
+        assert (ack.command, ack.result) == (command, m.MAV_RESULT_UNSUPPORTED)
+    ask.command_long_send(1, 1, m.MAV_CMD_SET_MESSAGE_INTERVAL, 0, 30, 1e5, 0, 0, 0, 0, 0)  # ATTITUDE has its rate
+    assert session.until("COMMAND_ACK").result == m.MAV_RESULT_UNSUPPORTED
+    ask.command_long_send(77, 1, m.MAV_CMD_LOGGING_STOP, 0, 0, 0, 0, 0, 0, 0, 0)  # to another aircraft
+    ask.request_data_stream_send(1, 1, 0, 4, 1)
+    ask.file_transfer_protocol_send(0, 1, 1, [0] * 251)
+    ask.manual_control_send(1, 0, 0, 0, 0, 0)
+    ask.set_mode_send(1, 1, 0)
+    ask.statustext_send(6, b"hello")
+    ask.param_request_read_send(1, 1, b"SYSID_THISMAV", -1)
+    ask.param_request_read_send(1, 1, b"", 5)
+    heard = [message.get_type() for _ in range(60) for message in session.step()]
+    assert heard.count("HEARTBEAT") >= 2
+    assert not {"PARAM_VALUE", "COMMAND_ACK"} & set(heard)
+    assert session.logger.recording

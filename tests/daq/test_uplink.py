@@ -146,6 +146,19 @@ def test_with_a_key_unsigned_and_badly_signed_commands_do_nothing_and_are_report
     rig.close()
 
 
+def test_refusals_that_come_close_together_are_all_told_of(tmp_path: Path) -> None:
+    rig = keyed(tmp_path)
+    at_rest(rig)
+    for _ in range(4):
+        rig._air.write(FrameEncoder(255, 190).message("COMMAND_LONG", command=c.LOGGING_STOP, target_system=1))
+        at_rest(rig, 0.1)
+    at_rest(rig, 8.0)
+    texts = [e.text for e in rig.events if isinstance(e, ev.StatusText)]
+    first = "refused COMMAND_LONG from 255/190: unsigned"
+    assert texts == [first, f"{first} (and 2 more)"]
+    rig.close()
+
+
 def test_radio_status_is_heard_unsigned_but_only_within_limits(tmp_path: Path) -> None:
     rig = keyed(tmp_path)
     at_rest(rig)

@@ -22,6 +22,17 @@ def free_udp_port() -> int:
         return int(probe.getsockname()[1])
 
 
+def taken(port: int) -> None:
+    """Wait until everything sent to a UDP port has been read: a loopback socket buffers some 200 packets, then drops."""
+    ending = f":{port:04X}"
+    while True:
+        rows = [row.split() for row in Path("/proc/net/udp").read_text().splitlines()[1:]]
+        queues = [int(row[4].partition(":")[2], 16) for row in rows if row[1].endswith(ending)]
+        if not any(queues):
+            return
+        time.sleep(0.005)
+
+
 @pytest.mark.parametrize("ending", [signal.SIGINT, signal.SIGTERM])
 def test_telemetry_over_udp_until_a_signal(ending: signal.Signals, tmp_path: Path) -> None:
     scenario = load_scenario("quiet").altered(flight={"duration_s": 12.0})
@@ -40,7 +51,8 @@ def test_telemetry_over_udp_until_a_signal(ending: signal.Signals, tmp_path: Pat
             for number, packet in enumerate(packets):
                 radio.sendto(packet, ("127.0.0.1", port))
                 if number % 20 == 19:
-                    time.sleep(0.03)  # a loopback socket buffers some 200 packets
+                    taken(port)
+            taken(port)
         time.sleep(0.5)
         station.send_signal(ending)
         said, _ = station.communicate(timeout=60)

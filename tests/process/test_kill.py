@@ -20,18 +20,20 @@ ONE_SECOND = 20
 
 
 def fly_and_kill(folder: Path, seed: int) -> tuple[int, int]:
-    """Kill a flight at an instant chosen by `seed`; returns (scans taken, scans in the file)."""
-    instant = random.Random(seed).uniform(0.3, 2.5)
+    """Kill a flight some time into a scan chosen by `seed`; returns (scans taken, scans in the file)."""
+    chance = random.Random(seed)
+    last, into = chance.randint(6, 200), chance.uniform(0.0, 1.5 / 20 / SPEED)
     command = [sys.executable, str(ROOT / "tests/process/flying.py"), str(folder), str(SPEED), str(seed)]
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"}
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment)
     assert process.stdout is not None
     assert process.stderr is not None
     with process.stdout, process.stderr:
-        process.stdout.readline()  # the first scan: only now it flies
-        time.sleep(instant)
+        while int(process.stdout.readline() or last) < last:
+            pass
+        time.sleep(into)
         process.send_signal(signal.SIGKILL)
-        told = process.stdout.read().split()
+        told = [str(last).encode(), *process.stdout.read().split()]
         errors = process.stderr.read()
         process.wait()
     assert process.returncode == -signal.SIGKILL, errors.decode()
@@ -42,6 +44,8 @@ def fly_and_kill(folder: Path, seed: int) -> tuple[int, int]:
     assert not result.closed
     assert result.slots == result.scans == result.written, result.text
     assert result.missing == ()
+    if not result.scans:
+        return taken, 0  # killed before the first flush: the file has its head and nothing to recover
     saved = recover(onboard, folder / "recovered.mcap")
     assert saved.recovered == result.scans
     assert verify(folder / "recovered.mcap").ok
@@ -54,7 +58,6 @@ def check(folder: Path, seeds: range) -> list[int]:
     with ThreadPoolExecutor(2) as pool:
         outcomes = list(pool.map(lambda seed: fly_and_kill(folder / str(seed), seed), seeds))
     lost = [taken - kept for taken, kept in outcomes]
-    assert all(taken > 5 for taken, _ in outcomes)
     assert max(lost) <= ONE_SECOND, f"scans lost at each kill: {lost}"
     return lost
 

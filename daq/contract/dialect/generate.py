@@ -25,7 +25,8 @@ OWN = HERE / "own_messages.xml"
 STANDARD = (
     "HEARTBEAT", "SYS_STATUS", "GPS_RAW_INT", "ATTITUDE", "COMMAND_LONG", "COMMAND_ACK", "RADIO_STATUS", "TIMESYNC",
     "LOG_REQUEST_LIST", "LOG_ENTRY", "LOG_REQUEST_DATA", "LOG_DATA", "LOG_ERASE", "LOG_REQUEST_END", "STATUSTEXT",
-    "TUNNEL",
+    "TUNNEL", "COMMAND_INT", "PARAM_REQUEST_READ", "PARAM_REQUEST_LIST", "PARAM_VALUE", "PARAM_SET",
+    "MISSION_REQUEST_LIST", "MISSION_COUNT",
 )  # fmt: skip
 
 _NOTE = "Made by daq/contract/dialect/generate.py from the channel table and own_messages.xml. Do not edit."

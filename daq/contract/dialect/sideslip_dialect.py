@@ -363,8 +363,15 @@ MAVLINK_MSG_ID_BAD_DATA = -1
 MAVLINK_MSG_ID_UNKNOWN = -2
 MAVLINK_MSG_ID_HEARTBEAT = 0
 MAVLINK_MSG_ID_SYS_STATUS = 1
+MAVLINK_MSG_ID_PARAM_REQUEST_READ = 20
+MAVLINK_MSG_ID_PARAM_REQUEST_LIST = 21
+MAVLINK_MSG_ID_PARAM_VALUE = 22
+MAVLINK_MSG_ID_PARAM_SET = 23
 MAVLINK_MSG_ID_GPS_RAW_INT = 24
 MAVLINK_MSG_ID_ATTITUDE = 30
+MAVLINK_MSG_ID_MISSION_REQUEST_LIST = 43
+MAVLINK_MSG_ID_MISSION_COUNT = 44
+MAVLINK_MSG_ID_COMMAND_INT = 75
 MAVLINK_MSG_ID_COMMAND_LONG = 76
 MAVLINK_MSG_ID_COMMAND_ACK = 77
 MAVLINK_MSG_ID_RADIO_STATUS = 109
@@ -494,6 +501,194 @@ class MAVLink_sys_status_message(MAVLink_message):
 setattr(MAVLink_sys_status_message, "name", mavlink_msg_deprecated_name_property())
 
 
+class MAVLink_param_request_read_message(MAVLink_message):
+    """
+    Request to read the onboard parameter with the param_id string id.
+    Onboard parameters are stored as key[const char*] -> value[float].
+    This allows to send a parameter to any other component (such as
+    the GCS) without the need of previous knowledge of possible
+    parameter names. Thus the same GCS can store different parameters
+    for different autopilots. See also
+    https://mavlink.io/en/services/parameter.html for a full
+    documentation of QGroundControl and IMU code.
+    """
+
+    id = MAVLINK_MSG_ID_PARAM_REQUEST_READ
+    msgname = "PARAM_REQUEST_READ"
+    fieldnames = ["target_system", "target_component", "param_id", "param_index"]
+    ordered_fieldnames = ["param_index", "target_system", "target_component", "param_id"]
+    fieldtypes = ["uint8_t", "uint8_t", "char", "int16_t"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {}
+    fieldunits_by_name: Dict[str, str] = {}
+    native_format = bytearray(b"<hBBc")
+    orders = [1, 2, 3, 0]
+    lengths = [1, 1, 1, 1]
+    array_lengths = [0, 0, 0, 16]
+    crc_extra = 214
+    unpacker = struct.Struct("<hBB16s")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, target_system: int, target_component: int, param_id: bytes, param_index: int):
+        MAVLink_message.__init__(self, MAVLink_param_request_read_message.id, MAVLink_param_request_read_message.msgname)
+        self._fieldnames = MAVLink_param_request_read_message.fieldnames
+        self._instance_field = MAVLink_param_request_read_message.instance_field
+        self._instance_offset = MAVLink_param_request_read_message.instance_offset
+        self.target_system = target_system
+        self.target_component = target_component
+        self._param_id_raw = param_id
+        self.param_id = param_id.split(b"\x00", 1)[0].decode("ascii", errors="replace")
+        self.param_index = param_index
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.param_index, self.target_system, self.target_component, self._param_id_raw), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_param_request_read_message, "name", mavlink_msg_deprecated_name_property())
+
+
+class MAVLink_param_request_list_message(MAVLink_message):
+    """
+    Request all parameters of this component. After this request, all
+    parameters are emitted. The parameter microservice is documented
+    at https://mavlink.io/en/services/parameter.html
+    """
+
+    id = MAVLINK_MSG_ID_PARAM_REQUEST_LIST
+    msgname = "PARAM_REQUEST_LIST"
+    fieldnames = ["target_system", "target_component"]
+    ordered_fieldnames = ["target_system", "target_component"]
+    fieldtypes = ["uint8_t", "uint8_t"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {}
+    fieldunits_by_name: Dict[str, str] = {}
+    native_format = bytearray(b"<BB")
+    orders = [0, 1]
+    lengths = [1, 1]
+    array_lengths = [0, 0]
+    crc_extra = 159
+    unpacker = struct.Struct("<BB")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, target_system: int, target_component: int):
+        MAVLink_message.__init__(self, MAVLink_param_request_list_message.id, MAVLink_param_request_list_message.msgname)
+        self._fieldnames = MAVLink_param_request_list_message.fieldnames
+        self._instance_field = MAVLink_param_request_list_message.instance_field
+        self._instance_offset = MAVLink_param_request_list_message.instance_offset
+        self.target_system = target_system
+        self.target_component = target_component
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.target_system, self.target_component), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_param_request_list_message, "name", mavlink_msg_deprecated_name_property())
+
+
+class MAVLink_param_value_message(MAVLink_message):
+    """
+    Emit the value of a onboard parameter. The inclusion of
+    param_count and param_index in the message allows the recipient to
+    keep track of received parameters and allows him to re-request
+    missing parameters after a loss or timeout. The parameter
+    microservice is documented at
+    https://mavlink.io/en/services/parameter.html
+    """
+
+    id = MAVLINK_MSG_ID_PARAM_VALUE
+    msgname = "PARAM_VALUE"
+    fieldnames = ["param_id", "param_value", "param_type", "param_count", "param_index"]
+    ordered_fieldnames = ["param_value", "param_count", "param_index", "param_id", "param_type"]
+    fieldtypes = ["char", "float", "uint8_t", "uint16_t", "uint16_t"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {}
+    fieldunits_by_name: Dict[str, str] = {}
+    native_format = bytearray(b"<fHHcB")
+    orders = [3, 0, 4, 1, 2]
+    lengths = [1, 1, 1, 1, 1]
+    array_lengths = [0, 0, 0, 16, 0]
+    crc_extra = 220
+    unpacker = struct.Struct("<fHH16sB")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, param_id: bytes, param_value: float, param_type: int, param_count: int, param_index: int):
+        MAVLink_message.__init__(self, MAVLink_param_value_message.id, MAVLink_param_value_message.msgname)
+        self._fieldnames = MAVLink_param_value_message.fieldnames
+        self._instance_field = MAVLink_param_value_message.instance_field
+        self._instance_offset = MAVLink_param_value_message.instance_offset
+        self._param_id_raw = param_id
+        self.param_id = param_id.split(b"\x00", 1)[0].decode("ascii", errors="replace")
+        self.param_value = param_value
+        self.param_type = param_type
+        self.param_count = param_count
+        self.param_index = param_index
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.param_value, self.param_count, self.param_index, self._param_id_raw, self.param_type), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_param_value_message, "name", mavlink_msg_deprecated_name_property())
+
+
+class MAVLink_param_set_message(MAVLink_message):
+    """
+    Set a parameter value (write new value to permanent storage). The
+    receiving component should acknowledge the new parameter value by
+    broadcasting a PARAM_VALUE message (broadcasting ensures that
+    multiple GCS all have an up-to-date list of all parameters). If
+    the sending GCS did not receive a PARAM_VALUE within its timeout
+    time, it should re-send the PARAM_SET message. The parameter
+    microservice is documented at
+    https://mavlink.io/en/services/parameter.html.
+    """
+
+    id = MAVLINK_MSG_ID_PARAM_SET
+    msgname = "PARAM_SET"
+    fieldnames = ["target_system", "target_component", "param_id", "param_value", "param_type"]
+    ordered_fieldnames = ["param_value", "target_system", "target_component", "param_id", "param_type"]
+    fieldtypes = ["uint8_t", "uint8_t", "char", "float", "uint8_t"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {}
+    fieldunits_by_name: Dict[str, str] = {}
+    native_format = bytearray(b"<fBBcB")
+    orders = [1, 2, 3, 0, 4]
+    lengths = [1, 1, 1, 1, 1]
+    array_lengths = [0, 0, 0, 16, 0]
+    crc_extra = 168
+    unpacker = struct.Struct("<fBB16sB")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, target_system: int, target_component: int, param_id: bytes, param_value: float, param_type: int):
+        MAVLink_message.__init__(self, MAVLink_param_set_message.id, MAVLink_param_set_message.msgname)
+        self._fieldnames = MAVLink_param_set_message.fieldnames
+        self._instance_field = MAVLink_param_set_message.instance_field
+        self._instance_offset = MAVLink_param_set_message.instance_offset
+        self.target_system = target_system
+        self.target_component = target_component
+        self._param_id_raw = param_id
+        self.param_id = param_id.split(b"\x00", 1)[0].decode("ascii", errors="replace")
+        self.param_value = param_value
+        self.param_type = param_type
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.param_value, self.target_system, self.target_component, self._param_id_raw, self.param_type), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_param_set_message, "name", mavlink_msg_deprecated_name_property())
+
+
 class MAVLink_gps_raw_int_message(MAVLink_message):
     """
     The global position, as returned by the Global Positioning System
@@ -593,6 +788,144 @@ class MAVLink_attitude_message(MAVLink_message):
 # Define name on the class for backwards compatibility (it is now msgname).
 # Done with setattr to hide the class variable from mypy.
 setattr(MAVLink_attitude_message, "name", mavlink_msg_deprecated_name_property())
+
+
+class MAVLink_mission_request_list_message(MAVLink_message):
+    """
+    Request the overall list of mission items from the
+    system/component.
+    """
+
+    id = MAVLINK_MSG_ID_MISSION_REQUEST_LIST
+    msgname = "MISSION_REQUEST_LIST"
+    fieldnames = ["target_system", "target_component", "mission_type"]
+    ordered_fieldnames = ["target_system", "target_component", "mission_type"]
+    fieldtypes = ["uint8_t", "uint8_t", "uint8_t"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {}
+    fieldunits_by_name: Dict[str, str] = {}
+    native_format = bytearray(b"<BBB")
+    orders = [0, 1, 2]
+    lengths = [1, 1, 1]
+    array_lengths = [0, 0, 0]
+    crc_extra = 132
+    unpacker = struct.Struct("<BBB")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, target_system: int, target_component: int, mission_type: int = 0):
+        MAVLink_message.__init__(self, MAVLink_mission_request_list_message.id, MAVLink_mission_request_list_message.msgname)
+        self._fieldnames = MAVLink_mission_request_list_message.fieldnames
+        self._instance_field = MAVLink_mission_request_list_message.instance_field
+        self._instance_offset = MAVLink_mission_request_list_message.instance_offset
+        self.target_system = target_system
+        self.target_component = target_component
+        self.mission_type = mission_type
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.target_system, self.target_component, self.mission_type), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_mission_request_list_message, "name", mavlink_msg_deprecated_name_property())
+
+
+class MAVLink_mission_count_message(MAVLink_message):
+    """
+    This message is emitted as response to MISSION_REQUEST_LIST by the
+    MAV and to initiate a write transaction. The GCS can then request
+    the individual mission item based on the knowledge of the total
+    number of waypoints.
+    """
+
+    id = MAVLINK_MSG_ID_MISSION_COUNT
+    msgname = "MISSION_COUNT"
+    fieldnames = ["target_system", "target_component", "count", "mission_type"]
+    ordered_fieldnames = ["count", "target_system", "target_component", "mission_type"]
+    fieldtypes = ["uint8_t", "uint8_t", "uint16_t", "uint8_t"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {}
+    fieldunits_by_name: Dict[str, str] = {}
+    native_format = bytearray(b"<HBBB")
+    orders = [1, 2, 0, 3]
+    lengths = [1, 1, 1, 1]
+    array_lengths = [0, 0, 0, 0]
+    crc_extra = 221
+    unpacker = struct.Struct("<HBBB")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, target_system: int, target_component: int, count: int, mission_type: int = 0):
+        MAVLink_message.__init__(self, MAVLink_mission_count_message.id, MAVLink_mission_count_message.msgname)
+        self._fieldnames = MAVLink_mission_count_message.fieldnames
+        self._instance_field = MAVLink_mission_count_message.instance_field
+        self._instance_offset = MAVLink_mission_count_message.instance_offset
+        self.target_system = target_system
+        self.target_component = target_component
+        self.count = count
+        self.mission_type = mission_type
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.count, self.target_system, self.target_component, self.mission_type), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_mission_count_message, "name", mavlink_msg_deprecated_name_property())
+
+
+class MAVLink_command_int_message(MAVLink_message):
+    """
+    Message encoding a command with parameters as scaled integers.
+    Scaling depends on the actual command value. The command
+    microservice is documented at
+    https://mavlink.io/en/services/command.html
+    """
+
+    id = MAVLINK_MSG_ID_COMMAND_INT
+    msgname = "COMMAND_INT"
+    fieldnames = ["target_system", "target_component", "frame", "command", "current", "autocontinue", "param1", "param2", "param3", "param4", "x", "y", "z"]
+    ordered_fieldnames = ["param1", "param2", "param3", "param4", "x", "y", "z", "command", "target_system", "target_component", "frame", "current", "autocontinue"]
+    fieldtypes = ["uint8_t", "uint8_t", "uint8_t", "uint16_t", "uint8_t", "uint8_t", "float", "float", "float", "float", "int32_t", "int32_t", "float"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {}
+    fieldunits_by_name: Dict[str, str] = {}
+    native_format = bytearray(b"<ffffiifHBBBBB")
+    orders = [8, 9, 10, 7, 11, 12, 0, 1, 2, 3, 4, 5, 6]
+    lengths = [1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1]
+    array_lengths = [0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]
+    crc_extra = 158
+    unpacker = struct.Struct("<ffffiifHBBBBB")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, target_system: int, target_component: int, frame: int, command: int, current: int, autocontinue: int, param1: float, param2: float, param3: float, param4: float, x: int, y: int, z: float):
+        MAVLink_message.__init__(self, MAVLink_command_int_message.id, MAVLink_command_int_message.msgname)
+        self._fieldnames = MAVLink_command_int_message.fieldnames
+        self._instance_field = MAVLink_command_int_message.instance_field
+        self._instance_offset = MAVLink_command_int_message.instance_offset
+        self.target_system = target_system
+        self.target_component = target_component
+        self.frame = frame
+        self.command = command
+        self.current = current
+        self.autocontinue = autocontinue
+        self.param1 = param1
+        self.param2 = param2
+        self.param3 = param3
+        self.param4 = param4
+        self.x = x
+        self.y = y
+        self.z = z
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.param1, self.param2, self.param3, self.param4, self.x, self.y, self.z, self.command, self.target_system, self.target_component, self.frame, self.current, self.autocontinue), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_command_int_message, "name", mavlink_msg_deprecated_name_property())
 
 
 class MAVLink_command_long_message(MAVLink_message):
@@ -1731,8 +2064,15 @@ setattr(MAVLink_backfill_summary_message, "name", mavlink_msg_deprecated_name_pr
 mavlink_map: Dict[int, Type[MAVLink_message]] = {
     MAVLINK_MSG_ID_HEARTBEAT: MAVLink_heartbeat_message,
     MAVLINK_MSG_ID_SYS_STATUS: MAVLink_sys_status_message,
+    MAVLINK_MSG_ID_PARAM_REQUEST_READ: MAVLink_param_request_read_message,
+    MAVLINK_MSG_ID_PARAM_REQUEST_LIST: MAVLink_param_request_list_message,
+    MAVLINK_MSG_ID_PARAM_VALUE: MAVLink_param_value_message,
+    MAVLINK_MSG_ID_PARAM_SET: MAVLink_param_set_message,
     MAVLINK_MSG_ID_GPS_RAW_INT: MAVLink_gps_raw_int_message,
     MAVLINK_MSG_ID_ATTITUDE: MAVLink_attitude_message,
+    MAVLINK_MSG_ID_MISSION_REQUEST_LIST: MAVLink_mission_request_list_message,
+    MAVLINK_MSG_ID_MISSION_COUNT: MAVLink_mission_count_message,
+    MAVLINK_MSG_ID_COMMAND_INT: MAVLink_command_int_message,
     MAVLINK_MSG_ID_COMMAND_LONG: MAVLink_command_long_message,
     MAVLINK_MSG_ID_COMMAND_ACK: MAVLink_command_ack_message,
     MAVLINK_MSG_ID_RADIO_STATUS: MAVLink_radio_status_message,
@@ -2245,6 +2585,144 @@ class MAVLink(object):
         """
         self.send(self.sys_status_encode(onboard_control_sensors_present, onboard_control_sensors_enabled, onboard_control_sensors_health, load, voltage_battery, current_battery, battery_remaining, drop_rate_comm, errors_comm, errors_count1, errors_count2, errors_count3, errors_count4, onboard_control_sensors_present_extended, onboard_control_sensors_enabled_extended, onboard_control_sensors_health_extended), force_mavlink1=force_mavlink1)
 
+    def param_request_read_encode(self, target_system: int, target_component: int, param_id: bytes, param_index: int) -> MAVLink_param_request_read_message:
+        """
+        Request to read the onboard parameter with the param_id string id.
+        Onboard parameters are stored as key[const char*] ->
+        value[float]. This allows to send a parameter to any other
+        component (such as the GCS) without the need of previous
+        knowledge of possible parameter names. Thus the same GCS can
+        store different parameters for different autopilots. See also
+        https://mavlink.io/en/services/parameter.html for a full
+        documentation of QGroundControl and IMU code.
+
+        target_system             : System ID (type:uint8_t)
+        target_component          : Component ID (type:uint8_t)
+        param_id                  : Onboard parameter id, terminated by NULL if the length is less than 16 human-readable chars and WITHOUT null termination (NULL) byte if the length is exactly 16 chars - applications have to provide 16+1 bytes storage if the ID is stored as string (type:char)
+        param_index               : Parameter index. Send -1 to use the param ID field as identifier (else the param id will be ignored) (type:int16_t)
+
+        """
+        return MAVLink_param_request_read_message(target_system, target_component, param_id, param_index)
+
+    def param_request_read_send(self, target_system: int, target_component: int, param_id: bytes, param_index: int, force_mavlink1: bool = False) -> None:
+        """
+        Request to read the onboard parameter with the param_id string id.
+        Onboard parameters are stored as key[const char*] ->
+        value[float]. This allows to send a parameter to any other
+        component (such as the GCS) without the need of previous
+        knowledge of possible parameter names. Thus the same GCS can
+        store different parameters for different autopilots. See also
+        https://mavlink.io/en/services/parameter.html for a full
+        documentation of QGroundControl and IMU code.
+
+        target_system             : System ID (type:uint8_t)
+        target_component          : Component ID (type:uint8_t)
+        param_id                  : Onboard parameter id, terminated by NULL if the length is less than 16 human-readable chars and WITHOUT null termination (NULL) byte if the length is exactly 16 chars - applications have to provide 16+1 bytes storage if the ID is stored as string (type:char)
+        param_index               : Parameter index. Send -1 to use the param ID field as identifier (else the param id will be ignored) (type:int16_t)
+
+        """
+        self.send(self.param_request_read_encode(target_system, target_component, param_id, param_index), force_mavlink1=force_mavlink1)
+
+    def param_request_list_encode(self, target_system: int, target_component: int) -> MAVLink_param_request_list_message:
+        """
+        Request all parameters of this component. After this request, all
+        parameters are emitted. The parameter microservice is
+        documented at https://mavlink.io/en/services/parameter.html
+
+        target_system             : System ID (type:uint8_t)
+        target_component          : Component ID (type:uint8_t)
+
+        """
+        return MAVLink_param_request_list_message(target_system, target_component)
+
+    def param_request_list_send(self, target_system: int, target_component: int, force_mavlink1: bool = False) -> None:
+        """
+        Request all parameters of this component. After this request, all
+        parameters are emitted. The parameter microservice is
+        documented at https://mavlink.io/en/services/parameter.html
+
+        target_system             : System ID (type:uint8_t)
+        target_component          : Component ID (type:uint8_t)
+
+        """
+        self.send(self.param_request_list_encode(target_system, target_component), force_mavlink1=force_mavlink1)
+
+    def param_value_encode(self, param_id: bytes, param_value: float, param_type: int, param_count: int, param_index: int) -> MAVLink_param_value_message:
+        """
+        Emit the value of a onboard parameter. The inclusion of param_count
+        and param_index in the message allows the recipient to keep
+        track of received parameters and allows him to re-request
+        missing parameters after a loss or timeout. The parameter
+        microservice is documented at
+        https://mavlink.io/en/services/parameter.html
+
+        param_id                  : Onboard parameter id, terminated by NULL if the length is less than 16 human-readable chars and WITHOUT null termination (NULL) byte if the length is exactly 16 chars - applications have to provide 16+1 bytes storage if the ID is stored as string (type:char)
+        param_value               : Onboard parameter value (type:float)
+        param_type                : Onboard parameter type. (type:uint8_t)
+        param_count               : Total number of onboard parameters (type:uint16_t)
+        param_index               : Index of this onboard parameter (type:uint16_t)
+
+        """
+        return MAVLink_param_value_message(param_id, param_value, param_type, param_count, param_index)
+
+    def param_value_send(self, param_id: bytes, param_value: float, param_type: int, param_count: int, param_index: int, force_mavlink1: bool = False) -> None:
+        """
+        Emit the value of a onboard parameter. The inclusion of param_count
+        and param_index in the message allows the recipient to keep
+        track of received parameters and allows him to re-request
+        missing parameters after a loss or timeout. The parameter
+        microservice is documented at
+        https://mavlink.io/en/services/parameter.html
+
+        param_id                  : Onboard parameter id, terminated by NULL if the length is less than 16 human-readable chars and WITHOUT null termination (NULL) byte if the length is exactly 16 chars - applications have to provide 16+1 bytes storage if the ID is stored as string (type:char)
+        param_value               : Onboard parameter value (type:float)
+        param_type                : Onboard parameter type. (type:uint8_t)
+        param_count               : Total number of onboard parameters (type:uint16_t)
+        param_index               : Index of this onboard parameter (type:uint16_t)
+
+        """
+        self.send(self.param_value_encode(param_id, param_value, param_type, param_count, param_index), force_mavlink1=force_mavlink1)
+
+    def param_set_encode(self, target_system: int, target_component: int, param_id: bytes, param_value: float, param_type: int) -> MAVLink_param_set_message:
+        """
+        Set a parameter value (write new value to permanent storage). The
+        receiving component should acknowledge the new parameter value
+        by broadcasting a PARAM_VALUE message (broadcasting ensures
+        that multiple GCS all have an up-to-date list of all
+        parameters). If the sending GCS did not receive a PARAM_VALUE
+        within its timeout time, it should re-send the PARAM_SET
+        message. The parameter microservice is documented at
+        https://mavlink.io/en/services/parameter.html.
+
+        target_system             : System ID (type:uint8_t)
+        target_component          : Component ID (type:uint8_t)
+        param_id                  : Onboard parameter id, terminated by NULL if the length is less than 16 human-readable chars and WITHOUT null termination (NULL) byte if the length is exactly 16 chars - applications have to provide 16+1 bytes storage if the ID is stored as string (type:char)
+        param_value               : Onboard parameter value (type:float)
+        param_type                : Onboard parameter type. (type:uint8_t)
+
+        """
+        return MAVLink_param_set_message(target_system, target_component, param_id, param_value, param_type)
+
+    def param_set_send(self, target_system: int, target_component: int, param_id: bytes, param_value: float, param_type: int, force_mavlink1: bool = False) -> None:
+        """
+        Set a parameter value (write new value to permanent storage). The
+        receiving component should acknowledge the new parameter value
+        by broadcasting a PARAM_VALUE message (broadcasting ensures
+        that multiple GCS all have an up-to-date list of all
+        parameters). If the sending GCS did not receive a PARAM_VALUE
+        within its timeout time, it should re-send the PARAM_SET
+        message. The parameter microservice is documented at
+        https://mavlink.io/en/services/parameter.html.
+
+        target_system             : System ID (type:uint8_t)
+        target_component          : Component ID (type:uint8_t)
+        param_id                  : Onboard parameter id, terminated by NULL if the length is less than 16 human-readable chars and WITHOUT null termination (NULL) byte if the length is exactly 16 chars - applications have to provide 16+1 bytes storage if the ID is stored as string (type:char)
+        param_value               : Onboard parameter value (type:float)
+        param_type                : Onboard parameter type. (type:uint8_t)
+
+        """
+        self.send(self.param_set_encode(target_system, target_component, param_id, param_value, param_type), force_mavlink1=force_mavlink1)
+
     def gps_raw_int_encode(self, time_usec: int, fix_type: int, lat: int, lon: int, alt: int, eph: int, epv: int, vel: int, cog: int, satellites_visible: int, alt_ellipsoid: int = 0, h_acc: int = 0, v_acc: int = 0, vel_acc: int = 0, hdg_acc: int = 0, yaw: int = 0) -> MAVLink_gps_raw_int_message:
         """
         The global position, as returned by the Global Positioning System
@@ -2330,6 +2808,104 @@ class MAVLink(object):
 
         """
         self.send(self.attitude_encode(time_boot_ms, roll, pitch, yaw, rollspeed, pitchspeed, yawspeed), force_mavlink1=force_mavlink1)
+
+    def mission_request_list_encode(self, target_system: int, target_component: int, mission_type: int = 0) -> MAVLink_mission_request_list_message:
+        """
+        Request the overall list of mission items from the system/component.
+
+        target_system             : System ID (type:uint8_t)
+        target_component          : Component ID (type:uint8_t)
+        mission_type              : Mission type. (type:uint8_t)
+
+        """
+        return MAVLink_mission_request_list_message(target_system, target_component, mission_type)
+
+    def mission_request_list_send(self, target_system: int, target_component: int, mission_type: int = 0, force_mavlink1: bool = False) -> None:
+        """
+        Request the overall list of mission items from the system/component.
+
+        target_system             : System ID (type:uint8_t)
+        target_component          : Component ID (type:uint8_t)
+        mission_type              : Mission type. (type:uint8_t)
+
+        """
+        self.send(self.mission_request_list_encode(target_system, target_component, mission_type), force_mavlink1=force_mavlink1)
+
+    def mission_count_encode(self, target_system: int, target_component: int, count: int, mission_type: int = 0) -> MAVLink_mission_count_message:
+        """
+        This message is emitted as response to MISSION_REQUEST_LIST by the MAV
+        and to initiate a write transaction. The GCS can then request
+        the individual mission item based on the knowledge of the
+        total number of waypoints.
+
+        target_system             : System ID (type:uint8_t)
+        target_component          : Component ID (type:uint8_t)
+        count                     : Number of mission items in the sequence (type:uint16_t)
+        mission_type              : Mission type. (type:uint8_t)
+
+        """
+        return MAVLink_mission_count_message(target_system, target_component, count, mission_type)
+
+    def mission_count_send(self, target_system: int, target_component: int, count: int, mission_type: int = 0, force_mavlink1: bool = False) -> None:
+        """
+        This message is emitted as response to MISSION_REQUEST_LIST by the MAV
+        and to initiate a write transaction. The GCS can then request
+        the individual mission item based on the knowledge of the
+        total number of waypoints.
+
+        target_system             : System ID (type:uint8_t)
+        target_component          : Component ID (type:uint8_t)
+        count                     : Number of mission items in the sequence (type:uint16_t)
+        mission_type              : Mission type. (type:uint8_t)
+
+        """
+        self.send(self.mission_count_encode(target_system, target_component, count, mission_type), force_mavlink1=force_mavlink1)
+
+    def command_int_encode(self, target_system: int, target_component: int, frame: int, command: int, current: int, autocontinue: int, param1: float, param2: float, param3: float, param4: float, x: int, y: int, z: float) -> MAVLink_command_int_message:
+        """
+        Message encoding a command with parameters as scaled integers. Scaling
+        depends on the actual command value. The command microservice
+        is documented at https://mavlink.io/en/services/command.html
+
+        target_system             : System ID (type:uint8_t)
+        target_component          : Component ID (type:uint8_t)
+        frame                     : The coordinate system of the COMMAND. (type:uint8_t)
+        command                   : The scheduled action for the mission item. (type:uint16_t)
+        current                   : Not used. (type:uint8_t)
+        autocontinue              : Not used (set 0). (type:uint8_t)
+        param1                    : PARAM1, see MAV_CMD enum (type:float)
+        param2                    : PARAM2, see MAV_CMD enum (type:float)
+        param3                    : PARAM3, see MAV_CMD enum (type:float)
+        param4                    : PARAM4, see MAV_CMD enum (type:float)
+        x                         : PARAM5 / local: x position in meters * 1e4, global: latitude in degrees * 10^7 (type:int32_t)
+        y                         : PARAM6 / local: y position in meters * 1e4, global: longitude in degrees * 10^7 (type:int32_t)
+        z                         : PARAM7 / z position: global: altitude in meters (relative or absolute, depending on frame). (type:float)
+
+        """
+        return MAVLink_command_int_message(target_system, target_component, frame, command, current, autocontinue, param1, param2, param3, param4, x, y, z)
+
+    def command_int_send(self, target_system: int, target_component: int, frame: int, command: int, current: int, autocontinue: int, param1: float, param2: float, param3: float, param4: float, x: int, y: int, z: float, force_mavlink1: bool = False) -> None:
+        """
+        Message encoding a command with parameters as scaled integers. Scaling
+        depends on the actual command value. The command microservice
+        is documented at https://mavlink.io/en/services/command.html
+
+        target_system             : System ID (type:uint8_t)
+        target_component          : Component ID (type:uint8_t)
+        frame                     : The coordinate system of the COMMAND. (type:uint8_t)
+        command                   : The scheduled action for the mission item. (type:uint16_t)
+        current                   : Not used. (type:uint8_t)
+        autocontinue              : Not used (set 0). (type:uint8_t)
+        param1                    : PARAM1, see MAV_CMD enum (type:float)
+        param2                    : PARAM2, see MAV_CMD enum (type:float)
+        param3                    : PARAM3, see MAV_CMD enum (type:float)
+        param4                    : PARAM4, see MAV_CMD enum (type:float)
+        x                         : PARAM5 / local: x position in meters * 1e4, global: latitude in degrees * 10^7 (type:int32_t)
+        y                         : PARAM6 / local: y position in meters * 1e4, global: longitude in degrees * 10^7 (type:int32_t)
+        z                         : PARAM7 / z position: global: altitude in meters (relative or absolute, depending on frame). (type:float)
+
+        """
+        self.send(self.command_int_encode(target_system, target_component, frame, command, current, autocontinue, param1, param2, param3, param4, x, y, z), force_mavlink1=force_mavlink1)
 
     def command_long_encode(self, target_system: int, target_component: int, command: int, confirmation: int, param1: float, param2: float, param3: float, param4: float, param5: float, param6: float, param7: float) -> MAVLink_command_long_message:
         """
@@ -3208,10 +3784,6 @@ FOREIGN_MESSAGES = {
     6: (104, 3),
     7: (119, 32),
     11: (89, 6),
-    20: (214, 20),
-    21: (159, 2),
-    22: (220, 25),
-    23: (168, 23),
     25: (23, 101),
     26: (170, 24),
     27: (144, 29),
@@ -3229,8 +3801,6 @@ FOREIGN_MESSAGES = {
     40: (230, 5),
     41: (28, 4),
     42: (28, 6),
-    43: (132, 3),
-    44: (221, 5),
     45: (232, 3),
     46: (11, 2),
     47: (153, 4),
@@ -3251,7 +3821,6 @@ FOREIGN_MESSAGES = {
     70: (124, 38),
     73: (38, 38),
     74: (20, 20),
-    75: (158, 35),
     81: (106, 22),
     82: (49, 39),
     83: (22, 37),
