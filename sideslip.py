@@ -265,6 +265,11 @@ def fly_scenario(
 @click.option("--speed", default="max", show_default=True, help="Simulated seconds a second, or max.")
 @click.option("--seed", type=int, help="Of everything random [default: the scenario's].")
 @click.option("--live", is_flag=True, help="Show the flight live in the browser; implies --speed 1 unless given.")
+@click.option(
+    "--port",
+    help="Put the radio on a real port (udp:HOST:PORT, tcpin:PORT, serial:DEVICE:BAUD) for any MAVLink ground station, "
+    "in place of the one built in; at the pace of the clock unless --speed is given.",
+)
 @click.option("--no-backfill", is_flag=True, help="Keep what the radio delivered; fetch nothing after landing.")
 @click.option(
     "--json", "json_path", type=click.Path(path_type=Path), help="Write the ground station's counters as JSON."
@@ -276,6 +281,7 @@ def fly(
     speed: str,
     seed: int | None,
     live: bool,
+    port: str | None,
     no_backfill: bool,
     json_path: Path | None,
     show_list: bool,
@@ -301,7 +307,9 @@ def fly(
         return 0
     chosen = load_scenario(scenario)
     folder = out or Path("flights") / chosen.name
-    pace = _pace(speed, live)
+    pace = _pace(speed, live or port is not None)
+    if port is not None:
+        return _fly_over_port(chosen, folder, port, seed, pace)
     view = LiveFactory() if live else None
     try:
         with Bar(f"flying {chosen.name}") as bar:
@@ -325,6 +333,29 @@ def fly(
     click.echo(f"air and ground agree: {'yes' if flown.agreed else 'no'}")
     click.echo(f"onboard flight: {flown.onboard}")
     _write_json(json_path, s)
+    return 0
+
+
+RADIO_ON_S = 7 * 24 * 3600.0
+
+
+def _fly_over_port(scenario: "Scenario", folder: Path, port: str, seed: int | None, pace: float | None) -> int:
+    """Fly with the radio on a real port; after landing it stays on until Ctrl-C, for backfill and downloads."""
+    from daq.link import open_port
+    from firmware_sim.bridge import PortBridge
+    from firmware_sim.flight import prepare_flight
+    from groundstation.calibration.schema import NOMINAL_DIRECTORY
+
+    opened = open_port(port)
+    try:
+        with prepare_flight(scenario, folder, seed=seed, speed=pace, calibration=NOMINAL_DIRECTORY / "cdfp") as flight:
+            flight.each_scan = PortBridge(flight.radio.ground, opened).pump
+            click.echo(f"flying {scenario.name} for {flight.duration_s:g} s, radio on {port}")
+            files = flight.run()
+            click.echo(f"landed; recording {files.recordings[0]}; the radio stays on until Ctrl-C")
+            flight.serve(lambda: False, limit_s=RADIO_ON_S)
+    finally:
+        opened.close()
     return 0
 
 

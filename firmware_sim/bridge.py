@@ -1,14 +1,17 @@
-"""A radio port brought out of the process: as a real pseudo-terminal, or as UDP datagrams on the loopback.
+"""A radio port brought out of the process: as a real pseudo-terminal, as UDP datagrams on the loopback, or on any port.
 
 Bridges move bytes when pumped; register `pump` with `SimulatedClock.on_advance`, or call it from a loop of one's own.
 """
 
 import socket
+from contextlib import suppress
 
+from daq.contract.ports import BytePort
 from firmware_sim.radio import RadioPort
 from firmware_sim.serial import PseudoTerminal
 
 DATAGRAM = 1400  # bytes
+_ROOM = 16_384  # bytes that a slow line may lag behind
 
 
 class _PortTalker:
@@ -70,3 +73,27 @@ class UdpBridge:
     def close(self) -> None:
         """Close the socket."""
         self._socket.close()
+
+
+class PortBridge:
+    """The radio port on a port of the link's own kinds; one that is away loses what is sent meanwhile."""
+
+    def __init__(self, radio: RadioPort, port: BytePort) -> None:
+        self._radio = radio
+        self._port = port
+        self._waiting = b""
+
+    def pump(self, now_ns: int) -> None:
+        """Move bytes both ways."""
+        with suppress(OSError):
+            self._radio.write(self._port.read())
+        self._waiting = (self._waiting + self._radio.read())[-_ROOM:]
+        if self._waiting:
+            try:
+                self._waiting = self._waiting[self._port.write(self._waiting) :]
+            except OSError:
+                self._waiting = b""
+
+    def close(self) -> None:
+        """Give the port back."""
+        self._port.close()

@@ -271,8 +271,8 @@ def logger_config(
     table.pop("calibration", None)
     if table.get("downlink"):
         table["downlink"].pop("port", None)
-    here = {"recorder": {"directories": [str((folder / "onboard").resolve())]}}
-    told = {"recorder": {"directories": ["onboard"]}}
+    here: dict[str, Any] = {"recorder": {"directories": [str((folder / "onboard").resolve())]}}
+    told: dict[str, Any] = {"recorder": {"directories": ["onboard"]}}
     if calibration is not None:
         here["calibration"] = str(calibration.resolve())
         told["calibration"] = calibration.name

@@ -87,6 +87,9 @@ class BackfillClient:
         self._look_ns = 0  # nothing was wanted: when to look again
         self._cursor: int | None = None  # every scan before it is held, or cannot be had
         self._final_papers = False
+        for number in recorder.journal.received:  # by this ground station before it was started again
+            books.see(number)
+            books.received.add(number)
         for number in recorder.journal.complete:
             books.see(number)
             books.backfilled.add(number)
@@ -146,16 +149,16 @@ class BackfillClient:
             return
         else:
             candidates = self._from_cursor(*self._summary[:2])
-        held = self._recorder.journal
+        held = self._recorder.journal.complete
         for n in candidates:
-            if n not in busy and n not in self.unavailable and not held.has_complete(n):
+            if n not in busy and n not in self.unavailable and n not in held:
                 yield n
 
     def _from_cursor(self, first: int, last: int) -> Iterable[int]:
         """Numbers from the first that is neither held nor given up; a long flight is not gone through again."""
-        held = self._recorder.journal
+        held = self._recorder.journal.complete
         at = first if self._cursor is None else max(first, self._cursor)
-        while at <= last and (held.has_complete(at) or at in self.unavailable):
+        while at <= last and (at in held or at in self.unavailable):
             at += 1
         self._cursor = at
         return range(at, last + 1)
@@ -251,7 +254,7 @@ class BackfillClient:
         if self.mode == "off" or now_ns - self._progress_ns < PROGRESS_NS:
             return None
         self._progress_ns = now_ns
-        held = self._recorder.journal.complete_count()
+        held = len(self._recorder.journal.complete)
         wanted = self._summary[2] if self._summary else held + len(self._open)
         return ev.BackfillProgress(self._books.session, held, wanted, self.agreed, now_ns)
 

@@ -17,6 +17,7 @@ class SequenceTracker:
         self.received = 0
         self.lost = 0
         self.duplicates = 0
+        self._settled = 0  # lost when the sender was last known to be the one it was
         self._next: int | None = None
         self._missing: set[int] = set()
         self._recent: OrderedDict[int, int] = OrderedDict()
@@ -48,6 +49,15 @@ class SequenceTracker:
         self._missing.discard(sequence)
         self._last_ns = now_ns
         return True
+
+    def settle(self) -> None:
+        """The sender is still the one it was: what has been counted as lost is lost."""
+        self._settled = self.lost
+
+    def restart(self) -> None:
+        """The sender has started anew and counts from 0: the jump since it was last heard is no loss."""
+        self.lost = self._settled
+        self._missing.clear()
 
     def _measure_rate(self, now_ns: int) -> None:
         total = self.received + self.lost

@@ -7,7 +7,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from groundstation.handover import Handover
     from groundstation.replay import Replay
     from groundstation.station import Station
-    from groundstation.viewer.live import LiveView
+    from groundstation.viewer.session import SessionViews
 
 POLL_S = 0.02
 VIEW = click.Choice(["web", "native", "none"])
@@ -46,17 +46,17 @@ def ground(
 ) -> int:
     """Receive, decode, calibrate, show live, record, watch limits, and hand finished flights over.
 
-    CONFIG is a TOML file (see docs/ground.md). Ctrl-C ends the session and writes the flight.
+    CONFIG is a TOML file (see docs/ground.md). Ctrl-C ends the session and writes the flight. While it runs, typed words
+    command the aircraft: help lists them.
     """
-    from groundstation.commands_data import write_json
     from groundstation.config import load_ground_config
     from groundstation.replay import Replay, parse_speed, replay_into
 
     settings = load_ground_config(config)
     folder = out or _session_folder(settings)
-    with _views(settings, window) as make_view:
+    with _views(settings, window) as views:
         source = Replay()
-        station = _station(settings, folder, source if replay is not None else None, make_view)
+        station = _station(settings, folder, views, source if replay is not None else None, replay)
         click.echo(
             f"session {folder}; {'replaying ' + str(replay) if replay else 'listening on ' + ', '.join(settings.link.ports)}"
         )
@@ -66,24 +66,46 @@ def ground(
                 if replay is not None:
                     replay_into(station, source, replay, parse_speed(speed))
                 else:
-                    _listen(station, settings, duration)
+                    _listen(station, settings, duration, views)
         except KeyboardInterrupt:
             interrupted = True
-        station.close()
-        summary = station.receiver.summary()
+        finally:
+            station.close()
         handed = _finish(station, settings, folder)
+        _conclude(station, handed, json_path)
+        if with_estimate:
+            _estimate(handed, settings, folder, show=views is not None)
+        if replay is not None and views is not None and duration is None and not interrupted:
+            click.echo("the replay is over; Ctrl-C ends the view")
+            _hold(views)
+    return 130 if interrupted else 0
+
+
+def _conclude(station: "Station", handed: list["Handover"], json_path: Path | None) -> None:
+    """Say what the session has left, and write its counters."""
+    from groundstation.commands_data import write_json
+
     for flight in handed:
         for line in flight.lines():
             click.echo(line)
+    summary = station.receiver.summary()
     summary["flight"] = str(handed[0].path) if handed else None
     summary["flights"] = [str(h.path) for h in handed]
     write_json(json_path, summary)
     lost = sum(b - a + 1 for a, b in summary["scans_lost"])
     click.echo(f"{summary['frames_received']} frames, {summary['scans_received']} scans received, {lost} lost, "
                f"{summary['backfilled']} backfilled, {summary['unsigned_rejected']} refused")  # fmt: skip
-    if with_estimate:
-        _estimate(handed, settings, folder)
-    return 130 if interrupted else 0
+
+
+def _hold(views: "SessionViews") -> None:
+    """Keep the views until somebody has seen enough."""
+    try:
+        with _terminated_is_interrupt():
+            while True:
+                views.tend()
+                time.sleep(0.1)
+    except KeyboardInterrupt:
+        return
 
 
 def _session_folder(settings: "GroundConfig") -> Path:
@@ -109,15 +131,28 @@ def _terminated_is_interrupt() -> Iterator[None]:
             signal.signal(number, handler)
 
 
-def _station(settings: "GroundConfig", folder: Path, replay: "Replay | None", make_view: Any) -> "Station":
+def _station(
+    settings: "GroundConfig", folder: Path, views: "SessionViews | None", replay: "Replay | None", played: Path | None
+) -> "Station":
+    from groundstation.config import GroundConfigError
     from groundstation.receive import Receiver
     from groundstation.station import Station
     from groundstation.timeline import SystemClock
 
     folder.mkdir(parents=True, exist_ok=True)
+    make_view = None if views is None else views.make
+    if replay is None and not settings.link.ports:
+        raise GroundConfigError("[link] ports is empty: there is nothing to listen to; name a port")
     if replay is not None:
+        held = sorted([*folder.glob("*.tlog"), *folder.glob("*.journal")])
+        if held:
+            raise GroundConfigError(
+                f"{folder} holds a session already ({held[0].name}); give another folder with --out"
+            )
         quiet = settings.link.model_copy(update={"ports": (), "transmit": False, "backfill": "off"})
-        receiver = Receiver(quiet, {"replay": replay.port}, replay.clock, folder=folder)
+        # A recording does not come over a link: there is nothing to keep of it.
+        kept = folder if played is not None and played.suffix == ".tlog" else None
+        receiver = Receiver(quiet, {"replay": replay.port}, replay.clock, folder=kept)
         return Station(settings, receiver, replay.clock, folder, make_view=make_view, echo=click.echo)
     system = SystemClock()
     receiver = Receiver.open(settings.link, system, folder=folder)
@@ -125,45 +160,31 @@ def _station(settings: "GroundConfig", folder: Path, replay: "Replay | None", ma
 
 
 @contextmanager
-def _views(settings: "GroundConfig", window: str) -> Iterator[Any]:
-    """Makes the view of each aircraft on ports one after the other, and closes them all."""
+def _views(settings: "GroundConfig", window: str) -> "Iterator[SessionViews | None]":
+    """The views of the session, closed at its end; None without any."""
     if window == "none":
         yield None
         return
-    from groundstation.viewer.live import LiveView, ViewOptions
-    from groundstation.viewer.window import NativeWindow, WebPage
+    from groundstation.viewer.session import SessionViews
 
-    opened: list[LiveView] = []
-    windows: list[WebPage | NativeWindow] = []
-
-    def make(system: int) -> "LiveView":
-        n = len(opened)
-        options = ViewOptions(settings.view.layout, settings.view.port + n, settings.view.memory_limit)
-        view = LiveView(f"aircraft{system}", options)
-        opened.append(view)
-        if window == "web":
-            page = WebPage(view.url, settings.view.web_port + n)
-            windows.append(page)
-            click.echo(f"aircraft {system}: {page.url}")
-        else:
-            windows.append(NativeWindow(view.url))
-        return view
-
+    views = SessionViews(settings.view, "web" if window == "web" else "native", click.echo)
     try:
-        yield make
+        yield views
     finally:
-        for view in opened:
-            view.close()
-        for shown in windows:
-            shown.close()
+        views.close()
 
 
-def _listen(station: "Station", settings: "GroundConfig", duration: float | None) -> None:
-    """Until Ctrl-C or the duration is over; after a landing, missing scans are fetched as long as allowed."""
+def _listen(station: "Station", settings: "GroundConfig", duration: float | None, views: "SessionViews | None") -> None:
+    """Until Ctrl-C, `quit` or the duration is over; after a landing, missing scans are fetched as long as allowed."""
+    from groundstation.console import Console, Lines
+
     begun = time.monotonic()
     fetching: dict[int, float] = {}
-    while duration is None or time.monotonic() - begun < duration:
+    console = Console(station, Lines.of_standard_input(), click.echo)
+    while console.poll() and (duration is None or time.monotonic() - begun < duration):
         station.step()
+        if views is not None:
+            views.tend()
         while station.landed:
             system = station.landed.pop()
             if settings.link.backfill != "off" and settings.link.transmit:
@@ -172,7 +193,6 @@ def _listen(station: "Station", settings: "GroundConfig", duration: float | None
                 click.echo(f"aircraft {system} has landed: fetching what is missing")
         for system, since in list(fetching.items()):
             if station.receiver.backfill_agreed(system):
-                click.echo(f"aircraft {system}: air and ground agree")
                 del fetching[system]
             elif time.monotonic() - since > settings.handover.backfill_limit_s:
                 click.echo(f"aircraft {system}: backfill not complete within the limit; the flight keeps its gaps")
@@ -201,11 +221,19 @@ def _finish(station: "Station", settings: "GroundConfig", folder: Path) -> list[
             )
         except HandoverError as error:
             click.echo(f"{session.name}: {error}")
+        except OSError as error:
+            click.echo(f"{session.name}: the flight cannot be written ({error.strerror or error})")
+    if any(not r.path.is_file() for r in station.receiver.session_recorders().values() if r.has_scans):
+        advice = f"sideslip ground CONFIG --replay {folder / 'telemetry.tlog'} --speed max --out ELSEWHERE"
+        click.echo(f"not everything received could be written as a recording; make room and play it again: {advice}")
     return handed
 
 
-def _estimate(handed: list["Handover"], settings: "GroundConfig", folder: Path) -> None:
-    """Run `sideslip estimate` on the flights in a process of its own, so that nothing of it lives on the ground station."""
+def _estimate(handed: list["Handover"], settings: "GroundConfig", folder: Path, *, show: bool) -> None:
+    """Run `sideslip estimate` on the flights in a process of its own, so that nothing of it lives on the ground station.
+
+    show: open its report, for somebody who has been watching.
+    """
     flights = [str(h.manoeuvres_path or h.path) for h in handed]
     if not flights:
         click.echo("nothing to estimate from: no flight was handed over")
@@ -216,6 +244,8 @@ def _estimate(handed: list["Handover"], settings: "GroundConfig", folder: Path) 
     done = subprocess.run(command, check=False)
     if done.returncode not in (0, 1):
         click.echo(f"the estimate could not be made (status {done.returncode})")
+    elif show:
+        click.launch(str(report / "index.html"))
 
 
 @click.command(epilog="Example: sideslip view flights/first/flight.mcap")
@@ -226,6 +256,9 @@ def _estimate(handed: list["Handover"], settings: "GroundConfig", folder: Path) 
 @click.option(
     "--calibration", type=click.Path(path_type=Path), help="For a raw recording: calibration in place of its own."
 )
+@click.option(
+    "--save-blueprint", type=click.Path(path_type=Path), help="Write the layout as .rbl, for rerun's own use."
+)
 @click.option("--web-port", type=int, default=9090, show_default=True)
 @click.option("--duration", type=float, help="Close after this many seconds.")
 def view(
@@ -234,27 +267,32 @@ def view(
     layout: str,
     rrd: Path | None,
     calibration: Path | None,
+    save_blueprint: Path | None,
     web_port: int,
     duration: float | None,
 ) -> int:
     """Show any recording or flight FILE (.mcap raw or calibrated, .csv, .parquet, .rrd) in rerun."""
     import tempfile
 
+    from groundstation.viewer import blueprint
     from groundstation.viewer.recorded import as_rrd
     from groundstation.viewer.window import NativeWindow, WebPage
 
+    chosen: blueprint.Layout = "light" if layout == "light" else "full"
+    if save_blueprint is not None:
+        blueprint.save_blueprint(save_blueprint, chosen)
+        click.echo(f"layout: {save_blueprint}")
     with tempfile.TemporaryDirectory() as scratch:
-        shown = as_rrd(file, rrd or Path(scratch) / "view.rrd", "light" if layout == "light" else "full", calibration)
+        shown = as_rrd(file, rrd or Path(scratch) / "view.rrd", chosen, calibration)
         if rrd is not None:
             click.echo(f"rerun recording: {shown}")
         if window == "none":
             return 0
         opened = NativeWindow(shown) if window == "native" else WebPage(shown, web_port)
         try:
-            if isinstance(opened, WebPage):
-                click.echo(f"{opened.url}\nCtrl-C ends the page")
-                opened.wait(duration)
-            else:
+            with _terminated_is_interrupt():
+                if isinstance(opened, WebPage):
+                    click.echo(f"{opened.url}\nCtrl-C ends the page")
                 opened.wait(duration)
         except KeyboardInterrupt:
             pass

@@ -68,7 +68,12 @@ class AircraftDecoder:
     def _take_scan(self, frame: Frame, now_ns: int, utc_ns: int) -> None:
         layout = layouts()[frame.msg_id]
         part = unpack_scan(layout, padded(frame.payload, layout.size))
+        before = self.books
         books = self._session_of(part, now_ns)
+        tracker = self.trackers[frame.component]
+        if before is not None and self.books is not before:
+            tracker.restart()
+        tracker.settle()
         if books is not self.sessions[-1]:
             books.see(part.number)  # a straggler of an earlier session: counted, not shown
             if part.msg_id == SCAN_FAST_ID:

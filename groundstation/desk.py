@@ -48,6 +48,7 @@ class Desk:
         self._landing = LandingWatch(config.handover.landing)
         self._logger: ev.LoggerStatus | None = None
         self._link: ev.LinkStatistics | None = None
+        self._backfill: ev.BackfillProgress | None = None
         self._last_heard_ns: int | None = None
         self._next_status = -math.inf
         self.time = 0.0
@@ -122,6 +123,12 @@ class Desk:
                 self._announce(self._alarms.update(self.time, {"link.loss_percent": 100 * event.loss}))
                 if self._view is not None:
                     self._view.quality(self.time, event)
+            case ev.Trouble(what=what, words=words) if self._view is not None:
+                self._view.event(self.time, f"{what}: {words or 'works again'}", "INFO" if words is None else "WARN")
+            case ev.BackfillProgress(held=held, agreed=agreed):
+                if agreed and not (self._backfill is not None and self._backfill.agreed):
+                    self._note("INFO", f"air and ground agree: {held} scans")
+                self._backfill = event
             case ev.LoggerStatus():
                 self._logger = event
                 self._announce(self._alarms.update(self.time, {"recorder.recording": float(event.recording)}))
@@ -154,6 +161,9 @@ class Desk:
             lines.append(
                 f"- link: {self._link.scan_rate_hz:.1f} Hz, {100 * self._link.loss:.1f} % lost, latency {latency}"
             )
+        if self._backfill is not None:
+            b = self._backfill
+            lines.append(f"- in full here: {b.held} of {b.wanted} scans{', air and ground agree' if b.agreed else ''}")
         held = self._alarms.in_force()
         lines.append("")
         lines += [f"- **{level}** {name} ({state.value})" for name, state, level in held] or ["no alarms"]

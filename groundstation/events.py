@@ -153,6 +153,15 @@ class Refused:
 
 
 @dataclass(frozen=True, slots=True)
+class Trouble:
+    """A port or a file of the ground station fails; words None: it works again."""
+
+    what: str
+    words: str | None
+    received_ns: int
+
+
+@dataclass(frozen=True, slots=True)
 class BackfillProgress:
     """How far backfill is: complete scans held of all there are. `agreed`: count and hash equal the aircraft's."""
 
@@ -201,6 +210,7 @@ Event = (
     | Restarted
     | CommandResult
     | Refused
+    | Trouble
     | BackfillProgress
 )
 

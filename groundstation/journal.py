@@ -1,18 +1,23 @@
 """What came of a session's scans, on disk the moment it is known: the memory of recording and backfill.
 
 An append-only file of checked records. A ground station that is killed and started again in the same folder goes on
-where it was: nothing received is asked for twice, and a torn last record costs that record only.
+where it was: nothing received is asked for twice, and a damaged record costs that record only. In memory there is one
+bit for each scan; where its record lies is found by going through the file when a recording is written.
 """
 
 import os
 import struct
 import zlib
+from array import array
 from collections.abc import Iterator
 from enum import IntEnum
 from pathlib import Path
-from typing import IO
+from typing import IO, NamedTuple
+
+import numpy as np
 
 from daq.contract.scan import Scan, ScanDecodeError, decode_scan, encode_scan
+from daq.contract.scan_map import ScanMap
 
 _HEAD = struct.Struct("<BIII")  # kind, number, length, CRC-32 over the three and the data
 _CRC_OF = struct.Struct("<BII")
@@ -31,61 +36,50 @@ class Kind(IntEnum):
     ARCHIVE = 5  # attachments of the recording
 
 
+_KINDS = frozenset(Kind)
+
+
+class _Record(NamedTuple):
+    at: int
+    kind: Kind
+    number: int
+    data: bytes
+
+    @property
+    def end(self) -> int:
+        return self.at + _HEAD.size + len(self.data)
+
+
 class Journal:
     """Scans by number, the complete form preferred, and the other records in order."""
 
     def __init__(self, path: Path) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         self.path = path
-        self._received: dict[int, int] = {}  # number -> position of the data
-        self._complete: dict[int, int] = {}
-        self._others: list[tuple[Kind, int]] = []
-        self._file: IO[bytes] = path.open("a+b")
-        end = self._load()
-        self._file.truncate(end)
-        self._file.seek(0, os.SEEK_END)
+        self.received = ScanMap()
+        self.complete = ScanMap()
+        self._file: IO[bytes] = path.open("ab")
+        end = 0
+        for record in self._records():
+            self._note(record.kind, record.number)
+            end = record.end
+        self._file.truncate(end)  # a torn last record, or a file that is no journal
         if end == 0:
             self._file.write(_MAGIC)
 
-    def _load(self) -> int:
-        """Index what is there; returns where the sound part ends."""
-        self._file.seek(0)
-        if self._file.read(4) != _MAGIC:
-            return 0
-        at = 4
-        while True:
-            record = self._record_at(at)
-            if record is None:
-                return at
-            kind, number, data = record
-            self._index(kind, number, at)
-            at += _HEAD.size + len(data)
+    # ------------------------------------------------------------------------------------------ writing
 
-    def _record_at(self, at: int) -> tuple[Kind, int, bytes] | None:
-        self._file.seek(at)
-        head = self._file.read(_HEAD.size)
-        if len(head) < _HEAD.size:
-            return None
-        kind, number, size, crc = _HEAD.unpack(head)
-        data = self._file.read(size) if size <= _LIMIT else b""
-        if len(data) < size or zlib.crc32(_CRC_OF.pack(kind, number, size) + data) != crc or kind not in set(Kind):
-            return None
-        return Kind(kind), number, data
-
-    def _index(self, kind: Kind, number: int, at: int) -> None:
+    def _note(self, kind: Kind, number: int) -> None:
         if kind is Kind.RECEIVED:
-            self._received[number] = at
+            self.received.add(number)
         elif kind is Kind.COMPLETE:
-            self._complete[number] = at
-        else:
-            self._others.append((kind, at))
+            self.complete.add(number)
 
     def _append(self, kind: Kind, number: int, data: bytes) -> None:
-        self._file.seek(0, os.SEEK_END)
-        at = self._file.tell()
         crc = zlib.crc32(_CRC_OF.pack(kind, number, len(data)) + data)
         self._file.write(_HEAD.pack(kind, number, len(data), crc) + data)
-        self._index(kind, number, at)
+        self._note(kind, number)
+        self._file.flush()  # on a full disk it stays in memory, and goes with the next that succeeds
 
     def add_received(self, scan: Scan) -> None:
         """Keep a scan as received; one completed by a later part replaces it."""
@@ -97,55 +91,13 @@ class Journal:
             scan = decode_scan(data)
         except ScanDecodeError:
             return None
-        if scan.number not in self._complete:
+        if scan.number not in self.complete:
             self._append(Kind.COMPLETE, scan.number, data)
         return scan.number
 
     def add(self, kind: Kind, data: bytes) -> None:
         """Keep another record."""
         self._append(kind, 0, data)
-
-    @property
-    def complete(self) -> set[int]:
-        """Numbers of the scans held in full."""
-        return set(self._complete)
-
-    @property
-    def received(self) -> set[int]:
-        """Numbers of the scans received on the downlink."""
-        return set(self._received)
-
-    def has_complete(self, number: int) -> bool:
-        """Whether a scan is held in full."""
-        return number in self._complete
-
-    def complete_count(self) -> int:
-        """Scans held in full."""
-        return len(self._complete)
-
-    def scans(self, *, complete_only: bool = False) -> Iterator[bytes]:
-        """Encoded scans in order of number, the complete form where there is one."""
-        numbers = set(self._complete) if complete_only else set(self._complete) | set(self._received)
-        for number in sorted(numbers):
-            record = self._record_at(self._complete.get(number, self._received.get(number, 0)))
-            if record is not None:
-                yield record[2]
-
-    def others(self, kind: Kind) -> Iterator[bytes]:
-        """The other records of a kind, in order."""
-        for found, at in self._others:
-            if found is kind:
-                record = self._record_at(at)
-                if record is not None:
-                    yield record[2]
-
-    def last(self, kind: Kind) -> bytes | None:
-        """The last record of a kind."""
-        for found, at in reversed(self._others):
-            record = self._record_at(at) if found is kind else None
-            if record is not None:
-                return record[2]
-        return None
 
     def flush(self) -> None:
         """Hand everything to the operating system."""
@@ -154,3 +106,65 @@ class Journal:
     def close(self) -> None:
         """Close the file."""
         self._file.close()
+
+    # ------------------------------------------------------------------------------------------ reading
+
+    def _records(self) -> Iterator[_Record]:
+        """All sound records in order; a damaged stretch is passed over."""
+        self.flush()
+        with self.path.open("rb") as file:
+            size = os.fstat(file.fileno()).st_size
+            if file.read(len(_MAGIC)) != _MAGIC:
+                return
+            at = len(_MAGIC)
+            while at + _HEAD.size <= size:
+                record = _record_at(file, at, size)
+                if record is None:
+                    at += 1
+                    continue
+                yield record
+                at = record.end
+
+    def scans(self, *, complete_only: bool = False) -> Iterator[bytes]:
+        """Encoded scans in order of number, the complete form where there is one."""
+        numbers, places = array("Q"), array("Q")
+        for record in self._records():
+            wanted = record.kind is Kind.COMPLETE or (
+                record.kind is Kind.RECEIVED and not complete_only and record.number not in self.complete
+            )
+            if wanted:
+                numbers.append(record.number)
+                places.append(record.at)
+        order = np.argsort(np.frombuffer(numbers, np.uint64), kind="stable")
+        with self.path.open("rb") as file:
+            size = os.fstat(file.fileno()).st_size
+            for i, index in enumerate(order):
+                replaced = i + 1 < len(order) and numbers[order[i + 1]] == numbers[index]
+                found = None if replaced else _record_at(file, places[index], size)
+                if found is not None:
+                    yield found.data
+
+    def others(self, kind: Kind) -> Iterator[bytes]:
+        """The other records of a kind, in order."""
+        return (record.data for record in self._records() if record.kind is kind)
+
+    def last(self, kind: Kind) -> bytes | None:
+        """The last record of a kind."""
+        found = None
+        for data in self.others(kind):
+            found = data
+        return found
+
+
+def _record_at(file: IO[bytes], at: int, size: int) -> _Record | None:
+    file.seek(at)
+    head = file.read(_HEAD.size)
+    if len(head) < _HEAD.size:
+        return None
+    kind, number, length, crc = _HEAD.unpack(head)
+    if kind not in _KINDS or length > _LIMIT or at + _HEAD.size + length > size:
+        return None
+    data = file.read(length)
+    if zlib.crc32(_CRC_OF.pack(kind, number, length) + data) != crc:
+        return None
+    return _Record(at, Kind(kind), number, data)

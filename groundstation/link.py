@@ -1,21 +1,18 @@
 """Open the ground station's ports."""
 
-from daq.contract.ports import BytePort, PortError, SerialPort, TcpServerPort, UdpPort, open_socket_port, parse_port
+from daq.contract.lasting import open_lasting
+from daq.contract.ports import BytePort, SerialPort, TcpServerPort, UdpPort
 
 
 def open_port(text: str) -> BytePort:
     """Open a port by its description; PortError says what is wrong with the description or the port."""
-    spec = parse_port(text)
-    if spec.kind != "serial":
-        return open_socket_port(spec)
+    return open_lasting(text, _serial)
+
+
+def _serial(device: str, baud: int) -> SerialPort:
     import serial
 
-    try:
-        return SerialPort(serial.Serial(spec.address, spec.number, timeout=0, exclusive=True))
-    except (OSError, ValueError) as error:
-        raise PortError(
-            f"serial port {spec.address} cannot be opened ({error}); check the name, or who uses it"
-        ) from error
+    return SerialPort(serial.Serial(device, baud, timeout=0, exclusive=True))
 
 
 def receive(port: BytePort) -> list[tuple[str, bytes]]:

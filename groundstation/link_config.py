@@ -1,9 +1,9 @@
 """`[link]`: how the ground station is connected and whom it believes."""
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 
 class LinkConfig(BaseModel):
@@ -23,3 +23,16 @@ class LinkConfig(BaseModel):
     signing_state: Path | None = None  # where signing timestamps survive a restart; default beside the key
     backfill: Literal["off", "lost", "all"] = "lost"
     transmit: bool = True  # False: listen only (no heartbeat, no time sync, no backfill)
+
+    @field_validator("ports", mode="before")
+    @classmethod
+    def _one_port_is_a_list_too(cls, value: Any) -> Any:
+        return (value,) if isinstance(value, str) else value
+
+    @field_validator("ports")
+    @classmethod
+    def _each_port_once(cls, value: tuple[str, ...]) -> tuple[str, ...]:
+        twice = [p for p in value if value.count(p) > 1]
+        if twice:
+            raise ValueError(f"port {twice[0]!r} is listed twice")
+        return value

@@ -39,18 +39,25 @@ class LogFetcher:
 
     def request_list(self) -> None:
         """Ask for all entries; they appear in `entries`."""
+        self.entries.clear()
         self._listing = True
         self._asked_ns = None
 
     def download(self, number: int, path: Path) -> None:
         """Fetch a recording of `entries` into a file; KeyError for an unknown one."""
         entry = self.entries[number]
+        self.done.discard(number)
         self.close()
         path.parent.mkdir(parents=True, exist_ok=True)
         self._file = path.open("ab")
         self._number, self._size, self._at = number, entry.size, self._file.tell()
         self._asked_ns = None
         self._check_end()
+
+    @property
+    def listing(self) -> bool:
+        """Whether a list has been asked for and has not come."""
+        return self._listing
 
     @property
     def progress(self) -> tuple[int, int]:

@@ -6,27 +6,29 @@ All methods may be called from any thread.
 """
 
 import threading
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from daq.contract.mavlink_codec import RADIO_STATUS_ID, Frame, FrameDecoder, FrameEncoder, Junk
+from daq.contract.mavlink_codec import RADIO_STATUS_ID, Frame, FrameEncoder
 from daq.contract.ports import BytePort
 from daq.contract.scan_map import BLOCK
 from groundstation import events as ev
 from groundstation.backfill import BackfillClient, Mode
 from groundstation.command import Commander
 from groundstation.decode import AircraftDecoder
-from groundstation.link import open_port, receive
+from groundstation.faults import Faults
+from groundstation.intake import Intake
+from groundstation.link import open_port
 from groundstation.link_config import LinkConfig
 from groundstation.link_quality import RateMeter
 from groundstation.loglist import LogFetcher
 from groundstation.recording import SessionRecorder
 from groundstation.security import Gate, make_signer
+from groundstation.sessions import RECORDING, Sessions
 from groundstation.summary import counters
 from groundstation.timeline import NS, Clock
-from groundstation.tlog import TlogWriter
 
 _FIRST_OWN_ID = 44100
 _HEARTBEAT_NS = NS
@@ -35,19 +37,18 @@ _SYNC_FAST_NS, _SYNC_NS, _SYNC_FAST_COUNT = NS // 2, 5 * NS, 6
 _MAP_NS = 2 * NS
 _MAPS_AT_ONCE = 4
 _SAVE_NS = 10 * NS
-_MAX_DECODERS = 32
-_MAX_RECORDERS = 8  # sessions of one aircraft with open files
+_SIGNING_STATE = "signing state"
 _GCS, _NO_AUTOPILOT = 6, 8
 
 
 class _Aircraft:
     """One aircraft as the receiver keeps it."""
 
-    def __init__(self, system: int, port: BytePort) -> None:
+    def __init__(self, system: int, port: BytePort, sessions: Sessions | None) -> None:
         self.decoder = AircraftDecoder(system)
         self.meter = RateMeter(self.decoder)
         self.port = port
-        self.recorders: dict[ev.Session, SessionRecorder] = {}
+        self.sessions = sessions
         self.backfill: BackfillClient | None = None
         self.logs = LogFetcher(system)
         self.next_sync_ns = 0
@@ -72,17 +73,13 @@ class Receiver:
         self._lock = threading.RLock()
         self._gate = Gate(make_signer(config, clock))
         self._encoder = FrameEncoder(config.system_id, config.component_id, self._gate.signer)
-        self._decoders: dict[tuple[str, str], FrameDecoder] = {}
-        self._retired = [0, 0, 0, 0]  # bytes, frames, damaged, discarded of decoders that are gone
+        self.faults = Faults()
+        self._intake = Intake(self._ports, folder, self.faults)
         self._aircraft: dict[int, _Aircraft] = {}
-        self._tlog = None if folder is None else TlogWriter(folder / "telemetry.tlog")
         self._next_heartbeat_ns = 0
         self._next_report_ns = 0
         self._next_save_ns = 0
-        self._bytes_sent = 0
-        self._faults: dict[str, str] = {}
         self._written: list[Path] = []
-        self._put_away_paths: list[Path] = []
         self._closed = False
 
     @classmethod
@@ -107,71 +104,23 @@ class Receiver:
                 return []
             out: list[ev.Event] = []
             now, utc = self.clock.monotonic_ns(), self.clock.utc_ns()
-            for name, port in self._ports.items():
-                for source, data in self._received(name, port):
-                    self._take_bytes(name, source, port, data, now, utc, out)
+            for port, frame in self._intake.frames(utc):
+                self._take_frame(frame, port, now, utc, out)
+            out += self._gate.reports(now)
             self._keep(out)
             self._do_due(now, out)
-            return out
-
-    def _received(self, name: str, port: BytePort) -> list[tuple[str, bytes]]:
-        try:
-            found = receive(port)
-        except OSError as error:
-            self._faults[name] = error.strerror or str(error)
-            return []
-        self._faults.pop(name, None)
-        return found
+            return out + self.faults.changes(now)
 
     @property
     def port_faults(self) -> dict[str, str]:
         """Ports, and files of the ground station, that fail at present, with the system's words for it."""
         with self._lock:
-            return dict(self._faults)
-
-    def _take_bytes(
-        self, name: str, source: str, port: BytePort, data: bytes, now: int, utc: int, out: list[ev.Event]
-    ) -> None:
-        key = (name, source)
-        if key not in self._decoders:
-            if len(self._decoders) >= _MAX_DECODERS:
-                self._retire(next(iter(self._decoders)), utc)
-            self._decoders[key] = FrameDecoder()
-        for found in self._decoders[key].feed(data):
-            self._log(found, utc)
-            if isinstance(found, Frame):
-                self._take_frame(found, port, now, utc, out)
-
-    def _log(self, found: Frame | Junk, utc: int) -> None:
-        if self._tlog is not None:
-            with self._disk("telemetry log"):
-                self._tlog.write(found, utc)
-
-    @contextmanager
-    def _disk(self, what: str) -> Iterator[None]:
-        """A full or failing disk must not end reception: it is a fault that is shown until it is over."""
-        try:
-            yield
-        except OSError as error:
-            self._faults[what] = error.strerror or str(error)
-        else:
-            self._faults.pop(what, None)
-
-    def _retire(self, key: tuple[str, str], utc: int) -> None:
-        decoder = self._decoders.pop(key)
-        for found in decoder.finish():
-            self._log(found, utc)
-        c = decoder.counts
-        for i, n in enumerate((c.received_bytes, c.frames, c.damaged, c.discarded_bytes)):
-            self._retired[i] += n
+            return dict(self.faults.present)
 
     def _take_frame(self, frame: Frame, port: BytePort, now: int, utc: int, out: list[ev.Event]) -> None:
         if not frame.known or frame.system in (0, self.config.system_id):
             return
-        allowed, report = self._gate.judge(frame, now)
-        if report is not None:
-            out.append(report)
-        if not allowed:
+        if not self._gate.allows(frame):
             return
         if frame.msg_id == RADIO_STATUS_ID:
             fields = frame.fields()
@@ -185,7 +134,8 @@ class Receiver:
         if known is None:
             if not _is_aircraft(frame):
                 return
-            known = self._aircraft[frame.system] = _Aircraft(frame.system, port)
+            sessions = None if self._folder is None else Sessions(self._folder, self.faults)
+            known = self._aircraft[frame.system] = _Aircraft(frame.system, port, sessions)
         known.port = port
         out += known.decoder.take(frame, now, utc)
         self._take_answer(known, frame, now, out)
@@ -204,50 +154,31 @@ class Receiver:
                 f = frame.fields()
                 books = aircraft.decoder.books
                 if books is not None and f["boot"] == books.session.boot:
-                    with self._disk("recording"):
+                    with self.faults.watch("backfill"):
                         if frame.name == "BACKFILL_DATA":
                             aircraft.backfill.take_data(f, now)
                         else:
                             aircraft.backfill.take_summary(f)
             case "LOG_ENTRY" | "LOG_DATA":
-                aircraft.logs.take(frame.name, frame.fields(), now)
+                with self.faults.watch("download"):
+                    aircraft.logs.take(frame.name, frame.fields(), now)
 
     def _keep(self, out: list[ev.Event]) -> None:
         """Hand events to the recorders of their sessions."""
-        if self._folder is None:
-            return
         for event in out:
-            with self._disk("recording"):
-                if isinstance(event, ev.Restarted):
+            if isinstance(event, ev.Restarted):
+                with self.faults.watch(RECORDING):
                     self._begin(event.session)
-                elif isinstance(event, ev.ScanReceived):
-                    self._recorder(event.session).scan(event)
-                elif isinstance(event, ev.EventMarked):
-                    self._recorder(event.session).event(event)
+            elif isinstance(event, ev.ScanReceived | ev.EventMarked):
+                sessions = self._aircraft[event.session.system].sessions
+                if sessions is not None:
+                    sessions.keep(event)
 
     def _begin(self, session: ev.Session) -> None:
         aircraft = self._aircraft[session.system]
         books = next((b for b in aircraft.decoder.sessions if b.session == session), None)
-        if self._folder is None or books is None:
-            return
-        recorder = self._recorder(session)
-        aircraft.backfill = BackfillClient(recorder, books, self.config.backfill)
-
-    def _recorder(self, session: ev.Session) -> SessionRecorder:
-        aircraft = self._aircraft[session.system]
-        if session not in aircraft.recorders:
-            assert self._folder is not None
-            if len(aircraft.recorders) >= _MAX_RECORDERS:
-                self._put_away(aircraft)
-            aircraft.recorders[session] = SessionRecorder(self._folder, session)
-        return aircraft.recorders[session]
-
-    def _put_away(self, aircraft: _Aircraft) -> None:
-        """Write and close the oldest session of an aircraft: the number of open files is bounded."""
-        recorder = aircraft.recorders.pop(next(iter(aircraft.recorders)))
-        path = recorder.write()
-        self._put_away_paths += [] if path is None else [path]
-        recorder.close()
+        if aircraft.sessions is not None and books is not None:
+            aircraft.backfill = BackfillClient(aircraft.sessions.recorder(session), books, self.config.backfill)
 
     # ------------------------------------------------------------------------------------------ sending
 
@@ -257,7 +188,7 @@ class Receiver:
             self._report(now, out)
         if self._gate.signer is not None and now >= self._next_save_ns and self._gate.signer.needs_saving():
             self._next_save_ns = now + _SAVE_NS
-            with self._disk("signing state"):
+            with self.faults.watch(_SIGNING_STATE):
                 self._gate.signer.save()
         if not self.config.transmit:
             return
@@ -305,18 +236,16 @@ class Receiver:
 
     def _write(self, port: BytePort, frame: bytes) -> None:
         """Send a frame; one that a busy port does not take is lost like one on the air, and asked again in time."""
-        try:
+        name = next((n for n, p in self._ports.items() if p is port), "?")
+        if name in self.faults.present:
+            return  # away, and said so
+        with self.faults.watch(f"{name} (sending)"):
             taken = port.write(frame)
             while 0 < taken < len(frame):  # never leave half a frame in the stream
                 more = port.write(frame[taken:])
                 if not more:
                     break
                 taken += more
-        except OSError as error:
-            name = next((n for n, p in self._ports.items() if p is port), "?")
-            self._faults[name] = error.strerror or str(error)
-            return
-        self._bytes_sent += taken
 
     def _report(self, now: int, out: list[ev.Event]) -> None:
         for aircraft in self._aircraft.values():
@@ -324,16 +253,12 @@ class Receiver:
             if report is None:
                 continue
             out.append(report)
-            recorder = aircraft.recorders.get(report.session)
-            if recorder is not None:
-                with self._disk("recording"):
-                    recorder.link(report)
+            if aircraft.sessions is not None:
+                aircraft.sessions.keep(report)
             progress = aircraft.backfill.progress(now) if aircraft.backfill is not None else None
             if progress is not None:
                 out.append(progress)
-        if self._tlog is not None:
-            with self._disk("telemetry log"):
-                self._tlog.flush()
+        self._intake.flush()
 
     # ------------------------------------------------------------------------------------------ for the owner
 
@@ -369,44 +294,41 @@ class Receiver:
     def session_recorders(self) -> dict[ev.Session, SessionRecorder]:
         """The recorders of all sessions."""
         with self._lock:
-            return {s: r for a in self._aircraft.values() for s, r in a.recorders.items()}
+            return {s: r for kept in self._kept() for s, r in kept.recorders.items()}
+
+    def _kept(self) -> list[Sessions]:
+        return [a.sessions for a in self._aircraft.values() if a.sessions is not None]
 
     def write_recordings(self) -> list[Path]:
-        """Write the recordings of all sessions as they are now; returns their paths."""
+        """Write the recordings of all sessions as they are now; returns their paths.
+
+        One that cannot be written is named in `port_faults`; its journal keeps the scans.
+        """
         with self._lock:
-            written = [r.write() for a in self._aircraft.values() for r in a.recorders.values()]
-            self._written = [*self._put_away_paths, *(p for p in written if p is not None)]
+            self._written = list(chain.from_iterable(kept.write() for kept in self._kept()))
             return list(self._written)
 
     def summary(self) -> dict[str, Any]:
         """Counters as `ground --json` gives them; `flight` is the largest session's recording."""
         with self._lock:
-            totals = list(self._retired)
-            for decoder in self._decoders.values():
-                c = decoder.counts
-                for i, n in enumerate((c.received_bytes, c.frames, c.damaged, c.discarded_bytes)):
-                    totals[i] += n
             trackers = [t for a in self._aircraft.values() for t in a.decoder.trackers.values()]
-            return counters(self.accounting(), totals, trackers, self._gate.rejected, self._written)
+            return counters(self.accounting(), self._intake.totals(), trackers, self._gate.rejected, self._written)
 
     def close(self) -> None:
-        """Write the recordings, close all files and ports."""
+        """Write the recordings, close all files and ports. What fails is in `port_faults`; nothing is left open."""
         with self._lock:
             if self._closed:
                 return
-            utc = self.clock.utc_ns()
-            for key in list(self._decoders):
-                self._retire(key, utc)
+            self._intake.close(self.clock.utc_ns())
             self.write_recordings()
             self._closed = True
             if self._gate.signer is not None:
-                self._gate.signer.save()
+                with self.faults.watch(_SIGNING_STATE):
+                    self._gate.signer.save()
+            for kept in self._kept():
+                kept.close()
             for aircraft in self._aircraft.values():
-                for recorder in aircraft.recorders.values():
-                    recorder.close()
                 aircraft.logs.close()
-            if self._tlog is not None:
-                self._tlog.close()
             for port in self._ports.values():
                 port.close()
 

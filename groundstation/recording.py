@@ -5,6 +5,7 @@ asked. Complete scans (backfilled) are written in the aircraft's own bytes. The 
 """
 
 import json
+import struct
 import zlib
 from collections.abc import Mapping
 from dataclasses import asdict, replace
@@ -20,7 +21,6 @@ from groundstation.journal import Journal, Kind
 LINK_TOPIC = "/link"
 LINK_SCHEMA = "sideslip.Link"
 UNKNOWN_SOURCE = "unknown"
-_FLUSH_SCANS = 200
 
 _LINK_FIELDS = (
     "time_monotonic_s",
@@ -60,6 +60,23 @@ def link_json(report: ev.LinkStatistics, aircraft_ns: int) -> bytes:
     return json.dumps({"time_monotonic_s": aircraft_ns * 1e-9, **values}).encode()
 
 
+def read_link(path: Path) -> list[dict[str, Any]]:
+    """Link reports of a received recording, as `link_json` made them; those before a damage. Empty for other files."""
+    from mcap.exceptions import McapError
+    from mcap.reader import NonSeekingReader
+
+    found: list[dict[str, Any]] = []
+    with path.open("rb") as stream:
+        try:
+            for _, _, message in NonSeekingReader(stream, validate_crcs=True).iter_messages(
+                topics=[LINK_TOPIC], log_time_order=False
+            ):
+                found.append(json.loads(message.data))
+        except (McapError, ValueError, struct.error):
+            return found
+    return found
+
+
 class SessionRecorder:
     """Keeps one session in a folder: `<name>.journal` while it goes on, `<name>.mcap` when written."""
 
@@ -67,7 +84,6 @@ class SessionRecorder:
         self.session = session
         self.path = folder / f"{session.name}.mcap"
         self.journal = Journal(folder / f"{session.name}.journal")
-        self._since_flush = 0
         self._last_ns = 0
         self._events: set[bytes] = set(self.journal.others(Kind.EVENT))
         self.papers: Mapping[str, Any] | None = None
@@ -80,7 +96,6 @@ class SessionRecorder:
         """Keep a scan."""
         self.journal.add_received(event.scan)
         self._last_ns = event.scan.time_monotonic_ns
-        self._tick()
 
     def event(self, marked: ev.EventMarked) -> None:
         """Keep an event, once."""
@@ -99,7 +114,6 @@ class SessionRecorder:
 
     def complete(self, data: bytes) -> int | None:
         """Keep a scan in the aircraft's own bytes; its number, or None when the bytes are no scan."""
-        self._tick()
         return self.journal.add_complete(data)
 
     def take_papers(self, data: bytes) -> bool:
@@ -130,12 +144,6 @@ class SessionRecorder:
             return 0
         return int(self.papers.get("archive_bytes", 0))
 
-    def _tick(self) -> None:
-        self._since_flush += 1
-        if self._since_flush >= _FLUSH_SCANS:
-            self._since_flush = 0
-            self.journal.flush()
-
     def info(self) -> RecordingInfo:
         """Identity of the recording, as far as the aircraft has told."""
         attachments = _attachments(self._archive)
@@ -143,15 +151,27 @@ class SessionRecorder:
             return RecordingInfo(self.session.name, UNKNOWN_SOURCE, role="received", attachments=attachments)
         return replace(_info(self.papers, attachments), role="received")
 
+    @property
+    def has_scans(self) -> bool:
+        """Whether there is anything to write."""
+        return bool(len(self.journal.complete) or len(self.journal.received))
+
     def write(self, path: Path | None = None) -> Path | None:
         """Write the recording to `path` (default: beside the journal); None when no scan has come."""
         path = path or self.path
-        self.journal.flush()
-        numbers = self.journal.complete | self.journal.received
-        if not numbers:
+        if not self.has_scans:
             return None
         new = path.with_name(path.name + ".new")
-        with new.open("wb") as stream:
+        try:
+            self._write(new)
+        except OSError:
+            new.unlink(missing_ok=True)
+            raise
+        new.replace(path)
+        return path
+
+    def _write(self, path: Path) -> None:
+        with path.open("wb") as stream:
             writer = ReceivedWriter(stream, self.info())
             for data in self.journal.scans():
                 writer.write(scan_entry(decode_scan(data), data))
@@ -160,8 +180,6 @@ class SessionRecorder:
             for i, link in enumerate(self.journal.others(Kind.LINK)):
                 writer.write_link(link, round(json.loads(link)["time_monotonic_s"] * 1e9), i)
             writer.finish()
-        new.replace(path)
-        return path
 
     def close(self) -> None:
         """Close the journal."""

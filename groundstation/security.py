@@ -4,6 +4,8 @@ With a key set, a frame counts only with a good signature; RADIO_STATUS alone is
 it, and it feeds nothing but the display of signal strength. What is kept out is counted and reported.
 """
 
+from dataclasses import dataclass
+
 from daq.contract.mavlink_codec import RADIO_STATUS_ID, Frame
 from daq.contract.signing import Signer, Verdict, load_key
 from groundstation import events as ev
@@ -23,28 +25,40 @@ def make_signer(config: LinkConfig, clock: Clock) -> Signer | None:
 
 
 class Gate:
-    """Lets frames through or not, and reports at most every five seconds for each sender and reason."""
+    """Lets frames through or not, and reports at most every five seconds for each sender and reason, all of them in time."""
 
     def __init__(self, signer: Signer | None) -> None:
         self.signer = signer
         self.rejected = 0
-        self._reported_ns: dict[tuple[int, int, Verdict], int] = {}
-        self._counts: dict[tuple[int, int, Verdict], int] = {}
+        self._senders: dict[tuple[int, int, Verdict], _Refusals] = {}
 
-    def judge(self, frame: Frame, now_ns: int) -> tuple[bool, ev.Refused | None]:
-        """Whether to use a frame, and a report when one is due."""
+    def allows(self, frame: Frame) -> bool:
+        """Whether to use a frame."""
         if self.signer is None or frame.msg_id == RADIO_STATUS_ID:
-            return True, None
+            return True
         verdict = self.signer.judge(frame.signed_part, (frame.system, frame.component), frame.signature)
         if verdict.accepted:
-            return True, None
+            return True
         self.rejected += 1
         key = (frame.system, frame.component, verdict)
-        if key not in self._counts and len(self._counts) >= _MAX_SENDERS:
-            return False, None
-        self._counts[key] = self._counts.get(key, 0) + 1
-        if now_ns - self._reported_ns.get(key, now_ns - REPORT_EVERY_NS) < REPORT_EVERY_NS:
-            return False, None
-        self._reported_ns[key] = now_ns
-        count, self._counts[key] = self._counts[key], 0
-        return False, ev.Refused(frame.system, frame.component, frame.name, verdict.value, count, now_ns)
+        if key in self._senders or len(self._senders) < _MAX_SENDERS:
+            refusals = self._senders.setdefault(key, _Refusals())
+            refusals.count += 1
+            refusals.message = frame.name
+        return False
+
+    def reports(self, now_ns: int) -> list[ev.Refused]:
+        """What has been refused and is due to be told."""
+        out = []
+        for (system, component, verdict), r in self._senders.items():
+            if r.count and (r.told_ns is None or now_ns - r.told_ns >= REPORT_EVERY_NS):
+                out.append(ev.Refused(system, component, r.message, verdict.value, r.count, now_ns))
+                r.told_ns, r.count = now_ns, 0
+        return out
+
+
+@dataclass
+class _Refusals:
+    count: int = 0
+    message: str = ""
+    told_ns: int | None = None

@@ -15,7 +15,7 @@ PAPERS_PERIOD_NS = 2 * NS
 
 
 class Station:
-    """Call `step` often; it never waits. make_view: makes the view of an aircraft, None for no picture."""
+    """Call `step` often; it never waits. make_view: makes the view of an aircraft, or None when it cannot."""
 
     def __init__(
         self,
@@ -24,7 +24,7 @@ class Station:
         clock: Clock,
         folder: Path,
         *,
-        make_view: Callable[[int], View] | None = None,
+        make_view: Callable[[int], View | None] | None = None,
         echo: Callable[[str], None] = lambda _: None,
     ) -> None:
         self.config, self.receiver, self.folder = config, receiver, folder
@@ -50,12 +50,15 @@ class Station:
 
     def _sayer(self, system: int) -> Callable[[float, str, str], None]:
         def say(time: float, level: str, text: str) -> None:
-            line = f"{time:10.2f} s  aircraft {system}  {level:<8} {text}"
-            self._log.write(line + "\n")
-            self._log.flush()
-            self._echo(line)
+            self._note(f"{time:10.2f} s  aircraft {system}  {level:<8} {text}")
 
         return say
+
+    def _note(self, line: str) -> None:
+        self._echo(line)
+        with self.receiver.faults.watch("event log"):
+            self._log.write(line + "\n")
+            self._log.flush()
 
     def step(self) -> list[ev.Event]:
         """Take in what has arrived and act on it."""
@@ -80,6 +83,13 @@ class Station:
                     self.desks[system].happened(event)
             case ev.Heartbeat():
                 pass
+            case ev.Trouble(what=what, words=words):
+                over = "works again"
+                self._note(
+                    f"{'':10}    ground station  {'INFO' if words is None else 'WARN':<4} {what}: {words or over}"
+                )
+                for desk in self.desks.values():
+                    desk.happened(event)
             case _:
                 self.desk(event.session.system).happened(event)
 
@@ -101,6 +111,9 @@ class Station:
                 )
 
     def close(self) -> None:
-        """Write recordings and close every file and port."""
+        """Write recordings and close every file and port; what failed is told."""
         self.receiver.close()
-        self._log.close()
+        for event in self.receiver.faults.changes(self._clock.monotonic_ns()):
+            self._dispatch(event)
+        with self.receiver.faults.watch("event log"):
+            self._log.close()

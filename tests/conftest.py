@@ -1,5 +1,6 @@
 """The test floor: nothing may leak threads or processes, nothing may leave this machine, seeds are printed."""
 
+import contextlib
 import multiprocessing
 import os
 import socket
@@ -56,7 +57,8 @@ def _threads() -> set[threading.Thread]:
 def _children() -> set[int]:
     found: set[int] = set()
     for task in Path("/proc/self/task").glob("*/children"):
-        found.update(int(pid) for pid in task.read_text().split())
+        with contextlib.suppress(OSError):  # a thread that ended between listing and reading
+            found.update(int(pid) for pid in task.read_text().split())
     return found
 
 

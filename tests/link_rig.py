@@ -139,10 +139,14 @@ class Rig:
         data = self._air.read(1 << 20)
         if data:
             self._ground.write(self.down(data))
-        self.events += self.ground.poll()
+        self.events += self.look()
         data = self._ground.read(1 << 20)
         if data:
             self._air.write(self.up(data))
+
+    def look(self) -> list[ev.Event]:
+        """Let the ground take what has arrived."""
+        return self.ground.poll()
 
     def fly(self, scans: int, make: Callable[[int], Scan]) -> None:
         """So many scans at 20 Hz."""

@@ -1,10 +1,11 @@
 """The layout of the viewer: a full page for a ground station, and a light one for weak machines.
 
-Sixty-second sliding windows that follow live data; for a recorded flight the whole time range. Stored with the
-project as .rbl by `sideslip view --save-blueprint`, and embedded in every recording that is written.
+Sixty-second sliding windows that follow live data; for a recorded flight the whole time range. It is embedded in every
+recording that is shown or written; `sideslip view FILE --save-blueprint PATH.rbl` saves it alone, for rerun's own use.
 """
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, Literal
 
 import rerun as rr
@@ -58,7 +59,8 @@ def _plots(live: bool) -> dict[str, rrb.TimeSeriesView]:
         "power": _plot("Thrust and supply", ["/propulsion", "/power", "/controls/throttle"], live),
         "altitude": _plot("Altitude", ["/airdata/altitude", "/gnss/altitude"], live),
         "inputs": _plot("Analog and digital inputs", ["/inputs/analog", "/inputs/digital"], live),
-        "link": _plot("Link quality", [e.LINK_LOSS, e.LINK_RATE, e.LINK_SIGNAL, e.LINK_LATENCY], live),
+        "link": _plot("Link quality", [e.LINK_LOSS, e.LINK_RATE], live),
+        "signal": _plot("Signal, latency", [e.LINK_SIGNAL, e.LINK_LATENCY], live),
     }
 
 
@@ -76,8 +78,14 @@ def blueprint(layout: Layout = "full", *, live: bool = True) -> rrb.Blueprint:
     if layout == "light":
         left = rrb.Vertical(plots["airdata"], plots["rates"], plots["controls"])
         return rrb.Blueprint(rrb.Horizontal(left, events, column_shares=[3, 1]), *panels)
-    world = rrb.Spatial3DView(
-        origin=e.AIRCRAFT, name="Attitude", contents=[f"{e.AIRCRAFT}/**"], background=[18, 22, 28], line_grid=False
+    chase = rrb.Spatial3DView(
+        origin=e.ATTITUDE,
+        name="Attitude",
+        background=[18, 22, 28],
+        line_grid=rrb.LineGrid3D(spacing=1.0, plane=rr.components.Plane3D((0.0, 0.0, 1.0), 1.5), color=[70, 80, 95]),
+        eye_controls=rrb.EyeControls3D(
+            position=(-1.9, 0.5, -0.8), look_target=(0.0, 0.0, 0.0), eye_up=(0.0, 0.0, -1.0)
+        ),
     )
     track = rrb.Spatial3DView(origin="/world", name="Track", contents=["/world/**"], background=[18, 22, 28])
     map_view = rrb.MapView(origin="/map", name="Map")
@@ -85,10 +93,17 @@ def blueprint(layout: Layout = "full", *, live: bool = True) -> rrb.Blueprint:
     health = rrb.StateTimelineView(origin=e.HEALTH, name="Sensor health")
     left = rrb.Vertical(plots["airdata"], plots["rates"], plots["controls"], plots["acceleration"])
     middle = rrb.Vertical(
-        rrb.Tabs(world, track, map_view, name="Where"),
+        rrb.Tabs(chase, track, map_view, name="Where"),
         plots["attitude"],
         rrb.Tabs(plots["speed"], plots["altitude"], plots["power"], plots["inputs"]),
         row_shares=[2, 1, 1],
     )
-    right = rrb.Vertical(health, plots["link"], rrb.Tabs(events, status), row_shares=[2, 1, 1.4])
+    link = rrb.Tabs(plots["link"], plots["signal"])
+    right = rrb.Vertical(health, link, rrb.Tabs(events, status), row_shares=[2.2, 1, 1.3])
     return rrb.Blueprint(rrb.Horizontal(left, middle, right, column_shares=[1.3, 1.1, 0.9]), *panels)
+
+
+def save_blueprint(path: Path, layout: Layout = "full") -> None:
+    """Write the layout for live data as .rbl; OSError when the file cannot be written."""
+    path.open("wb").close()  # rerun itself does not say so
+    blueprint(layout).save(e.APPLICATION, str(path))

@@ -6,7 +6,7 @@ per entity and chunk, not per number. Angles are shown in degrees: this is a per
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,8 @@ HEALTH = "/health"
 EVENTS = "/events"
 STATUS = "/status"
 AIRCRAFT = "/world/aircraft"
+ATTITUDE = "/attitude3d"
+CHASED = f"{ATTITUDE}/aircraft"
 TRACK = "/world/track"
 MAP_POSITION = "/map/position"
 MAP_TRACK = "/map/track"
@@ -32,6 +34,9 @@ MODEL = "/model"
 # Okabe-Ito: told apart by colour-blind people too, and readable on rerun's dark ground.
 PALETTE = (0x56B4E9FF, 0xE69F00FF, 0x009E73FF, 0xF0E442FF, 0xCC79A7FF, 0xD55E00FF, 0x0072B2FF, 0xBBBBBBFF)
 
+_HUES: Mapping[str, int] = {"/controls/commanded": 3}  # drawn with what was measured
+_MODEL_HUE = 4
+
 _SHOWN: Mapping[str, tuple[str, float, float]] = {
     "rad": ("deg", math.degrees(1), 0.0),
     "rad/s": ("deg/s", math.degrees(1), 0.0),
@@ -42,13 +47,17 @@ _SHOWN: Mapping[str, tuple[str, float, float]] = {
 
 @dataclass(frozen=True, slots=True)
 class SeriesGroup:
-    """Columns drawn from one entity. shown = value * scale + offset, element by element."""
+    """Columns drawn from one entity. shown = value * scale + offset, element by element.
+
+    hue: where in the palette its colours begin, so that groups drawn in one plot are told apart.
+    """
 
     entity: str
     columns: tuple[str, ...]
     labels: tuple[str, ...]
     scale: NDArray[np.float64]
     offset: NDArray[np.float64]
+    hue: int = 0
 
     def shown(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
         """Column values, last axis in order of `columns`, in the units a person reads."""
@@ -57,7 +66,7 @@ class SeriesGroup:
     @property
     def colors(self) -> NDArray[np.uint32]:
         """One colour a series, in table order."""
-        return np.array([PALETTE[i % len(PALETTE)] for i in range(len(self.columns))], np.uint32)
+        return np.array([PALETTE[(i + self.hue) % len(PALETTE)] for i in range(len(self.columns))], np.uint32)
 
 
 def _group(entity: str, columns: Iterable[Column], suffix: str = "") -> SeriesGroup:
@@ -65,7 +74,7 @@ def _group(entity: str, columns: Iterable[Column], suffix: str = "") -> SeriesGr
     shown = [_SHOWN.get(c.unit, (c.unit, 1.0, 0.0)) for c in rows]
     labels = tuple(f"{c.name}{suffix} [{unit}]" for c, (unit, _, _) in zip(rows, shown, strict=True))
     scale, offset = np.array([s for _, s, _ in shown]), np.array([o for _, _, o in shown])
-    return SeriesGroup(entity, tuple(c.name for c in rows), labels, scale, offset)
+    return SeriesGroup(entity, tuple(c.name for c in rows), labels, scale, offset, _HUES.get(entity, 0))
 
 
 def series_groups(available: Iterable[str] | None = None) -> tuple[SeriesGroup, ...]:
@@ -83,7 +92,7 @@ def model_groups(available: Iterable[str]) -> tuple[SeriesGroup, ...]:
     for entity in dict.fromkeys(c.entity for c in rows):
         group = _group(MODEL + entity, (c for c in rows if c.entity == entity), " model")
         names_in_flight = tuple(f"{c}_model" for c in group.columns)
-        groups.append(SeriesGroup(group.entity, names_in_flight, group.labels, group.scale, group.offset))
+        groups.append(replace(group, columns=names_in_flight, hue=_MODEL_HUE))
     return tuple(groups)
 
 

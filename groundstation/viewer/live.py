@@ -37,13 +37,18 @@ class ViewerError(UserError):
 
 @dataclass(frozen=True, slots=True)
 class ViewOptions:
-    """How to show: layout, gRPC port on loopback, memory the server may keep, and a file to write instead or too."""
+    """How to show: layout, gRPC port on loopback, memory the server may keep, and a file to write instead or too.
+
+    tick_s: how long pictures are collected before they are sent together; None as suits the layout. When flight time
+    runs faster than the clock on the wall it should be as much shorter, or every packet holds minutes.
+    """
 
     layout: Layout = "full"
     port: int = DEFAULT_PORT
     memory_limit: str = "64MiB"
     rrd: Path | None = None
     serve: bool = True
+    tick_s: float | None = None
 
 
 def port_is_free(port: int) -> bool:
@@ -76,7 +81,7 @@ class LiveView:
         self._dropped = 0
         self._shown = 0
         self._closing = False
-        config = rr.ChunkBatcherConfig(flush_tick=TICK_S[options.layout])
+        config = rr.ChunkBatcherConfig(flush_tick=options.tick_s or TICK_S[options.layout])
         run = f"{title}-{uuid.uuid4().hex[:12]}"
         self._stream = rr.RecordingStream(e.APPLICATION, recording_id=run, batcher_config=config)
         sinks: list[rr.GrpcServerSink | rr.FileSink] = []

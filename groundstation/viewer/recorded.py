@@ -1,11 +1,27 @@
 """Any file a person may have, as a rerun recording: flights, raw recordings, recordings of rerun itself."""
 
+import math
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+from daq.contract.messages import LogLevel
 from groundstation.flight import Flight, read_flight
 from groundstation.viewer.blueprint import Layout
 from groundstation.viewer.live import ViewerError
 from groundstation.viewer.replay import write_rrd
+from groundstation.viewer.scene import LinkSample
+
+if TYPE_CHECKING:
+    from daq.contract.reading import Recording
+
+_LEVELS = {
+    LogLevel.UNKNOWN: "INFO",
+    LogLevel.DEBUG: "TRACE",
+    LogLevel.INFO: "INFO",
+    LogLevel.WARNING: "WARN",
+    LogLevel.ERROR: "ERROR",
+    LogLevel.FATAL: "CRITICAL",
+}
 
 
 def as_rrd(file: Path, target: Path, layout: Layout = "full", calibration: Path | None = None) -> Path:
@@ -39,13 +55,58 @@ def _raw(file: Path, target: Path, layout: Layout, calibration: Path | None) -> 
 
     flight = calibrate_recording(file, calibration, salvage=True)
     states: dict[str, list[tuple[float, str]]] = {}
-    for scan in read_recording(file, salvage=True).scans():
+    recording = read_recording(file, salvage=True)
+    for scan in recording.scans():
         for group, status in scan.groups.items():
             history = states.setdefault(group, [])
             if not history or history[-1][1] != status.state.words:
                 history.append((scan.time, status.state.words))
-    write_rrd(flight, target, layout=layout, states=states, events=_events(flight))
+    said = [
+        (line.time_monotonic_ns * 1e-9, f"{line.name}: {line.message}", _LEVELS[line.level]) for line in recording.log
+    ]
+    write_rrd(
+        flight,
+        target,
+        layout=layout,
+        states=states,
+        events=sorted([*_events(flight), *said]),
+        link=_link(file),
+        status=_status(recording, flight),
+    )
     return target
+
+
+def _link(file: Path) -> list[tuple[float, LinkSample]]:
+    """Quality of the radio link, where the recording was received over one."""
+    from groundstation.recording import read_link
+
+    def known(value: float | None) -> float:
+        return math.nan if value is None else value
+
+    return [
+        (
+            r["time_monotonic_s"],
+            LinkSample(100 * r["loss"], r["scan_rate_hz"], known(r["rssi_dbm"]), known(r["latency_s"])),
+        )
+        for r in (read_link(file) if file.is_file() else [])
+    ]
+
+
+def _status(recording: "Recording", flight: Flight) -> str:
+    """The status page: what this recording is, and how it went."""
+    info = recording.info
+    how = f"{info.source}, received by radio" if info.role == "received" else info.source
+    lines = [
+        f"**{info.aircraft or 'aircraft'}**, session {info.session}",
+        "",
+        f"- {len(recording.numbers)} scans, {flight.time[-1] - flight.time[0]:.1f} s, {how}",
+        f"- software {info.software}",
+    ]
+    if recording.statistics:
+        s = recording.statistics[-1]
+        lines.append(f"- {s.written} scans written, {s.dropped} dropped, {s.lost} lost, {s.missed} slots missed")
+    lines += [f"- damaged: {p.name} byte {d.at_byte}: {d.what}" for p, d in recording.damages] or ["- no damage found"]
+    return "\n".join(lines)
 
 
 def _events(flight: Flight) -> list[tuple[float, str, str]]:

@@ -19,6 +19,7 @@ from groundstation.viewer.airframe import airframe_mesh
 
 EARTH_RADIUS = 6_371_000.0
 TRACK_POINTS = 400
+TRACK_SCALE = 12.0
 TRACK_PERIOD_S = 2.0
 
 
@@ -65,26 +66,30 @@ class Scene:
             rec.log(group.entity, rr.SeriesLines(names=list(group.labels), colors=group.colors), static=True)
         vertices, triangles, colors = airframe_mesh()
         mesh = rr.Mesh3D(vertex_positions=vertices, triangle_indices=triangles, vertex_colors=colors)
-        rec.log(f"{e.AIRCRAFT}/airframe", mesh, static=True)
+        rec.log(e.ATTITUDE, rr.ViewCoordinates.FRD, static=True)
+        rec.log(f"{e.CHASED}/airframe", mesh, static=True)
+        # On the track the aircraft would be too small to be seen.
+        rec.log(f"{e.AIRCRAFT}/airframe", mesh, rr.Transform3D(scale=TRACK_SCALE), static=True)
         axes = rr.Arrows3D(
             vectors=np.eye(3, dtype=np.float32) * 0.7,
             colors=np.array([0xD55E00FF, 0x009E73FF, 0x56B4E9FF], np.uint32),
             labels=["x", "y", "z"],
+            show_labels=False,
         )
-        rec.log(f"{e.AIRCRAFT}/axes", axes, static=True)
+        rec.log(f"{e.CHASED}/axes", axes, static=True)
         names = list(e.STATE_COLORS)
         lane = rr.StateConfiguration(
             values=names, labels=names, colors=np.array(list(e.STATE_COLORS.values()), np.uint32)
         )
         for sensor in e.HEALTH_TITLES:
             rec.log(e.health_entity(sensor), lane, static=True)
-        for entity, label in (
-            (e.LINK_LOSS, "lost [%]"),
-            (e.LINK_RATE, "frames [1/s]"),
-            (e.LINK_SIGNAL, "signal [dBm]"),
-            (e.LINK_LATENCY, "latency [ms]"),
+        for entity, label, color in (
+            (e.LINK_LOSS, "lost [%]", e.PALETTE[5]),
+            (e.LINK_RATE, "scans [1/s]", e.PALETTE[2]),
+            (e.LINK_SIGNAL, "signal [dBm]", e.PALETTE[0]),
+            (e.LINK_LATENCY, "latency [ms]", e.PALETTE[1]),
         ):
-            rec.log(entity, rr.SeriesLines(names=[label]), static=True)
+            rec.log(entity, rr.SeriesLines(names=[label], colors=np.array([color], np.uint32)), static=True)
 
     # ------------------------------------------------------------------------------------------------ live
     def sample(self, time: float, values: Mapping[str, float]) -> None:
@@ -97,12 +102,16 @@ class Scene:
                 rec.log(group.entity, rr.Scalars(group.shown(row)))
         angles = [values.get(k, math.nan) for k in ("phi", "theta", "psi")]
         if all(math.isfinite(a) for a in angles):
-            rec.log(e.AIRCRAFT, self._pose(angles))
+            self._pose(angles)
         self._position(time, values)
 
-    def _pose(self, angles: list[float]) -> rr.Transform3D:
+    def _pose(self, angles: list[float]) -> None:
+        """The aircraft on its track, and as seen by one who flies behind it: bank and pitch, the heading always ahead."""
         translation = self._track[-1][2:] if self._track else (0.0, 0.0, 0.0)
-        return rr.Transform3D(quaternion=rr.Quaternion(xyzw=quaternion_xyzw(*angles)), translation=translation)
+        turned = rr.Quaternion(xyzw=quaternion_xyzw(*angles))
+        chased = rr.Quaternion(xyzw=quaternion_xyzw(angles[0], angles[1], 0.0))
+        self._stream.log(e.AIRCRAFT, rr.Transform3D(quaternion=turned, translation=translation))
+        self._stream.log(e.CHASED, rr.Transform3D(quaternion=chased))
 
     def _position(self, time: float, values: Mapping[str, float]) -> None:
         latitude, longitude = values.get("latitude", math.nan), values.get("longitude", math.nan)
@@ -194,9 +203,27 @@ class Scene:
             return
         angles = np.column_stack([flight[c] for c in ("phi", "theta", "psi")])
         keep = np.flatnonzero(np.isfinite(angles).all(axis=1))
-        if keep.size:
-            quaternions = [quaternion_xyzw(*row) for row in angles[keep]]
-            index = rr.TimeColumn(e.TIMELINE, duration=flight.time[keep])
-            self._stream.send_columns(
-                e.AIRCRAFT, indexes=[index], columns=rr.Transform3D.columns(quaternion=quaternions)
-            )
+        if not keep.size:
+            return
+        index = rr.TimeColumn(e.TIMELINE, duration=flight.time[keep])
+        turned = [quaternion_xyzw(*row) for row in angles[keep]]
+        places = self._places(flight, keep)
+        pose = rr.Transform3D.columns(quaternion=turned, translation=places)
+        self._stream.send_columns(e.AIRCRAFT, indexes=[index], columns=pose)
+        ahead = [quaternion_xyzw(phi, theta, 0.0) for phi, theta, _ in angles[keep]]
+        self._stream.send_columns(e.CHASED, indexes=[index], columns=rr.Transform3D.columns(quaternion=ahead))
+
+    def _places(self, flight: Flight, keep: NDArray[np.intp]) -> NDArray[np.float64]:
+        """Where on its track the aircraft was at some samples, north, east, down [m]; the origin without fixes."""
+        if not all(c in flight for c in ("latitude", "longitude")):
+            return np.zeros((keep.size, 3))
+        height = flight["altitude_gnss"] if "altitude_gnss" in flight else flight["latitude"] * math.nan
+        if not np.isfinite(height).any() and "altitude" in flight:
+            height = flight["altitude"]
+        fixes = np.flatnonzero(np.isfinite(flight["latitude"]) & np.isfinite(flight["longitude"]))
+        if not fixes.size:
+            return np.zeros((keep.size, 3))
+        local = [self._local(flight["latitude"][i], flight["longitude"][i]) for i in fixes]
+        table = np.column_stack([np.array(local), -np.nan_to_num(height[fixes])])
+        at, times = flight.time[keep], flight.time[fixes]
+        return np.column_stack([np.interp(at, times, table[:, i]) for i in range(3)])

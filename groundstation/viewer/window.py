@@ -4,6 +4,8 @@ The web page comes from the rerun binary, because the Python call `serve_web_vie
 """
 
 import contextlib
+import ctypes
+import signal
 import subprocess
 import sys
 import time
@@ -35,24 +37,57 @@ def rerun_binary() -> str:
     return str(path)
 
 
-class WebPage:
-    """The rerun web viewer on loopback, as a child process, showing a live server or a recording."""
+_PR_SET_PDEATHSIG = 1
+_libc = ctypes.CDLL(None) if sys.platform == "linux" else None
 
-    def __init__(self, source: str | Path, port: int = DEFAULT_WEB_PORT) -> None:
-        """source: the gRPC address of a live view, or an .rrd file that this page serves itself."""
+
+def _start(command: list[str]) -> "subprocess.Popen[bytes]":
+    """Start rerun as a child that does not outlive this process, not even one that is killed: it would hold its port."""
+
+    def end_with_parent() -> None:
+        if _libc is not None:
+            _libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+
+    # The function takes no lock, so that this process's threads do not matter to it.
+    return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, preexec_fn=end_with_parent)  # noqa: PLW1509
+
+
+class WebPage:
+    """The rerun web viewer on loopback, as a child process, showing a live server or a recording.
+
+    source: the gRPC address of a live view, or an .rrd file that this page serves itself. wait: until it answers.
+    """
+
+    def __init__(self, source: str | Path, port: int = DEFAULT_WEB_PORT, *, wait: bool = True) -> None:
         if not port_is_free(port):
             raise ViewerError(f"web port {LOOPBACK}:{port} is in use; give another with --web-port")
         own_port = free_port()
-        command = [rerun_binary(), "--serve-web", "--bind", LOOPBACK, "--port", str(own_port)]
-        command += ["--web-viewer-port", str(port), "--server-memory-limit", "512MB"]
+        self._command = [rerun_binary(), "--serve-web", "--bind", LOOPBACK, "--port", str(own_port)]
+        self._command += ["--web-viewer-port", str(port), "--server-memory-limit", "512MB"]
         live = not isinstance(source, Path)
         if not live:
-            command.append(str(source))
-        self._process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+            self._command.append(str(source))
         data = source if live else f"rerun+http://{LOOPBACK}:{own_port}/proxy"
         query = urllib.parse.urlencode({"url": data, "renderer": "webgl", "hide_welcome_screen": "1"})
-        self.url = f"http://{LOOPBACK}:{port}/?{query}"
-        self._wait(f"http://{LOOPBACK}:{port}/")
+        self.address = f"http://{LOOPBACK}:{port}/"
+        self.url = f"{self.address}?{query}"
+        self._process = _start(self._command)
+        if wait:
+            self._wait(self.address)
+
+    @property
+    def open(self) -> bool:
+        """Whether the page's process is there."""
+        return self._process.poll() is None
+
+    @property
+    def pid(self) -> int:
+        """Process id of the page's server."""
+        return self._process.pid
+
+    def restart(self) -> None:
+        """Start the page's process anew, after it has died."""
+        self._process = _start(self._command)
 
     def _wait(self, address: str) -> None:
         deadline = time.monotonic() + START_TIMEOUT_S
@@ -81,20 +116,23 @@ class WebPage:
 
 
 class NativeWindow:
-    """rerun's own window, attached to a live view or opened on a recording."""
+    """rerun's own window, attached to a live view or opened on a recording.
 
-    def __init__(self, source: str | Path) -> None:
+    headless: draw without a display, for tests. The viewer's control port is on loopback too; rerun's default is not.
+    """
+
+    def __init__(self, source: str | Path, *, headless: bool = False) -> None:
         target = [str(source)] if isinstance(source, Path) else ["--connect", source]
-        command = [
-            rerun_binary(),
-            *target,
-            "--memory-limit",
-            VIEWER_MEMORY,
-            "--hide-welcome-screen",
-            "--port",
-            str(free_port()),
-        ]
-        self._process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        port = free_port()
+        self.control = f"rerun+http://{LOOPBACK}:{port}/proxy"
+        command = [rerun_binary(), *target, "--memory-limit", VIEWER_MEMORY, "--hide-welcome-screen"]
+        command += ["--bind", LOOPBACK, "--port", str(port), *(["--headless"] if headless else [])]
+        self._process = _start(command)
+
+    @property
+    def pid(self) -> int:
+        """Process id of the viewer."""
+        return self._process.pid
 
     @property
     def open(self) -> bool:

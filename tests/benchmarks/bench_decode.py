@@ -60,9 +60,9 @@ def test_decoding_speed() -> None:
     print()
     rates = {}
     for name, run in (("decoder, to values", ours), ("whole receiver", receiver), ("stock pymavlink", stock)):
-        started = time.perf_counter()
+        started = time.process_time()
         count = run(data)
-        rates[name] = count / (time.perf_counter() - started)
+        rates[name] = count / (time.process_time() - started)
         print(f"{name:22s} {rates[name]:9,.0f} frames/s, {count} of {COUNT} frames")
     assert rates["decoder, to values"] >= 20_000
     rng = np.random.default_rng(2)

@@ -1,13 +1,14 @@
-"""Screenshots of pages in headless Chromium: `python -m tests.browser.screenshot URL OUT.png`.
+"""Screenshots of the viewer's page in headless Chromium. `python -m tests.browser.screenshot` makes docs/pictures/view.png.
 
 Nothing but loopback is reached. Software rendering: no GPU or display is needed.
 """
 
 import os
 import shutil
-import sys
+import tempfile
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ ARGUMENTS = (
     "--no-sandbox", "--disable-gpu-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
     "--ignore-gpu-blocklist", "--disable-dev-shm-usage",
 )  # fmt: skip
+TIME_LINE_UP = 15  # pixels from the lower edge of the page to the time line
 COLOURFUL = 1500  # saturated pixels that make a page count as drawn
 
 
@@ -53,14 +55,18 @@ def take(
     apart_s: float = 5.0,
     wait_s: float = 75.0,
     size: tuple[int, int] = (960, 540),
+    at: float | None = None,
 ) -> list[Path]:
-    """Open a page, wait until something is drawn, and take `times` pictures `apart_s` apart."""
+    """Open a page, wait until something is drawn, and take `times` pictures `apart_s` apart.
+
+    at: before that, click on the time line so far to its right (share of the page's width).
+    """
     from playwright.sync_api import sync_playwright
 
     paths = []
     with sync_playwright() as tools:
         browser = tools.chromium.launch(executable_path=chromium(), headless=True, args=list(ARGUMENTS))
-        page = browser.new_page(viewport={"width": size[0], "height": size[1]})
+        page = browser.new_page(viewport={"width": size[0], "height": size[1]}, color_scheme="dark")
         page.route("**/*", lambda route: route.continue_() if "//127.0.0.1" in route.request.url else route.abort())
         page.goto(url, wait_until="commit")
         deadline = time.monotonic() + wait_s
@@ -69,6 +75,9 @@ def take(
             page.screenshot(path=str(target))
             if saturated(target) > COLOURFUL:
                 break
+        if at is not None:
+            page.mouse.click(at * size[0], size[1] - TIME_LINE_UP)
+            page.wait_for_timeout(1000 * apart_s)
         for number in range(times):
             if number:
                 page.wait_for_timeout(1000 * apart_s)
@@ -79,5 +88,32 @@ def take(
     return paths
 
 
+def picture(recording: Path, target: Path, **options: Any) -> Path:
+    """The full page of a recorded flight, as `sideslip view` shows it."""
+    from groundstation.viewer.live import free_port
+    from groundstation.viewer.recorded import as_rrd
+    from groundstation.viewer.window import WebPage
+
+    with tempfile.TemporaryDirectory() as scratch:
+        page = WebPage(as_rrd(recording, Path(scratch) / "f.rrd"), free_port())
+        try:
+            return take(page.url, target, **options)[0]
+        finally:
+            page.close()
+
+
+def main() -> None:
+    """Fly, receive over a lossy radio, and take the picture of the README."""
+    from firmware_sim.scenario import load_scenario
+    from sideslip import DEMO_RADIO, fly_scenario
+
+    target = Path(__file__).parents[2] / "docs" / "pictures" / "view.png"
+    with tempfile.TemporaryDirectory() as scratch:
+        fly_scenario(load_scenario("cdfp_ld4").altered(radio=DEMO_RADIO), Path(scratch), seed=4)
+        (received,) = (Path(scratch) / "ground").glob("aircraft*.mcap")
+        picture(received, target, size=(1600, 960), at=0.585, apart_s=8.0)
+    print(target)
+
+
 if __name__ == "__main__":
-    take(sys.argv[1], Path(sys.argv[2]), size=(1600, 900))
+    main()

@@ -8,9 +8,8 @@ import pytest
 
 from groundstation.flight import read_flight
 from groundstation.viewer.live import LiveView, ViewOptions, free_port
-from groundstation.viewer.recorded import as_rrd
 from groundstation.viewer.window import WebPage
-from tests.browser.screenshot import COLOURFUL, pixels, saturated, take
+from tests.browser.screenshot import COLOURFUL, picture, pixels, saturated, take
 
 pytestmark = [
     pytest.mark.browser,
@@ -20,13 +19,16 @@ pytestmark = [
 
 
 def test_recorded_flight_is_drawn_on_the_full_page(root: Path, tmp_path: Path) -> None:
-    rrd = as_rrd(root / "recordings" / "cdfp_ld4_raw.mcap", tmp_path / "f.rrd")
-    page = WebPage(rrd, free_port())
-    try:
-        (picture,) = take(page.url, tmp_path / "page.png")
-    finally:
-        page.close()
-    assert saturated(picture) > COLOURFUL
+    shown = picture(root / "recordings" / "cdfp_ld4_raw.mcap", tmp_path / "page.png")
+    assert saturated(shown) > COLOURFUL
+    rgb = pixels(shown)
+    # Curves on the left, the aircraft with its orange fin in the middle, green health lanes on the right.
+    left, middle, right = rgb[:, :380], rgb[:, 380:700], rgb[:, 700:]
+    blue = (left[..., 2] - left[..., 0] > 60) & (left[..., 2] > 120)
+    orange = (middle[..., 0] > 190) & (abs(middle[..., 1] - 94) < 40) & (middle[..., 2] < 60)
+    green = (right[..., 1] - right[..., 0] > 50) & (right[..., 1] - right[..., 2] > 25)
+    assert min(blue.sum(), orange.sum()) > 100
+    assert green.sum() > 2000
 
 
 def test_live_flight_moves_on_the_light_page(root: Path, tmp_path: Path) -> None:

@@ -76,7 +76,7 @@ def test_interrupted_backfill_goes_on_where_it_was(tmp_path: Path) -> None:
     rig.ground.set_backfill("all")
     rig.rest(8)
     (recorder,) = rig.ground.session_recorders().values()
-    held = recorder.journal.complete_count()
+    held = len(recorder.journal.complete)
     assert 50 < held < 600
     rig.ground.close()
     again = Rig.__new__(Rig)
@@ -95,6 +95,29 @@ def test_interrupted_backfill_goes_on_where_it_was(tmp_path: Path) -> None:
     again.close()
 
 
+def test_a_ground_station_started_again_counts_what_it_had_as_received(tmp_path: Path) -> None:
+    from groundstation.receive import Receiver
+
+    config = LinkConfig(ports=("memory",), backfill="lost")
+    rig = Rig(tmp_path, ground=config)
+    fly(rig, 300)
+    before = set(rig.link.downlink.sent)
+    rig.ground.close()  # stands for kill -9: the journal is on disk either way
+    rig.look = list  # type: ignore[method-assign,assignment]  # nobody listens
+    fly(rig, 200, seed=2)
+    missed = set(rig.link.downlink.sent) - before
+    rig._ground_end.read(1 << 20)
+    rig.ground = Receiver(config, {"memory": rig._ground_end}, rig.clock, folder=tmp_path)
+    rig.look = rig.ground.poll  # type: ignore[method-assign]
+    fly(rig, 300, seed=3)
+    rig.rest(30)
+    (books,) = rig.ground.accounting()
+    assert {n for a, b in books.lost for n in range(a, b + 1)} == missed
+    assert books.sent == len(rig.link.downlink.sent) == books.received + books.lost_count
+    assert (books.missing, books.backfilled) == ([], len(missed))
+    rig.close()
+
+
 def test_scans_given_up_by_the_aircraft_are_said_to_be_missing(tmp_path: Path) -> None:
     tight = DownlinkConfig(budget_bytes_per_s=20_000, backfill_memory_mb=0.02)
     rig = Rig(tmp_path, aircraft=tight, ground=LinkConfig(ports=("memory",), backfill="off"))
@@ -103,7 +126,7 @@ def test_scans_given_up_by_the_aircraft_are_said_to_be_missing(tmp_path: Path) -
     rig.rest(120)
     assert not rig.ground.backfill_agreed(1)
     (recorder,) = rig.ground.session_recorders().values()
-    assert 0 < recorder.journal.complete_count() < 1500
+    assert 0 < len(recorder.journal.complete) < 1500
     rig.close()
 
 
@@ -160,3 +183,36 @@ def test_journal_survives_a_torn_end(tmp_path: Path, cut: int) -> None:
     again.add_complete(encode_scan(scans[9]))
     assert list(again.scans()) == [encode_scan(s) for s in scans]
     again.close()
+
+
+def test_damage_in_a_journal_costs_the_records_it_hits(tmp_path: Path) -> None:
+    rng = np.random.default_rng(4)
+    path = tmp_path / "j"
+    journal = Journal(path)
+    scans = [random_scan(n, rng) for n in range(40)]
+    for s in scans:
+        journal.add_complete(encode_scan(s))
+    journal.close()
+    data = path.read_bytes()
+    for at in rng.integers(4, len(data) - 30, 25):
+        path.write_bytes(data[:at] + bytes(20) + data[at + 25 :])  # some bytes zero, some gone
+        again = Journal(path)
+        held = list(again.scans())
+        again.close()
+        assert 38 <= len(held) < 40
+        assert set(held) <= {encode_scan(s) for s in scans}
+
+
+def test_a_completed_scan_replaces_what_was_received(tmp_path: Path) -> None:
+    rng = np.random.default_rng(5)
+    journal = Journal(tmp_path / "j")
+    early, late, full = (random_scan(7, rng) for _ in range(3))
+    other = random_scan(3, rng)
+    for received in (early, other, late):
+        journal.add_received(received)
+    assert list(journal.scans()) == [encode_scan(other), encode_scan(late)]
+    journal.add_complete(encode_scan(full))
+    journal.add_received(early)
+    assert list(journal.scans()) == [encode_scan(other), encode_scan(full)]
+    assert list(journal.scans(complete_only=True)) == [encode_scan(full)]
+    journal.close()

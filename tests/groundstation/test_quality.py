@@ -101,6 +101,19 @@ def test_dropout_inside_is_reported_and_a_late_start_is_not(sound: Columns) -> N
     assert finding(build(sound), "dropouts").verdict == "fail"
 
 
+def test_a_channel_that_never_moves_fails(sound: Columns) -> None:
+    sound["ay"] = np.zeros(800)
+    found = finding(build(sound), "stale samples")
+    assert (found.verdict, "ay is 0 throughout" in found.text) == ("fail", True)
+
+
+def test_a_channel_in_another_unit_fails_with_a_hint(sound: Columns) -> None:
+    sound["p"] = np.degrees(sound["p"])
+    found = finding(build(sound), "plausible values")
+    assert found.verdict == "fail"
+    assert "is p in deg/s?" in found.text
+
+
 def test_stale_channel(sound: Columns) -> None:
     sound["beta"] = np.repeat(sound["beta"][::4], 4)
     found = finding(build(sound), "stale samples")

@@ -130,6 +130,7 @@ def test_restart_of_the_aircraft_begins_new_books(tmp_path: Path, boot: int) -> 
     assert first.lost == second.lost == []
     assert second.received == len(rig.link.downlink.sent)
     assert [e.previous for e in rig.events if isinstance(e, ev.Restarted)] == [None, first.session]
+    assert rig.ground.summary()["frames_lost"] == 0
     paths = rig.ground.write_recordings()
     assert len(paths) == 2
     rig.close()
@@ -314,3 +315,75 @@ def test_a_full_disk_does_not_end_reception(tmp_path: Path, monkeypatch: pytest.
     fly(rig, 40, seed=3)
     assert rig.ground.port_faults == {}
     rig.close()
+
+
+def test_a_disk_that_is_full_at_the_end_is_told_and_the_scans_stay_in_the_journal(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from groundstation.journal import Journal
+    from groundstation.recording import ReceivedWriter
+
+    rig = Rig(tmp_path, ground=LISTEN)
+    fly(rig, 60)
+    received = len(rig.received())
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(ReceivedWriter, "finish", full)
+        rig.close()
+    (name,) = (n for n in rig.ground.port_faults if n.endswith(".mcap"))
+    assert rig.ground.port_faults[name] == "No space left on device"
+    assert {p.suffix for p in tmp_path.iterdir()} == {".journal", ".tlog"}
+    journal = Journal(Path(name).with_suffix(".journal"))
+    assert len(list(journal.scans())) == received
+    journal.close()
+
+
+def test_trouble_is_told_once_and_its_end_too(tmp_path: Path) -> None:
+    class Loose:
+        """A port whose plug is loose."""
+
+        def __init__(self) -> None:
+            self.out = False
+
+        def read(self, limit: int = 65536) -> bytes:
+            if self.out:
+                raise OSError(5, "unplugged")
+            return b""
+
+        def write(self, data: bytes) -> int:
+            return len(data)
+
+        def close(self) -> None:
+            pass
+
+    rig = Rig(tmp_path, ground=LISTEN)
+    port = Loose()
+    receiver = Receiver(LISTEN, {"serial:x": port}, rig.clock)
+    told: list[tuple[str, str | None]] = []
+    for out in (False, True, True, True, False, False, True):
+        port.out = out
+        rig.clock.advance(10**9)
+        told += [(e.what, e.words) for e in receiver.poll() if isinstance(e, ev.Trouble)]
+    assert told == [("serial:x", "unplugged"), ("serial:x", None), ("serial:x", "unplugged")]
+    receiver.close()
+    rig.close()
+
+
+def test_link_quality_of_a_received_recording_is_shown(tmp_path: Path) -> None:
+    from groundstation.recording import read_link
+
+    rig = Rig(tmp_path, down=damager("lost", 0.1), ground=LISTEN)
+    fly(rig, 300)
+    reports = [e for e in rig.events if isinstance(e, ev.LinkStatistics)]
+    rig.close()
+    (path,) = tmp_path.glob("*.mcap")
+    kept = read_link(path)
+    assert [k["loss"] for k in kept] == [r.loss for r in reports][-len(kept) :]
+    assert len(kept) >= 12
+    assert any(k["loss"] > 0 for k in kept)
+    data = path.read_bytes()
+    path.write_bytes(data[: len(data) // 2])
+    assert read_link(path) == kept[: len(read_link(path))]

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from daq.contract.mavlink_codec import Frame, FrameDecoder, FrameEncoder
@@ -15,6 +16,10 @@ from daq.contract.signing import (
     save_state,
     stamp_of,
 )
+from daq.downlink_config import DownlinkConfig
+from groundstation import events as ev
+from groundstation.link_config import LinkConfig
+from tests.link_rig import Rig, quiet_scan
 
 KEY = bytes(range(32))
 NOW = 1_795_000_000_000_000_000
@@ -130,3 +135,46 @@ def test_damaged_state_is_not_taken_for_a_new_one(tmp_path: Path) -> None:
     path.write_text(path.read_text()[:-4])
     with pytest.raises(SigningError, match="not a signing state"):
         load_state(path)
+
+
+def test_forged_frames_do_nothing_at_the_ground_and_every_one_is_told_of(tmp_path: Path) -> None:
+    key = tmp_path / "key"
+    key.write_bytes(KEY)
+    key.chmod(0o600)
+    overheard: list[bytes] = []
+
+    def overhear(data: bytes) -> bytes:
+        overheard.append(data)
+        return data
+
+    rig = Rig(
+        tmp_path / "ground",
+        down=overhear,
+        aircraft=DownlinkConfig(budget_bytes_per_s=20_000, key_file=key, signing_state=tmp_path / "air"),
+        ground=LinkConfig(ports=("memory",), key_file=key, signing_state=tmp_path / "state", backfill="off"),
+    )
+    rng = np.random.default_rng(1)
+
+    def fly(scans: int) -> None:
+        rig.fly(scans, lambda n: quiet_scan(n, rng, time_ns=rig.clock.monotonic_ns()))
+
+    fly(100)
+    for frame in (m.raw for data in overheard[:20] for m in FrameDecoder().feed(data) if isinstance(m, Frame)):
+        rig._ground.write(frame)  # replayed
+    far = Signer(bytes(32), lambda: NOW + 10**18, link_id=1)
+    for _ in range(7):
+        rig._ground.write(FrameEncoder(1, 1).message("STATUSTEXT", severity=0, text="unsigned"))
+        rig._ground.write(FrameEncoder(1, 1, far).message("STATUSTEXT", severity=0, text="badly signed"))
+    fly(2)
+    rig._ground.write(FrameEncoder(1, 1).message("STATUSTEXT", severity=0, text="once more"))
+    fly(160)
+    refused = [e for e in rig.events if isinstance(e, ev.Refused)]
+    assert sum(e.count for e in refused) == rig.ground.summary()["unsigned_rejected"]
+    told = {why: sum(e.count for e in refused if e.why == why) for why in {e.why for e in refused}}
+    assert (told["unsigned"], told["badly signed"]) == (8, 7)
+    assert told["replayed"] >= 20
+    assert not [e for e in rig.events if isinstance(e, ev.StatusText)]
+    (books,) = rig.ground.accounting()
+    assert books.received == len(rig.link.downlink.sent)
+    assert books.lost == []
+    rig.close()

@@ -38,6 +38,21 @@ def scalars(path: Path, entity: str) -> tuple[NDArray[np.float64], NDArray[np.fl
     return np.array(times), np.array(rows)
 
 
+def poses(path: Path, entity: str, part: str = "quaternion") -> NDArray[np.float64]:
+    """Quaternions x, y, z, w, or translations, of an entity in order of time."""
+    from rerun.chunk import RrdReader
+
+    found = []
+    for chunk in RrdReader(str(path)).stream().filter(content=entity):
+        batch = chunk.to_record_batch()
+        name = f"Transform3D:{part}"
+        if name in batch.schema.names and e.TIMELINE in batch.schema.names:
+            times = [t.value for t in batch.column(batch.schema.names.index(e.TIMELINE))]
+            values = batch.column(batch.schema.names.index(name)).to_pylist()
+            found += [(t, v[0]) for t, v in zip(times, values, strict=True) if v]
+    return np.array([v for _, v in sorted(found)])
+
+
 def entity_paths(path: Path) -> set[str]:
     from rerun.chunk import RrdReader
 
@@ -68,6 +83,15 @@ def test_recorded_flight_arrives_with_its_values(tmp_path: Path, rng: np.random.
     np.testing.assert_allclose(np.sort(model[:, 0]), np.sort(np.degrees(f["beta_model"])))
     paths = entity_paths(tmp_path / "f.rrd")
     assert {c.entity for c in COLUMNS} <= paths
+    np.testing.assert_allclose(poses(tmp_path / "f.rrd", e.AIRCRAFT), [
+        quaternion_xyzw(*row) for row in zip(f["phi"], f["theta"], f["psi"], strict=True)
+    ], atol=1e-6)  # fmt: skip
+    np.testing.assert_allclose(poses(tmp_path / "f.rrd", e.CHASED), [
+        quaternion_xyzw(phi, theta, 0.0) for phi, theta in zip(f["phi"], f["theta"], strict=True)
+    ], atol=1e-6)  # fmt: skip
+    places = poses(tmp_path / "f.rrd", e.AIRCRAFT, "translation")
+    np.testing.assert_allclose(places[:, 0], np.radians(1e-5 * np.arange(len(f))) * 6_371_000.0, atol=1e-3)
+    np.testing.assert_allclose(places[:, 2], -f["altitude_gnss"], atol=1e-5)
     assert {e.AIRCRAFT, f"{e.AIRCRAFT}/airframe", e.TRACK, e.MAP_POSITION, e.EVENTS, "/health/imu"} <= paths
 
 

@@ -1,0 +1,74 @@
+"""The views of a session: one picture an aircraft, with its page or window; none of them can end or delay the session."""
+
+import time
+from collections.abc import Callable
+
+from groundstation.config import ViewConfig
+from groundstation.viewer.live import LOOPBACK, LiveView, ViewerError, ViewOptions, port_is_free
+from groundstation.viewer.window import NativeWindow, WebPage, Window
+
+_RESTART_S = 5.0
+_PORTS_TRIED = 100
+
+
+class SessionViews:
+    """Makes views on the configured ports, counted up for further aircraft. say: where addresses and troubles go.
+
+    Raises ViewerError when made, if a configured port is taken: later that costs the picture only.
+    """
+
+    def __init__(self, config: ViewConfig, window: Window, say: Callable[[str], None]) -> None:
+        self._config, self._window, self._say = config, window, say
+        self._views: list[LiveView] = []
+        self._shown: list[WebPage | NativeWindow] = []
+        self._pages: dict[int, str] = {}  # index of a page: the aircraft's name
+        self._next_look = 0.0
+        for key, port in (("port", config.port), ("web_port", config.web_port)):
+            if not port_is_free(port) and (key == "port" or window == "web"):
+                raise ViewerError(f"[view] {key}: {LOOPBACK}:{port} is in use; close the other viewer or give another")
+
+    def make(self, system: int) -> LiveView | None:
+        """The view of an aircraft; None, and a word, when there can be none."""
+        name = f"aircraft {system}"
+        try:
+            port = _free_from(self._config.port + len(self._views))
+            view = LiveView(f"aircraft{system}", ViewOptions(self._config.layout, port, self._config.memory_limit))
+            self._views.append(view)
+            if self._window == "web":
+                page = WebPage(view.url, _free_from(self._config.web_port + len(self._pages)), wait=False)
+                self._pages[len(self._shown)] = name
+                self._shown.append(page)
+                self._say(f"{name}: {page.url}")
+            else:
+                self._shown.append(NativeWindow(view.url))
+        except (ViewerError, OSError) as error:
+            self._say(f"{name}: no picture ({error}); reception goes on")
+            return None
+        return view
+
+    def tend(self) -> None:
+        """Called often: a page whose process has died is started anew. A window may be closed as one likes."""
+        now = time.monotonic()
+        if now < self._next_look:
+            return
+        self._next_look = now + _RESTART_S
+        for index, name in self._pages.items():
+            page = self._shown[index]
+            if isinstance(page, WebPage) and not page.open:
+                self._say(f"{name}: the page's server has ended; it is started anew on {page.address}")
+                page.restart()
+
+    def close(self) -> None:
+        """Close all views, pages and windows."""
+        for view in self._views:
+            view.close()
+        for shown in self._shown:
+            shown.close()
+
+
+def _free_from(port: int) -> int:
+    """The first free port from this one on; ViewerError when there is none near it."""
+    for candidate in range(port, min(port + _PORTS_TRIED, 65536)):
+        if port_is_free(candidate):
+            return candidate
+    raise ViewerError(f"no free port from {port} on")

@@ -1,0 +1,55 @@
+"""`sideslip ground` when something is in the way: one sentence, exit status 2, and nothing that was there is touched."""
+
+from pathlib import Path
+
+import pytest
+
+import sideslip
+
+
+def ended(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[object, str]:
+    with pytest.raises(SystemExit) as exit_:
+        sideslip.main(arguments)
+    return exit_.value.code, capsys.readouterr().err.strip()
+
+
+@pytest.fixture
+def config(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    path = tmp_path / "ground.toml"
+    path.write_text('[output]\ndirectory = "session"\ndated = false\n')
+    return path
+
+
+def test_a_replay_never_goes_into_the_folder_of_a_session(
+    config: Path, root: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    session = Path("session")
+    session.mkdir()
+    log = session / "telemetry.tlog"
+    log.write_bytes(b"kept")
+    recording = str(root / "recordings" / "cdfp_ld1_raw.mcap")
+    code, said = ended(["ground", str(config), "--replay", recording, "--speed", "max"], capsys)
+    assert code == 2
+    assert "holds a session already (telemetry.tlog)" in said
+    assert [p.name for p in session.iterdir()] == ["telemetry.tlog"]
+    assert log.read_bytes() == b"kept"
+
+
+@pytest.mark.parametrize(
+    ("ports", "words"),
+    [
+        ("[]", "there is nothing to listen to"),
+        ('["udpin:14899", "udpin:14899"]', "'udpin:14899' is listed twice"),
+        ('"serial:/dev/nowhere"', "/dev/nowhere cannot be opened"),
+        ('["nonsense"]', "write serial:DEVICE:BAUD"),
+    ],
+)
+def test_ports_that_cannot_be_are_named(
+    ports: str, words: str, config: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config.write_text(f"[link]\nports = {ports}\n")
+    code, said = ended(["ground", str(config), "--duration", "0.1", "--out", "o"], capsys)
+    assert code == 2
+    assert words in said
+    assert "\n" not in said
