@@ -46,6 +46,27 @@ def _say(flight: "Flight", output: Path, report: Path | None) -> None:
     write_json(report, content)
 
 
+def _write(flight: "Flight", output: Path, split: bool, report: Path | None) -> None:
+    """Write the flight and say so; with `split`, each stretch without gap to a file of its own, OUTPUT_1, OUTPUT_2, ..."""
+    from groundstation.flight import write_flight
+
+    if not split or len(flight.segments) < 2:
+        write_flight(flight, output)
+        _say(flight, output, report)
+        return
+    for number, rows in enumerate(flight.segments, start=1):
+        target = output.with_stem(f"{output.stem}_{number}")
+        if rows.stop - rows.start < 2:
+            click.echo(f"{target}: not written: a single sample between two gaps")
+            continue
+        part = flight.part(rows, f"{flight.name}_{number}")
+        write_flight(part, target)
+        _say(part, target, report and report.with_stem(f"{report.stem}_{number}"))
+
+
+_SPLIT = click.option("--split", is_flag=True, help="Write each stretch without a gap in time to a file of its own.")
+
+
 @click.command()
 @click.argument("raw", type=click.Path(path_type=Path))
 @click.option(
@@ -58,9 +79,16 @@ def _say(flight: "Flight", output: Path, report: Path | None) -> None:
 )
 @click.option("--align/--no-align", default=None, help="Bring all sensors to one time base [default: when complete].")
 @click.option("--salvage", is_flag=True, help="Use what is intact of a damaged recording.")
+@_SPLIT
 @_JSON
 def calibrate(
-    raw: Path, output: Path, calibration: Path | None, align: bool | None, salvage: bool, report: Path | None
+    raw: Path,
+    output: Path,
+    calibration: Path | None,
+    align: bool | None,
+    salvage: bool,
+    split: bool,
+    report: Path | None,
 ) -> None:
     """Turn the counts of a raw recording RAW into a flight in SI units.
 
@@ -69,11 +97,8 @@ def calibrate(
     Example: sideslip calibrate recordings/nominal -o nominal.mcap
     """
     from groundstation.calibration.recording import calibrate_recording
-    from groundstation.flight import write_flight
 
-    flight = calibrate_recording(raw, calibration, align=align, salvage=salvage)
-    write_flight(flight, output)
-    _say(flight, output, report)
+    _write(calibrate_recording(raw, calibration, align=align, salvage=salvage), output, split, report)
 
 
 @click.command("import")
@@ -84,20 +109,24 @@ def calibrate(
 @click.option("--map", "mapping", type=click.Path(path_type=Path), help="Mapping file: columns, units, signs, time.")
 @click.option("--rate", type=click.FloatRange(min=0, min_open=True, max=1000), help="Resample to so many Hz.")
 @click.option("--accept-implausible", is_flag=True, help="Import values that look like another unit, with a note.")
+@_SPLIT
 @_JSON
 def import_(
-    data: Path, output: Path, mapping: Path | None, rate: float | None, accept_implausible: bool, report: Path | None
+    data: Path,
+    output: Path,
+    mapping: Path | None,
+    rate: float | None,
+    accept_implausible: bool,
+    split: bool,
+    report: Path | None,
 ) -> None:
     """Turn somebody else's DATA into a flight: CSV, Parquet, PX4 ULog, ArduPilot .bin or MAVLink .tlog.
 
     Example: sideslip import log.csv --map log_map.toml -o flight.mcap
     """
-    from groundstation.flight import write_flight
     from groundstation.importers.run import import_data
 
-    flight = import_data(data, mapping, rate_hz=rate, accept_implausible=accept_implausible)
-    write_flight(flight, output)
-    _say(flight, output, report)
+    _write(import_data(data, mapping, rate_hz=rate, accept_implausible=accept_implausible), output, split, report)
 
 
 @click.command()

@@ -42,8 +42,9 @@ class MissingColumnError(FlightError):
         self.missing = tuple(missing)
         names = ", ".join(missing)
         plural = "s" if len(missing) > 1 else ""
+        instead = " or choose a model without" if purpose.startswith("model") else ""
         super().__init__(
-            f"{flight}: column{plural} {names} missing, needed for {purpose}; add the column{plural} or choose a model without"
+            f"{flight}: column{plural} {names} missing, needed for {purpose}; add the column{plural}{instead}"
         )
 
 
@@ -377,7 +378,7 @@ def _message_class(names: Sequence[str]) -> tuple[Any, bytes]:
 def _write_mcap(flight: Flight, path: Path) -> None:
     from mcap.writer import CompressionType, Writer
 
-    bad = [c for c in flight.columns if not c.isidentifier()]
+    bad = [c for c in flight.columns if not (c.isascii() and c.isidentifier())]
     if bad:
         raise FlightError(f"{path}: column name {bad[0]!r} cannot be a field of an MCAP flight; rename it or write CSV")
     names = ["time", *flight.columns, "segment"]

@@ -15,6 +15,7 @@ from daq.contract.channels import COLUMN_BY_NAME
 from groundstation.flight import GAP_FACTOR, Flight
 from groundstation.manoeuvres import CONTROLS, find_manoeuvres
 from groundstation.noise import noise
+from groundstation.plausibility import suspicions
 from groundstation.skew import Skew, attitude_skew, control_skew
 
 Array = NDArray[np.float64]
@@ -31,6 +32,9 @@ SENSOR_NOISE = {
     "alpha": 0.0052, "beta": 0.0044, "V": 0.15, "delta_e": 0.0012, "delta_a": 0.0012, "delta_r": 0.0012,
 }  # fmt: skip
 """Noise of sound sensors of this class [column's unit], one sigma; a flight may carry its own in its provenance."""
+
+ATTITUDE_LATE = 0.025
+"""Delay of an attitude behind the gyro [s] worth a warning; slow corrections of its filter look like up to 15 ms."""
 
 _DEG = float(np.degrees(1.0))
 
@@ -144,13 +148,23 @@ def dropouts(flight: Flight) -> Finding:
 
 
 def stale_samples(flight: Flight) -> Finding:
-    """Columns slower than their clock: more than a fifth of the samples repeat the one before, or 1 s without change."""
+    """Columns slower than their clock: more than a fifth of the samples repeat the one before, or 1 s without change.
+
+    Fails when a column that moves in flight never changes.
+    """
     words = []
+    verdict: Verdict = "warn"
     for name, values in _measured(flight):
         if name not in MOVING:
             continue
         finite = values[np.isfinite(values)]
         if finite.size < 10:
+            continue
+        if np.ptp(finite) == 0:
+            verdict = "fail"
+            words.append(
+                f"{name} is {finite[0]:.4g} throughout: no working sensor behind it; leave the column empty where not measured"
+            )
             continue
         same = np.diff(finite) == 0
         levels = np.unique(finite).size
@@ -163,7 +177,7 @@ def stale_samples(flight: Flight) -> Finding:
             words.append(
                 f"{name} stands still for {_longest(same) * flight.sample_interval:.2g} s: stuck sensor or old values"
             )
-    return _finding("stale samples", _first(words), "no column repeats old values")
+    return _finding("stale samples", _first(words), "no column repeats old values", verdict)
 
 
 def clipping(flight: Flight) -> Finding:
@@ -200,22 +214,16 @@ def spikes(flight: Flight) -> Finding:
 
 
 def plausible_values(flight: Flight) -> Finding:
-    """Values outside what the column can be, and a mean specific force that is not one g."""
-    words = []
+    """Values outside what the column can be, and what looks like another unit or sign: a specific force that is not one g,
+    an attitude that moves 57 times as far as the gyro turns."""
+    words = suspicions(flight.time, flight.columns)
+    suspected = {name for sentence in words for name in sentence.partition(":")[0].split(", ")}
     for name, values in _measured(flight):
-        if name in COLUMN_BY_NAME:
+        if name in COLUMN_BY_NAME and name not in suspected:
             low, high = COLUMN_BY_NAME[name].plausible
             outside = int(np.sum((values < low) | (values > high)))
             if outside:
                 words.append(f"{name}: {outside} samples outside {low:.4g} to {high:.4g} {COLUMN_BY_NAME[name].unit}")
-    if all(flight.measured(c) for c in ("ax", "ay", "az")):
-        force = float(np.nanmedian(np.sqrt(sum(flight[c] ** 2 for c in ("ax", "ay", "az")))))
-        if not 8.5 < force < 12.5:
-            words.append(
-                f"the median specific force is {force:.2f} m/s2, not near 9.8: wrong unit, sign or calibration"
-            )
-        elif float(np.nanmedian(flight["az"])) > 0:
-            words.append("az is positive in the mean: with z down, level flight has -9.8 m/s2; turn the sign")
     return _finding("plausible values", _first(words), "all columns within what they can be", "fail")
 
 
@@ -234,13 +242,13 @@ def calibrated_range(flight: Flight) -> Finding:
 def time_skew(flight: Flight) -> Finding:
     """Attitude against integrated gyro, measured against commanded surfaces.
 
-    Warns when an attitude lags or leads the gyro by more than 15 ms and three of its bounds, when a surface moves
+    Warns when an attitude lags or leads the gyro by more than ATTITUDE_LATE and three of its bounds, when a surface moves
     before its command, or follows it by more than 0.2 s.
     """
     words, told = [], []
     for skew in attitude_skew(flight):
         told.append(_skew_words(skew))
-        if abs(skew.delay) > max(0.015, 3 * skew.std):
+        if abs(skew.delay) > max(ATTITUDE_LATE, 3 * skew.std):
             words.append(
                 f"{skew.late} {'lags' if skew.delay > 0 else 'leads'} {skew.early} by {abs(skew.delay) * 1e3:.0f} ms "
                 f"(+-{skew.std * 1e3:.0f}); correct its delay in the calibration file"

@@ -1,8 +1,16 @@
 """`sideslip check`: data compatibility (flight-path reconstruction) and data quality."""
 
+import math
+from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
+
+if TYPE_CHECKING:
+    from estimation.compatibility.result import Compatibility, Factor
+    from groundstation.flight import Flight
+    from groundstation.quality import Finding
 
 EXAMPLE = (
     "Example: sideslip check ld1.mcap ld2.mcap --factors +K_alpha,dalpha --figure compatibility.png --json check.json"
@@ -11,7 +19,7 @@ EXAMPLE = (
 
 @click.command(epilog=EXAMPLE)
 @click.argument("flights", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="FLIGHT...")
-@click.option("--factors", "factors_text", default="", help="Factors to estimate, comma-separated; with a leading + they "
+@click.option("--factors", "factors_text", help="Factors to estimate, comma-separated; with a leading + they "
               "are added to the standard ones (dax day daz dp dq dr K_beta dbeta). Also K_alpha dalpha K_V dV dphi dtheta, "
               "x_imu y_imu z_imu, x_vane y_vane z_vane, delays tau_beta tau_alpha tau_V tau_phi tau_theta tau_psi.")  # fmt: skip
 @click.option("--aircraft", default="cdfp", show_default=True,
@@ -29,7 +37,7 @@ EXAMPLE = (
 )
 def check(
     flights: tuple[Path, ...],
-    factors_text: str,
+    factors_text: str | None,
     aircraft: str,
     joint: bool,
     segments: str | None,
@@ -43,9 +51,10 @@ def check(
     from estimation.commands.estimate import select_segments, write_json
     from estimation.compatibility.correct import corrected
     from estimation.compatibility.excitation import excitation_findings, predicted_bounds
-    from estimation.compatibility.present import factor_lines, fit_of, write_figure
+    from estimation.compatibility.present import factor_lines, published_lines, write_figure
     from estimation.compatibility.reconstruction import compatibility
     from estimation.laboratory import unique_names
+    from estimation.models.kinematic import STANDARD_FACTORS
     from groundstation.flight import read_flight, write_flight
     from groundstation.quality import quality_report, worst
 
@@ -58,27 +67,16 @@ def check(
         results.append(("joint", compatibility(read, factors, known=known)))
     for line in factor_lines(results):
         click.echo(line)
+    if all(f.provenance.aircraft == "cdfp" for f in read) and set(STANDARD_FACTORS) <= set(factors):
+        click.echo()
+        for line in published_lines():
+            click.echo(line)
     for flight, findings in zip(read, quality, strict=True):
         click.echo(f"\nquality of {flight.name}")
         for finding in findings:
             click.echo(f"  {finding.verdict:<5}{finding.check}: {finding.text}")
     if json_path is not None:
-        entries = []
-        for flight, findings, (_, result) in zip(read, quality, results, strict=False):
-            entries.append(
-                {
-                    "name": flight.name,
-                    "converged": result.converged,
-                    "status": result.text,
-                    "factors": {n: _factor_json(f) for n, f in result.factors.items()},
-                    "fit": fit_of(result.flights[0]),
-                    "quality": [f.to_json() for f in findings],
-                }
-            )
-        data: dict[str, object] = {"version": 1, "flights": entries}
-        if joint and len(read) > 1:
-            data["joint"] = {n: _factor_json(f) for n, f in results[-1][1].factors.items()}
-        write_json(data, json_path)
+        write_json(_as_json(read, quality, results), json_path)
     if figure_path is not None:
         write_figure([r.flights[0] for (_, r), _ in zip(results, read, strict=False)], figure_path)
         click.echo(f"\nfigure: {figure_path}")
@@ -95,12 +93,16 @@ def check(
     return 1 if failed else 0
 
 
-def wanted_factors(text: str) -> tuple[tuple[str, ...], dict[str, float]]:
-    """The factors that --factors asks for, and those it gives a value, like x_imu=0.06."""
+def wanted_factors(text: str | None) -> tuple[tuple[str, ...], dict[str, float]]:
+    """The factors that --factors asks for, the standard ones where it is not given; and those it gives a value."""
     from estimation.errors import EstimationError
     from estimation.models.kinematic import STANDARD_FACTORS
 
-    words = [n.strip() for n in text.lstrip("+").split(",") if n.strip()]
+    if text is None:
+        return STANDARD_FACTORS, {}
+    words = [n.strip() for n in text.strip().removeprefix("+").split(",") if n.strip()]
+    if not words:
+        raise EstimationError(f"--factors {text!r} names none; write names like K_beta,dbeta or leave the option out")
     known: dict[str, float] = {}
     for word in [w for w in words if "=" in w]:
         name, _, value = word.partition("=")
@@ -108,20 +110,49 @@ def wanted_factors(text: str) -> tuple[tuple[str, ...], dict[str, float]]:
             known[name.strip()] = float(value)
         except ValueError:
             raise EstimationError(f"--factors {word}: {value!r} is not a number; write it like x_imu=0.06") from None
+        if not math.isfinite(known[name.strip()]):
+            raise EstimationError(f"--factors {word}: not a finite number")
     names = tuple(w for w in words if "=" not in w)
-    if text.startswith("+") or not names:
+    if text.strip().startswith("+") or not names:
         names = (*STANDARD_FACTORS, *names)
-    return tuple(n for n in dict.fromkeys(names) if n not in known), known
+    free = tuple(n for n in dict.fromkeys(names) if n not in known)
+    if not free:
+        raise EstimationError(f"--factors {text}: every factor is given a value, none is left to estimate")
+    return free, known
 
 
-def _factor_json(factor: object) -> dict[str, object]:
-    from estimation.compatibility.reconstruction import Factor
+def _as_json(
+    flights: "Sequence[Flight]",
+    quality: "Sequence[Sequence[Finding]]",
+    results: "Sequence[tuple[str, Compatibility]]",
+) -> dict[str, object]:
+    """As in the interface: one entry a flight, and the joint factors where there are any."""
+    from estimation.compatibility.present import fit_of
 
-    assert isinstance(factor, Factor)
+    entries = []
+    for flight, findings, (_, result) in zip(flights, quality, results, strict=False):
+        entries.append(
+            {
+                "name": flight.name,
+                "converged": result.converged,
+                "status": result.text,
+                "factors": {n: _factor_json(f) for n, f in result.factors.items()},
+                "fit": fit_of(result.flights[0]),
+                "notes": list(result.flights[0].notes),
+                "quality": [f.to_json() for f in findings],
+            }
+        )
+    data: dict[str, object] = {"version": 1, "flights": entries}
+    if len(results) > len(flights):
+        data["joint"] = {n: _factor_json(f) for n, f in results[-1][1].factors.items()}
+    return data
+
+
+def _factor_json(factor: "Factor") -> dict[str, object]:
+    """NaN, where the channel is not measured, is null."""
+    told = {"estimate": factor.estimate, "std": factor.std, "std_coloured": factor.std_coloured}
     data: dict[str, object] = {
-        "estimate": factor.estimate,
-        "std": factor.std,
-        "std_coloured": factor.std_coloured,
+        **{k: v if math.isfinite(v) else None for k, v in told.items()},
         "unit": factor.unit,
         "identifiable": factor.identifiable,
     }

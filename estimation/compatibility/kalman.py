@@ -20,6 +20,9 @@ from estimation.models.base import Model
 Array = NDArray[np.float64]
 CHUNK = 256  # samples per call of the accumulated function
 
+LONGEST_DELAY = 0.3
+"""Delay of a channel [s] that is looked for, either way."""
+
 
 @dataclass(frozen=True)
 class Record:
@@ -77,15 +80,15 @@ class KalmanFilter:
         """Filter one record. x0: (nx,) start; spread: (nx,) its standard deviation."""
         model, count = self.model, len(record.time)
         nx, ny = len(model.states), len(model.outputs)
-        known = np.isfinite(record.z)
+        z, fractions = self._at_their_instants(record, p)
+        known = np.isfinite(z)
         u_next = np.vstack([record.u[1:], record.u[-1:]])
-        past = [self._past_inputs(record, float(p[i])) for _, i in self.delayed]
-        columns = [record.u, u_next, np.where(known, record.z, 0.0), known.astype(float), *past]
-        table = np.hstack(columns).T
+        table = np.hstack([record.u, u_next, np.where(known, z, 0.0), known.astype(float)]).T
         pad = -count % CHUNK
         table = np.hstack([table, np.zeros((table.shape[0], pad))])
         table[2 * record.u.shape[1] + ny : 2 * record.u.shape[1] + 2 * ny, count:] = 0.0  # nothing known in the padding
-        fixed = np.concatenate([p, self._constants, noise.inputs**2, noise.outputs**2, noise.drift**2, [record.step]])
+        levels = (noise.inputs**2, noise.outputs**2, noise.drift**2)
+        fixed = np.concatenate([p, self._constants, *levels, [record.step], fractions])
         state = np.concatenate([x0, np.diag(spread**2).ravel()])
         outs = []
         for start in range(0, count + pad, CHUNK):
@@ -94,18 +97,50 @@ class KalmanFilter:
             state = np.asarray(states)[:, -1]
             if not np.all(np.isfinite(outs[-1])):
                 break
-        out = np.hstack(outs).T[:count]
+        out = self._in_rows_of_the_record(np.hstack(outs).T[:count], record, p)
+        known = self._usable(record)
         normalised, log_s = out[:, :ny], out[:, ny : 2 * ny]
         finite = len(out) == count and bool(np.all(np.isfinite(out)))
         log_variance = float(np.sum(log_s[known[: len(out)]])) if finite else np.inf
         return Run(normalised, known, log_variance, out[:, 2 * ny : 2 * ny + nx], out[:, 2 * ny + nx :])
 
-    def _past_inputs(self, record: Record, delay: float) -> Array:
-        """(N, 2 nu) inputs half a delay and a whole delay before each sample, on straight lines between samples."""
-        shifted = []
-        for back in (0.5 * delay, delay):
-            shifted.append(np.column_stack([np.interp(record.time - back, record.time, c) for c in record.u.T]))
-        return np.hstack(shifted)
+    def _usable(self, record: Record) -> NDArray[np.bool_]:
+        """(N, ny) which samples count: of a channel that may be late none within LONGEST_DELAY of the ends, so that the
+        same samples count whatever the delay."""
+        known = np.isfinite(record.z)
+        edge = int(np.ceil(LONGEST_DELAY / record.step))
+        for output, _ in self.delayed:
+            known[:edge, output] = known[len(known) - edge :, output] = False
+        return known
+
+    def _at_their_instants(self, record: Record, p: Array) -> tuple[Array, Array]:
+        """(N, ny) outputs, those that are late moved to the last sample before what they show; and how far into the
+        sample interval after it that lies, as a fraction."""
+        z, fractions = np.where(self._usable(record), record.z, np.nan), []
+        for output, parameter in self.delayed:
+            late = float(p[parameter]) / record.step
+            rows = int(np.ceil(late))
+            z[:, output] = _moved(z[:, output], -rows, np.nan)
+            fractions.append(rows - late)
+        return z, np.array(fractions)
+
+    def _in_rows_of_the_record(self, out: Array, record: Record, p: Array) -> Array:
+        """What the filter shows of a late channel, back in the rows in which it was measured."""
+        ny = len(self.model.outputs)
+        for output, parameter in self.delayed:
+            rows = int(np.ceil(float(p[parameter]) / record.step))
+            for column in (output, ny + output, out.shape[1] - ny + output):
+                out[:, column] = _moved(out[:, column], rows, 0.0)
+        return out
+
+
+def _moved(values: Array, rows: int, empty: float) -> Array:
+    """Values so many rows further down."""
+    result = np.full_like(values, empty)
+    count = len(values)
+    if abs(rows) < count:
+        result[max(0, rows) : count + min(0, rows)] = values[max(0, -rows) : count - max(0, rows)]
+    return result
 
 
 @lru_cache(maxsize=32)
@@ -141,7 +176,7 @@ def delayed_outputs(model: Model) -> tuple[tuple[int, int], ...]:
     )
 
 
-def _rk4(f: ca.Function, x: ca.SX, u: tuple[ca.SX, ca.SX, ca.SX], p: ca.SX, h: ca.SX) -> ca.SX:
+def rk4(f: ca.Function, x: ca.SX, u: tuple[ca.SX, ca.SX, ca.SX], p: ca.SX, h: ca.SX) -> ca.SX:
     k1 = f(x, u[0], p)
     k2 = f(x + h / 2 * k1, u[1], p)
     k3 = f(x + h / 2 * k2, u[1], p)
@@ -156,20 +191,29 @@ def _build(model: Model, delayed: tuple[tuple[int, int], ...]) -> ca.Function:
     x, P = ca.SX.sym("x", nx), ca.SX.sym("P", nx, nx)
     u0, u1 = ca.SX.sym("u0", nu), ca.SX.sym("u1", nu)
     z, known = ca.SX.sym("z", ny), ca.SX.sym("known", ny)
-    past = [ca.SX.sym(f"past{i}", 2 * nu) for i in range(len(delayed))]
     p, h = ca.SX.sym("p", np_), ca.SX.sym("h")
     q, r, drift = ca.SX.sym("q", nu), ca.SX.sym("r", ny), ca.SX.sym("drift", nx)
 
-    lagging = {out: (i, parameter) for i, (out, parameter) in enumerate(delayed)}
+    fraction = ca.SX.sym("fraction", len(delayed))
+    xs, d = ca.SX.sym("xs", nx), ca.SX.sym("d", nu)
+    zero = ca.DM.zeros(nu)
+
+    lagging = {out: i for i, (out, _) in enumerate(delayed)}
     y_now = traced.outputs(x, u0, p)
-    predicted = []
+    predicted, on_the_way = [], []
     for j in range(ny):
         if j in lagging:
-            i, parameter = lagging[j]
-            back = _rk4(traced.rates, x, (u0, past[i][:nu], past[i][nu:]), p, -p[parameter])
-            predicted.append(traced.outputs(back, past[i][nu:], p)[j])
+            part = fraction[lagging[j]]
+            u_end = u0 + part * (u1 - u0)
+            later = rk4(traced.rates, x, (u0 + d, (u0 + u_end) / 2 + d, u_end + d), p, part * h)
+            shown = traced.outputs(later, u_end, p)[j]
+            # noise of the inputs within that part of the interval: the state does not hold it yet
+            by_noise = ca.substitute(ca.jacobian(shown, d), d, zero)
+            predicted.append(ca.substitute(shown, d, zero))
+            on_the_way.append(ca.mtimes(ca.mtimes(by_noise, ca.diag(q)), by_noise.T))
         else:
             predicted.append(y_now[j])
+            on_the_way.append(ca.SX(0))
     y = ca.vertcat(*predicted)
     H = ca.jacobian(y, x)
     xf, Pf = x, P
@@ -177,7 +221,7 @@ def _build(model: Model, delayed: tuple[tuple[int, int], ...]) -> ca.Function:
     for j in range(ny):  # one output after the other: R is diagonal, so no matrix need be inverted
         row = H[j, :]
         innovation = z[j] - y[j] - ca.mtimes(row, xf - x)
-        s = ca.mtimes(ca.mtimes(row, Pf), row.T) + r[j]
+        s = ca.mtimes(ca.mtimes(row, Pf), row.T) + r[j] + on_the_way[j]
         gain = known[j] * ca.mtimes(Pf, row.T) / s
         xf = xf + gain * innovation
         Pf = Pf - ca.mtimes(gain, ca.mtimes(row, Pf))
@@ -185,17 +229,15 @@ def _build(model: Model, delayed: tuple[tuple[int, int], ...]) -> ca.Function:
         logs.append(ca.log(s))
     Pf = (Pf + Pf.T) / 2
 
-    xs, d = ca.SX.sym("xs", nx), ca.SX.sym("d", nu)
-    advanced = _rk4(traced.rates, xs, (u0 + d, (u0 + u1) / 2 + d, u1 + d), p, h)
-    zero = ca.DM.zeros(nu)
+    advanced = rk4(traced.rates, xs, (u0 + d, (u0 + u1) / 2 + d, u1 + d), p, h)
     F, G = (ca.substitute(ca.jacobian(advanced, v), d, zero) for v in (xs, d))
     move = ca.Function("move", [xs, u0, u1, p, h], [ca.substitute(advanced, d, zero), F, G])
     ahead, Fk, Gk = move(xf, u0, u1, p, h)
     Pn = ca.mtimes(ca.mtimes(Fk, Pf), Fk.T) + ca.mtimes(ca.mtimes(Gk, ca.diag(q)), Gk.T) + ca.diag(drift) * h
 
     carried = ca.vertcat(x, ca.reshape(P, nx * nx, 1))
-    data = ca.vertcat(u0, u1, z, known, *past)
-    fixed = ca.vertcat(p, q, r, drift, h)
+    data = ca.vertcat(u0, u1, z, known)
+    fixed = ca.vertcat(p, q, r, drift, h, fraction)
     after = ca.vertcat(ahead, ca.reshape(Pn, nx * nx, 1))
     shown = ca.vertcat(*normalised, *logs, xf, y)
     return ca.Function("kalman", [carried, data, fixed], ca.cse([after, shown]))

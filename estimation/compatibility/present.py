@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from estimation.compatibility.reconstruction import Compatibility, Factor, ReconstructedFlight
+from estimation.compatibility.result import Compatibility, Factor, ReconstructedFlight
 
 _SHOWN = {"rad": ("deg", np.degrees(1.0)), "V": ("m/s", 1.0)}
 _TITLES = {
@@ -31,12 +31,30 @@ def factor_lines(results: Sequence[tuple[str, Compatibility]]) -> Iterator[str]:
         for factor in result.factors.values():
             if not factor.identifiable:
                 yield f"{name}: {factor.name}: {factor.why}"
-        for flight in result.flights:
-            for note in flight.notes:
-                yield f"{name}: {note}"
+        for note in result.flights[0].notes if len(result.flights) == 1 else ():
+            yield f"{name}: {note}"
+
+
+def published_lines() -> Iterator[str]:
+    """The paper's Table 2, to compare with."""
+    from estimation.models.kinematic import STANDARD_FACTORS
+    from estimation.report import published
+
+    flights = published.published_flights()
+    yield "published (bounds of output error, without the noise of the inertial sensors)"
+    yield f"{'factor':<17}" + "".join(f"{name:>21}" for name in flights)
+    for factor in STANDARD_FACTORS:
+        said = [published.compatibility_factor(flight, factor) for flight in flights]
+        yield f"{factor:<17}" + "".join(f"{_published(s):>21}" for s in said)
+
+
+def _published(said: tuple[float, float] | None) -> str:
+    return "" if said is None else f"{said[0]:+.4f} ({said[1]:.4f})"
 
 
 def _cell(factor: Factor) -> str:
+    if not np.isfinite(factor.estimate):
+        return "not measured"
     if not factor.identifiable:
         return "cannot tell"
     return f"{factor.estimate:+.4f} ({factor.std_coloured:.4f})"

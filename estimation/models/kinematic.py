@@ -40,6 +40,13 @@ FACTORS: dict[str, Parameter] = {
 DELAYS: dict[str, str] = {f"tau_{c}": c for c in ("alpha", "beta", "V", "phi", "theta", "psi")}
 """Delay factor -> the output that is late [s]."""
 
+ATTITUDE = ("phi", "theta", "psi")
+
+FILTER_ERRORS: Mapping[str, tuple[float, float]] = {"level": (1.0, 30.0), "swing": (0.35, 0.7)}
+"""Errors of an attitude filter: share of its stated uncertainty, and time constant [s]. A level error from accelerometer
+bias lasts a whole flight; what manoeuvres leave behind is corrected within a second. Sizes as seen against the truth of
+simulated flights (docs/compatibility.md)."""
+
 MEASUREMENTS = {
     "V": Signal("V", "m/s", "true airspeed"),
     "alpha": Signal("alpha", "rad", "angle of attack"),
@@ -50,12 +57,29 @@ MEASUREMENTS = {
 }
 
 
+def channels_of_factor(name: str) -> tuple[str, ...]:
+    """The measured channels, of which one is needed, for a factor to show; none for those of the inputs."""
+    if name in DELAYS:
+        return (DELAYS[name],)
+    if name.endswith("_vane"):
+        return ("alpha", "beta")
+    if (name.startswith("da") and len(name) == 3) or name.endswith("_imu"):
+        return ("V", "alpha", "beta")  # specific force moves the air-relative velocity and nothing else
+    channel = name.removeprefix("K_").removeprefix("d")
+    return (channel,) if channel in MEASUREMENTS else ()
+
+
 def compatibility_model(
     factors: Iterable[str] = STANDARD_FACTORS,
     outputs: Iterable[str] = tuple(MEASUREMENTS),
     known: Mapping[str, float] | None = None,
+    *,
+    filtered_attitude: bool = False,
 ) -> Model:
     """Kinematic model with the named factors free, and those of `known` at the values given (a tape measure's).
+
+    filtered_attitude: phi, theta and psi come from an onboard filter and carry its errors, states `phi_level`,
+    `phi_swing` and so on [rad], first-order Gauss-Markov as in FILTER_ERRORS.
 
     Raises ModelError for a factor that does not exist, and for IMU and vane positions along the same axis, because the
     kinematics hold for any point of the body: only the difference between the two shows.
@@ -78,6 +102,11 @@ def compatibility_model(
 
     def less(name: str, bias: str) -> str:
         return f"({name} - {value(bias, 0.0)})" if bias in wanted or bias in given else name
+
+    errors = [(a, e) for a in ATTITUDE for e in FILTER_ERRORS] if filtered_attitude else []
+
+    def wandering(angle: str) -> str:
+        return "".join(f" + {a}_{e}" for a, e in errors if a == angle)
 
     p, q, r = (less(n, f"d{n}") for n in "pqr")
     lever = tuple(n for n in ("x_imu", "y_imu", "z_imu") if n in wanted or n in given)
@@ -103,8 +132,10 @@ def compatibility_model(
         f"V = {value('K_V', 1.0)}*speed + {value('dV', 0.0)}",
         f"alpha = {value('K_alpha', 1.0)}*atan2(w_vane, u_vane) + {value('dalpha', 0.0)}",
         f"beta = {value('K_beta', 1.0)}*atan2(v_vane, sqrt(u_vane^2 + w_vane^2)) + {value('dbeta', 0.0)}",
-        f"phi_measured = phi + {value('dphi', 0.0)}",
-        f"theta_measured = theta + {value('dtheta', 0.0)}",
+        f"phi_measured = phi + {value('dphi', 0.0)}{wandering('phi')}",
+        f"theta_measured = theta + {value('dtheta', 0.0)}{wandering('theta')}",
+        f"psi_measured = psi{wandering('psi')}",
+        *(f"{a}_{e}_dot = -{a}_{e}/{FILTER_ERRORS[e][1]!r}" for a, e in errors),
     )
     delayed = {DELAYS[f]: f for f in wanted if f in DELAYS}
     return Model(
@@ -114,9 +145,8 @@ def compatibility_model(
             Signal("u", "m/s", "velocity forward"),
             Signal("v", "m/s", "velocity right"),
             Signal("w", "m/s", "velocity down"),
-            MEASUREMENTS["phi"],
-            MEASUREMENTS["theta"],
-            MEASUREMENTS["psi"],
+            *(MEASUREMENTS[a] for a in ATTITUDE),
+            *(Signal(f"{a}_{e}", "rad", f"{e} error of the measured {a}") for a, e in errors),
         ),
         inputs=(
             *(Signal(n, "m/s2") for n in ("ax", "ay", "az")),

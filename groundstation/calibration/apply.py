@@ -79,6 +79,8 @@ class Calibrator:
             name = f"quaternion_{axis}"
             delay = self.facts.delay("attitude", "attitude") + (attitude.delay if attitude else 0.0)
             _add(out, name, self.physical(table, name), "attitude", delay)
+            if self.facts.lag("attitude"):
+                out.lag[name] = self.facts.lag("attitude")
         return out
 
     def _read_curve(self, item: Instrument, curve: Curve, channel: str, table: ScanTable, out: Readings) -> None:

@@ -12,9 +12,11 @@ from daq.contract.channels import CHANNEL_BY_NAME
 from groundstation.calibration import air_data, flow, inertial
 from groundstation.calibration.align import derivative
 from groundstation.calibration.scan_table import ScanTable
-from groundstation.calibration.schema import Attitude, CalibrationSet
+from groundstation.calibration.schema import Attitude, CalibrationSet, Vector
 
 Array = NDArray[np.float64]
+
+EARTH_RADIUS = 6_371_000.0  # m, mean: an antenna is metres from the CG at most
 
 GNSS = (
     "latitude_e7", "longitude_e7", "height_msl_mm", "velocity_north_mm", "velocity_east_mm", "velocity_down_mm",
@@ -117,3 +119,19 @@ class Columns:
         for name in GNSS:
             for column in CHANNEL_BY_NAME[name].columns:
                 self.columns[column] = self._value(name)
+        item = self.calibration.get("gnss_antenna")
+        if item is not None and item.mount is not None and any(item.mount.position):
+            self._antenna_to_cg(item.mount.position)
+
+    def _antenna_to_cg(self, position: Vector) -> None:
+        """Position and velocity of the antenna, less its place and its motion about the CG; where attitude is not measured
+        they stay those of the antenna."""
+        c = self.columns
+        attitude, rates = (c["phi"], c["theta"], c["psi"]), (c["p"], c["q"], c["r"])
+        place, speed = inertial.point_in_earth_axes(position, attitude, rates)
+        north, east, down = (np.nan_to_num(v) for v in place)
+        c["latitude"] = c["latitude"] - np.degrees(north / EARTH_RADIUS)
+        c["longitude"] = c["longitude"] - np.degrees(east / (EARTH_RADIUS * np.cos(np.radians(c["latitude"]))))
+        c["altitude_gnss"] = c["altitude_gnss"] + down
+        for column, of_antenna in zip(("vn", "ve", "vd"), speed, strict=True):
+            c[column] = c[column] - np.nan_to_num(of_antenna)

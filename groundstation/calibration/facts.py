@@ -16,8 +16,9 @@ _SCALE_KEYS = {
     "gyro_x": "imu.gyro_scale_rad_s", "gyro_y": "imu.gyro_scale_rad_s", "gyro_z": "imu.gyro_scale_rad_s",
     "mag_x": "mag.scale_t", "mag_y": "mag.scale_t", "mag_z": "mag.scale_t",
 }  # fmt: skip
-_DELAY_KEYS = {"attitude": "imu.gyro_delay_s"}  # the filter integrates the gyro, which its own low pass delays
-_LAG_KEYS = {"accelerometer": "imu.accel_delay_s", "gyro": "imu.gyro_delay_s"}  # first-order low passes
+_LAG_KEYS = {  # first-order low passes; an attitude filter integrates the gyro, lag and all
+    "accelerometer": "imu.accel_delay_s", "gyro": "imu.gyro_delay_s", "attitude": "imu.gyro_delay_s",
+}  # fmt: skip
 _LONGEST_DELAY = 1.0  # s
 
 INSTANT_STEP = 1e-3
@@ -47,8 +48,7 @@ class Facts:
         """How far the chip's own filter makes an instrument's reading lag [s]; 0 when not known."""
         if instrument in _LAG_KEYS:
             return 0.0
-        key = _DELAY_KEYS.get(instrument, f"{group}.filter_delay_s")
-        return self._number(key, -_LONGEST_DELAY, _LONGEST_DELAY) or 0.0
+        return self._number(f"{group}.filter_delay_s", -_LONGEST_DELAY, _LONGEST_DELAY) or 0.0
 
     def lag(self, instrument: str) -> float:
         """Time constant of an instrument's first-order low pass [s]; 0 when it has none or it is not known."""

@@ -48,6 +48,26 @@ def at_cg(acceleration: Axes, rates: Axes, rate_derivatives: Axes | None, positi
     return ax, ay, az
 
 
+def point_in_earth_axes(position: Vector, attitude: Axes, rates: Axes) -> tuple[Axes, Axes]:
+    """North, east, down of a point of the body from the CG [m], and its speed against the CG [m/s].
+
+    position: body axes [m]. attitude: phi, theta, psi [rad]. rates: p, q, r [rad/s].
+    """
+    p, q, r = rates
+    x, y, z = position
+    zero = np.zeros_like(p)
+    turning = (q * z - r * y, r * x - p * z, p * y - q * x)
+    return to_earth_axes((zero + x, zero + y, zero + z), attitude), to_earth_axes(turning, attitude)
+
+
+def to_earth_axes(vector: Axes, attitude: Axes) -> Axes:
+    """A vector in body axes turned into north, east, down by phi, theta, psi [rad]."""
+    x, y, z = vector
+    (cf, ct, cp), (sf, st, sp) = ([f(a) for a in attitude] for f in (np.cos, np.sin))
+    level_x, level_y, down = x * ct + (y * sf + z * cf) * st, y * cf - z * sf, -x * st + (y * sf + z * cf) * ct
+    return level_x * cp - level_y * sp, level_x * sp + level_y * cp, down
+
+
 def euler_angles(w: Array, x: Array, y: Array, z: Array, attitude: Attitude) -> Axes:
     """phi, theta, psi [rad] of the body from the quaternion NED to IMU axes (any length), psi in (-pi, pi].
 

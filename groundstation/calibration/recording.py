@@ -4,7 +4,9 @@ import hashlib
 from dataclasses import replace
 from pathlib import Path
 
+from daq.contract.accounting import verify_recording
 from daq.contract.commands import parse_pitot_zero
+from daq.contract.ranges import count
 from daq.contract.reading import Recording, read_recording
 from groundstation.calibration.apply import calibrate
 from groundstation.calibration.errors import CalibrationError
@@ -38,8 +40,20 @@ def calibrate_recording(
         align=align,
         provenance=_provenance(recording),
     )
-    notes = [f"{d.what} at byte {d.at_byte}: what is intact is used" for d in recording.damages]
-    return replace(flight, notes=(*flight.notes, *notes))
+    return replace(flight, notes=(*flight.notes, *_gaps(recording)))
+
+
+def _gaps(recording: Recording) -> list[str]:
+    """What is damaged or missing in the recording, in words."""
+    notes = [f"{d.what} at byte {d.at_byte} of {path.name}: what is intact is used" for path, d in recording.damages]
+    state = verify_recording(recording)
+    if state.given_up:
+        names = ", ".join(path.name for path in state.given_up)
+        missing = f"{count(state.missing)} scans are missing" if state.missing else "no scan is missing"
+        notes.append(
+            f"{names} given up by the logger after a write error, the recording goes on in the next file; {missing}"
+        )
+    return notes
 
 
 def _zeroed(recording: Recording) -> dict[str, str]:

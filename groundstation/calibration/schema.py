@@ -176,6 +176,7 @@ _KINDS = {
     "mixing": ("mixing",),
     "attitude": ("attitude",),
     "logger": ("logger",),
+    "antenna": ("mount",),
 }
 
 
@@ -188,7 +189,7 @@ class Instrument(_Table):
 
     format: Literal[1]
     instrument: str
-    kind: Literal["curve", "triad", "static", "mixing", "attitude", "logger"]
+    kind: Literal["curve", "triad", "static", "mixing", "attitude", "logger", "antenna"]
     date: date
     method: str
     channel: str | None = None

@@ -62,18 +62,31 @@ class Source(_Table):
 
 
 class Time(_Table):
-    """The time column. unit 'iso' reads dates such as 2026-11-21T03:15:00.25; offset [s] is added."""
+    """The time column. unit 'iso' reads dates such as 2026-11-21T03:15:00.25; offset [s] is added.
 
-    column: str
+    rate_hz: instead of a column, rows at an even rate. restarts: several records one after the other, each with a time that
+    begins anew: each becomes a segment.
+    """
+
+    column: str | None = None
     unit: str = "s"
     offset: float = 0.0
+    rate_hz: Annotated[float, Field(gt=0, le=10_000)] | None = None
+    restarts: bool = False
+
+    @model_validator(mode="after")
+    def _one_origin(self) -> "Time":
+        if (self.column is None) == (self.rate_hz is None):
+            raise ValueError("give either column, or rate_hz where the file has no time")
+        return self
 
 
 class FileFormat(_Table):
-    """How a text table is written, where it cannot be guessed."""
+    """How a text table is written, where it cannot be guessed. names: of the columns, for a file without a header line."""
 
+    names: tuple[str, ...] = ()
     delimiter: str | None = None
-    decimal: Literal[".", ","] = "."
+    decimal: Literal[".", ","] | None = None
     header_line: Annotated[int, Field(ge=1)] = 1
     skip_after_header: Annotated[int, Field(ge=0)] = 0
 
@@ -94,8 +107,9 @@ class Map(_Table):
     file: FileFormat = FileFormat()
     time: Time | None = None
     segment: str | None = None
+    segment_rows: tuple[Annotated[int, Field(gt=0)], ...] = ()
     rate_hz: Annotated[float, Field(gt=0, le=1000)] | None = None
-    columns: dict[str, Sources]
+    columns: dict[str, Sources] = {}
 
     @model_validator(mode="after")
     def _units_fit(self) -> "Map":
@@ -117,6 +131,7 @@ class Map(_Table):
                 "aircraft": self.aircraft or base.aircraft,
                 "time": self.time or base.time,
                 "segment": self.segment or base.segment,
+                "segment_rows": self.segment_rows or base.segment_rows,
                 "rate_hz": self.rate_hz or base.rate_hz,
                 "file": self.file,
                 "columns": {**base.columns, **self.columns},

@@ -1,6 +1,8 @@
 """Importing: foreign file, mapping, one time base, plausibility, provenance."""
 
 import hashlib
+import re
+import unicodedata
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -11,10 +13,11 @@ from numpy.typing import NDArray
 from daq.contract.channels import COLUMN_BY_NAME
 from groundstation.flight import Flight, Provenance
 from groundstation.importers.errors import ImportDataError
-from groundstation.importers.mapping import Map, Source, built_in_map, load_map
-from groundstation.importers.plausibility import suspicions
+from groundstation.importers.mapping import FileFormat, Map, Source, built_in_map, load_map
 from groundstation.importers.series import Log, Series, credible, grid, native_rate, resample
+from groundstation.importers.tables import RECORD
 from groundstation.importers.units import conversion
+from groundstation.plausibility import suspicions
 
 Array = NDArray[np.float64]
 
@@ -22,7 +25,7 @@ DEFAULT_RATE = 50.0
 """Highest rate [Hz] of the common time base of a log whose series have times of their own, unless stated."""
 
 _WRAPPED = ("phi", "psi")
-_TABLES = (".csv", ".txt", ".tsv", ".parquet")
+_TABLES = (".csv", ".txt", ".tsv", ".asc", ".dat", ".parquet")
 _LOGS = (".ulg", ".bin", ".tlog")
 
 
@@ -96,10 +99,11 @@ def _read(path: Path, given: Map | None) -> tuple[Log, Map]:
 def _read_table(path: Path, given: Map | None) -> tuple[Log, Map]:
     from groundstation.importers.tables import header_map, read_table, table_log
 
-    numeric, words = read_table(path, given.file if given else Map(format=1, columns={}).file)
-    guessed = header_map([*numeric, *words])
+    table = read_table(path, given.file if given else FileFormat())
+    guessed, notes = header_map(table, given.columns if given else ())
     chosen = given.over(guessed) if given else guessed
-    return table_log(path, numeric, words, chosen.time), chosen
+    log = table_log(path, table, chosen.time)
+    return replace(log, notes=(*log.notes, *notes)), chosen
 
 
 def _ulog(path: Path) -> Log:
@@ -150,17 +154,32 @@ def _columns(log: Log, chosen: Map, time: Array) -> tuple[dict[str, Array], dict
         columns[name] = _value(log, source, name, time)
         used[name] = source
     notes = [f"not in the file, so not measured: {', '.join(absent)}"] if absent else []
-    taken = {t.column for s in used.values() for t in s.parts} | ({chosen.segment} if chosen.segment else set())
+    taken = {t.column for s in used.values() for t in s.parts} | {chosen.segment or RECORD, RECORD}
     if log.common:
-        left = [n for n in log.series if n not in taken]
+        left = {n: _plain_name(n, set(columns)) for n in log.series if n not in taken}
         columns.update(
-            {n: log.series[n].values if time is log.series[n].time else resample(log.series[n], time) for n in left}
+            {
+                to: log.series[n].values if time is log.series[n].time else resample(log.series[n], time)
+                for n, to in left.items()
+            }
         )
         if left:
-            notes.append(f"columns not known to Sideslip, kept as they are: {', '.join(left)}")
+            said = ", ".join(n if n == to else f"{n} as {to}" for n, to in left.items())
+            notes.append(f"columns not known to Sideslip, kept as they are: {said}")
         if log.text_columns:
             notes.append(f"columns that are not numbers, left out: {', '.join(log.text_columns)}")
     return columns, used, notes
+
+
+def _plain_name(name: str, taken: set[str]) -> str:
+    """A column name of letters, digits and underscores, as the flight format needs it; not one that is taken."""
+    ascii_name = unicodedata.normalize("NFKD", name).encode("ascii", "ignore").decode()
+    plain = re.sub(r"\W+", "_", ascii_name).strip("_") or "column"
+    plain = f"_{plain}" if plain[0].isdigit() else plain
+    while plain in taken or plain in ("time", "segment") or (plain != name and plain in COLUMN_BY_NAME):
+        plain += "_other"
+    taken.add(plain)
+    return plain
 
 
 def _value(log: Log, source: Source, name: str, time: Array) -> Array:
@@ -189,13 +208,19 @@ def _unwrapped(series: Series, name: str, scale: float) -> Series:
 
 
 def _segment(log: Log, chosen: Map, rate: float | None) -> NDArray[np.int64] | None:
-    if chosen.segment is None or chosen.segment not in log.series or rate is not None:
+    if rate is not None:
         return None
-    values = log.series[chosen.segment].values
+    count = len(next(iter(log.series.values())).values) if log.series else 0
+    if chosen.segment_rows:
+        if not log.common or sum(chosen.segment_rows) != count:
+            raise ImportDataError(f"segment_rows adds up to {sum(chosen.segment_rows)} rows; the file has {count}")
+        return np.repeat(np.arange(len(chosen.segment_rows)), chosen.segment_rows)
+    name = chosen.segment or (RECORD if log.common and RECORD in log.series else None)
+    if name is None or name not in log.series:
+        return None
+    values = log.series[name].values
     if not np.all(np.isfinite(values)):
-        raise ImportDataError(
-            f"column {chosen.segment}: empty cells; give an integer in each row or leave the column out"
-        )
+        raise ImportDataError(f"column {name}: empty cells; give an integer in each row or leave the column out")
     return values.astype(np.int64)
 
 

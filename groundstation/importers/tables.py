@@ -1,7 +1,10 @@
 """CSV and Parquet tables: any header, any order, with the units in the mapping file or in the header."""
 
+import codecs
 import csv
 import re
+from collections.abc import Container
+from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
 
@@ -12,70 +15,149 @@ from daq.contract.channels import COLUMN_BY_NAME
 from groundstation.importers.errors import ImportDataError
 from groundstation.importers.mapping import FileFormat, Map, Source, Time
 from groundstation.importers.series import Log, Series
-from groundstation.importers.units import find_unit
+from groundstation.importers.units import conversion, find_unit
 
 Array = NDArray[np.float64]
 
+WORDS_AMONG_NUMBERS = 0.1
+"""A column with a larger share of cells that are no numbers is one of words."""
+
+_DECIMAL_COMMA = re.compile(r"^\s*[-+]?\d*,\d+(e[-+]?\d+)?\s*$", re.IGNORECASE)
+_DECIMAL_POINT = re.compile(r"^\s*[-+]?\d*\.\d+(e[-+]?\d+)?\s*$", re.IGNORECASE)
 _HEADER_UNIT = re.compile(r"^\s*(?P<name>[^\[\](]+?)\s*[\[(]\s*(?P<unit>[^\])]*)\s*[\])]\s*$")
 
 
-def read_table(path: Path, layout: FileFormat) -> tuple[dict[str, Array], dict[str, list[str]]]:
-    """Numeric columns, and text columns, of a CSV or Parquet table by header. Raises ImportDataError."""
+@dataclass(frozen=True)
+class Table:
+    """A table as read: columns of numbers (N,) and of words by header, units of a row below the header, and notes."""
+
+    numeric: dict[str, Array]
+    words: dict[str, list[str]]
+    units: dict[str, str] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+
+def read_table(path: Path, layout: FileFormat) -> Table:
+    """A CSV or Parquet table. Raises ImportDataError."""
     return _read_parquet(path) if path.suffix.lower() == ".parquet" else _read_csv(path, layout)
 
 
-def _read_csv(path: Path, layout: FileFormat) -> tuple[dict[str, Array], dict[str, list[str]]]:
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError:
-        text = path.read_text(encoding="latin-1")
-        if "\0" in text:
-            raise ImportDataError(f"{path}: not a text file; a CSV is expected") from None
-    except OSError as error:
-        raise ImportDataError(f"{path}: cannot be read ({error.strerror or error})") from error
-    lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
+def _read_csv(path: Path, layout: FileFormat) -> Table:
+    lines = [line for line in _text(path).splitlines() if line.strip() and not line.lstrip().startswith("#")]
     lines = lines[layout.header_line - 1 :]
     if len(lines) < 2:
         raise ImportDataError(f"{path}: no table with a header line and rows in it")
-    rows = list(csv.reader(lines, delimiter=layout.delimiter or _delimiter(lines[0])))
+    delimiter = layout.delimiter or _delimiter(lines[0])
+    rows = [line.split() for line in lines] if delimiter == " " else list(csv.reader(lines, delimiter=delimiter))
+    if layout.names:
+        rows.insert(0, list(layout.names))
     header = [h.strip() for h in rows[0]]
+    _check_header(path, header)
+    body = rows[1 + layout.skip_after_header :]
+    units = _unit_row(header, body[0]) if body else {}
+    if units:
+        body = body[1:]
+    first = layout.header_line + 1 + layout.skip_after_header + bool(units)
+    for number, row in enumerate(body, start=first):
+        if len(row) != len(header):
+            raise ImportDataError(f"{path}: table line {number} has {len(row)} cells, the header has {len(header)}")
+    decimal = layout.decimal or _decimal(delimiter, body)
+    numeric: dict[str, Array] = {}
+    words: dict[str, list[str]] = {}
+    notes = []
+    for i, name in enumerate(header):
+        if not name:
+            continue
+        cells = [row[i].strip() for row in body]
+        values, wrong = _numbers(cells, decimal)
+        if len(wrong) > WORDS_AMONG_NUMBERS * len(cells):
+            words[name] = cells
+            continue
+        numeric[name] = values
+        if wrong:
+            notes.append(
+                f"column {name}: {len(wrong)} cells that are no numbers (the first {cells[wrong[0]]!r} in table line "
+                f"{first + wrong[0]}) taken as not measured"
+            )
+    return Table(numeric, words, units, tuple(notes))
+
+
+def _text(path: Path) -> str:
+    """The file as text: UTF-8 or UTF-16 with or without a mark, else Latin-1."""
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise ImportDataError(f"{path}: cannot be read ({error.strerror or error})") from error
+    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return data.decode("utf-16", "replace")
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        text = data.decode("latin-1")
+    if "\0" in text:
+        raise ImportDataError(f"{path}: not a text file; a CSV is expected")
+    return text
+
+
+def _check_header(path: Path, header: list[str]) -> None:
+    if all(h and not _numbers([h], ".")[1] for h in header):
+        raise ImportDataError(
+            f"{path}: the first line holds numbers, not column names; add a line of names above it (time,ax,ay,...) "
+            "or give them in a mapping file: [file] names = [...]"
+        )
     twice = sorted({h for h in header if h and header.count(h) > 1})
     if twice:
         raise ImportDataError(f"{path}: column {twice[0]!r} appears twice in the header")
-    body = rows[1 + layout.skip_after_header :]
-    for number, row in enumerate(body, start=layout.header_line + 1 + layout.skip_after_header):
-        if len(row) != len(header):
-            raise ImportDataError(f"{path}: table line {number} has {len(row)} cells, the header has {len(header)}")
-    numeric: dict[str, Array] = {}
-    words: dict[str, list[str]] = {}
-    for i, name in enumerate(header):
-        cells = [row[i].strip() for row in body]
-        values = _numbers(cells, layout.decimal)
-        if values is None:
-            words[name] = cells
-        elif name:
-            numeric[name] = values
-    return numeric, words
 
 
 def _delimiter(line: str) -> str:
-    return max((";", "\t", ","), key=line.count)
+    found = max((";", "\t", ","), key=line.count)
+    return found if found in line else " "
+
+
+def _decimal(delimiter: str, body: list[list[str]]) -> str:
+    """A comma where cells are like 12,5 and the comma does not part them."""
+    if delimiter == ",":
+        return "."
+    cells = [cell for row in body[:50] for cell in row]
+    return (
+        "," if any(_DECIMAL_COMMA.match(c) for c in cells) and not any(_DECIMAL_POINT.match(c) for c in cells) else "."
+    )
+
+
+def _unit_row(header: list[str], row: list[str]) -> dict[str, str]:
+    """The units of a row below the header that holds no number at all; empty when it is an ordinary row."""
+    cells = [c.strip().strip("[]()") for c in row]
+    if len(cells) != len(header) or not any(cells) or not all(_numbers([c], ".")[1] for c in cells if c):
+        return {}
+    if not any(find_unit(c) for c in cells if c):
+        return {}
+    return {h: c for h, c in zip(header, cells, strict=True) if h and c}
 
 
 _EMPTY = {"", "nan", "na", "n/a", "null", "none", "-", "--"}
 
 
-def _numbers(cells: list[str], decimal: str) -> Array | None:
+def _numbers(cells: list[str], decimal: str) -> tuple[Array, list[int]]:
+    """Values, NaN where empty, infinite or no number; and the rows of the cells that are no numbers."""
+    if decimal == ",":
+        cells = [c.replace(",", ".") for c in cells]
+    wrong: list[int] = []
     try:
-        return np.array(
-            [np.nan if c.lower() in _EMPTY else float(c.replace(",", ".") if decimal == "," else c) for c in cells],
-            float,
-        )
+        values = np.array(cells, float)
     except ValueError:
-        return None
+        values = np.full(len(cells), np.nan)
+        for i, cell in enumerate(cells):
+            if cell.lower() not in _EMPTY:
+                try:
+                    values[i] = float(cell)
+                except ValueError:
+                    wrong.append(i)
+    values[np.isinf(values)] = np.nan
+    return values, wrong
 
 
-def _read_parquet(path: Path) -> tuple[dict[str, Array], dict[str, list[str]]]:
+def _read_parquet(path: Path) -> Table:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -92,43 +174,76 @@ def _read_parquet(path: Path) -> tuple[dict[str, Array], dict[str, list[str]]]:
             words[name] = [value.isoformat() if value is not None else "" for value in column.to_pylist()]
             continue
         try:
-            numeric[name] = np.asarray(column.cast(pa.float64()).to_numpy(zero_copy_only=False), float)
+            values = np.array(column.cast(pa.float64()).to_numpy(zero_copy_only=False), float)
+            numeric[name] = np.where(np.isinf(values), np.nan, values)
         except pa.ArrowException:
             words[name] = [str(value) for value in column.to_pylist()]
-    return numeric, words
+    return Table(numeric, words)
 
 
-def header_map(names: list[str]) -> Map:
-    """A mapping guessed from headers that are flight columns, with or without a unit: 'phi', 'phi [deg]', 'V (knots)'."""
+def header_map(table: Table, given: Container[str] = ()) -> tuple[Map, tuple[str, ...]]:
+    """A mapping guessed from headers that are flight columns, with or without a unit: 'phi', 'phi [deg]', 'V (knots)';
+    and notes on what stands in brackets and is no unit. given: columns that need no guess.
+
+    Raises ImportDataError for a unit of another quantity.
+    """
     columns: dict[str, tuple[Source, ...]] = {}
     time = None
     segment = None
-    for name in names:
+    notes = []
+    for name in [*table.numeric, *table.words]:
         match = _HEADER_UNIT.match(name)
-        bare, unit = (match["name"], match["unit"]) if match else (name, "")
+        bare, unit = (match["name"], match["unit"]) if match else (name, table.units.get(name, ""))
         if bare == "time" or (time is None and bare in ("t", "Time", "TIME", "time_s")):
             time = Time(column=name, unit=unit or "s")
         elif bare == "segment":
             segment = name
-        elif bare in COLUMN_BY_NAME:
-            stated = unit if find_unit(unit) is not None and unit else COLUMN_BY_NAME[bare].unit
-            columns[bare] = (Source(column=name, unit=stated),)
-    return Map(format=1, time=time, segment=segment, columns=columns)
+        elif bare in COLUMN_BY_NAME and bare not in given:
+            si = COLUMN_BY_NAME[bare].unit
+            known = find_unit(unit) is not None
+            if unit and known:
+                conversion(unit, bare, si)
+            elif unit:
+                notes.append(f"header {name!r}: {unit!r} is not a unit known here; taken as {si or 'it stands'}")
+            columns[bare] = (Source(column=name, unit=unit if unit and known else si),)
+    return Map(format=1, time=time, segment=segment, columns=columns), tuple(notes)
 
 
-def table_log(path: Path, numeric: dict[str, Array], words: dict[str, list[str]], time: Time | None) -> Log:
+def table_log(path: Path, table: Table, time: Time | None) -> Log:
     """The table as series over its time column [s]. Raises ImportDataError when there is none."""
     if time is None:
         raise ImportDataError(
-            f"{path}: no column 'time'; found {', '.join([*numeric, *words][:12])}; "
-            "name the time column in a mapping file (--map)"
+            f"{path}: no column 'time'; found {', '.join([*table.numeric, *table.words][:12])}; "
+            "name the time column in a mapping file (--map), or the rate where there is none: [time] rate_hz = 50"
         )
-    seconds = _seconds(path, numeric, words, time)
+    seconds = _seconds(path, table.numeric, table.words, time)
+    numeric = dict(table.numeric)
+    if time.restarts:
+        seconds, numeric[RECORD] = _in_a_row(path, seconds)
     series = {name: Series(seconds, values) for name, values in numeric.items() if name != time.column}
-    return Log("table", series, common=True, text_columns=tuple(w for w in words if w != time.column))
+    text_columns = tuple(w for w in table.words if w != time.column)
+    return Log("table", series, common=True, notes=table.notes, text_columns=text_columns)
+
+
+RECORD = "record number"
+"""Counts the records of a file in which time begins anew."""
+
+
+def _in_a_row(path: Path, seconds: Array) -> tuple[Array, Array]:
+    """Records one after the other in time, a second apart, and the number of each."""
+    step = np.diff(seconds)
+    back = step <= 0
+    if not back.any():
+        raise ImportDataError(f"{path}: restarts = true, but time never begins anew")
+    number = np.concatenate([[0.0], np.cumsum(back)])
+    shift = np.concatenate([[0.0], np.cumsum(np.where(back, 1.0 - step, 0.0))])
+    return seconds + shift, number
 
 
 def _seconds(path: Path, numeric: dict[str, Array], words: dict[str, list[str]], time: Time) -> Array:
+    if time.column is None:
+        rows = len(next(iter(numeric.values()), np.zeros(0)))
+        return np.arange(rows) / float(time.rate_hz or 1.0) + time.offset
     if time.column not in numeric and time.column not in words:
         raise ImportDataError(
             f"{path}: no column {time.column!r} for the time; found {', '.join([*numeric, *words][:12])}"
@@ -136,7 +251,7 @@ def _seconds(path: Path, numeric: dict[str, Array], words: dict[str, list[str]],
     if time.unit == "iso":
         return _dates(path, words, time) + time.offset
     if time.column in words:
-        bad = next((w for w in words[time.column] if _numbers([w], ".") is None), "")
+        bad = next((w for w in words[time.column] if _numbers([w], ".")[1]), "")
         raise ImportDataError(
             f'{path}: time column {time.column!r} holds {bad!r}, not a number; dates need unit = "iso"'
         )
@@ -151,7 +266,7 @@ def _seconds(path: Path, numeric: dict[str, Array], words: dict[str, list[str]],
 
 def _dates(path: Path, words: dict[str, list[str]], time: Time) -> Array:
     stamps = []
-    for cell in words.get(time.column, []):
+    for cell in words.get(time.column or "", []):
         try:
             stamps.append(datetime.fromisoformat(cell))
         except ValueError:

@@ -160,6 +160,27 @@ def test_repeated_and_shuffled_scans_give_the_same_flight(make_scans: MakeScans,
     assert any("more than once" in n for n in again.notes)
 
 
+def test_antenna_is_taken_to_the_cg(make_scans: MakeScans, nominal: CalibrationSet) -> None:
+    """Level flight northward with r: an antenna 0.5 m to the right of the CG lies east of it and moves backwards."""
+    antenna = """format = 1
+instrument = "gnss_antenna"
+kind = "antenna"
+date = 2026-11-01
+method = "measured"
+[mount]
+position = [0.0, 0.5, -0.1]
+"""
+    fix = {"latitude_e7": 470_000_000, "longitude_e7": 85_000_000, "height_msl_mm": 60_000, "velocity_north_mm": 15_000,
+           "velocity_east_mm": 0, "velocity_down_mm": 0, "gnss_fix": 3}  # fmt: skip
+    scans = [replace(s, values={**s.values, **fix}) for s in make_scans(20, r=0.4)]
+    plain, moved = calibrate(scans, nominal), calibrate(scans, nominal.with_texts({"gnss_antenna.toml": antenna}))
+    assert moved["vn"][10] == pytest.approx(plain["vn"][10] + 0.4 * 0.5, abs=2e-3)
+    assert moved["altitude_gnss"][10] == pytest.approx(plain["altitude_gnss"][10] - 0.1, abs=1e-3)
+    east = np.radians(plain["longitude"][10] - moved["longitude"][10]) * 6_371_000 * np.cos(np.radians(47))
+    assert east == pytest.approx(0.5, abs=1e-3)
+    assert moved["latitude"][10] == pytest.approx(plain["latitude"][10], abs=1e-9)
+
+
 def test_gnss_counts_only_with_a_fix(make_scans: MakeScans, nominal: CalibrationSet) -> None:
     scans = make_scans(4)
     fix = {"latitude_e7": 470_000_000, "longitude_e7": 85_000_000, "height_msl_mm": 60_000, "velocity_north_mm": 15_000,

@@ -84,6 +84,19 @@ def test_vanes_off_the_cg_give_the_free_stream(rng: np.random.Generator) -> None
         np.testing.assert_allclose(np.concatenate(back), [alpha, beta], atol=1e-12)
 
 
+def test_antenna_place_and_speed_against_rotation_matrices(rng: np.random.Generator) -> None:
+    """Earth axes of a point of a turning body: its place by scipy's rotation, its speed by moving that rotation on."""
+    for _ in range(20):
+        phi, theta, psi = (*rng.uniform(-1, 1, 2).tolist(), float(rng.uniform(-3, 3)))
+        arm, rates = rng.uniform(-1, 1, 3), rng.uniform(-2, 2, 3)
+        turn = Rotation.from_euler("ZYX", [psi, theta, phi])
+        place, speed = inertial.point_in_earth_axes(tuple(arm), arrays(np.array([phi, theta, psi])), arrays(rates))
+        np.testing.assert_allclose(np.concatenate(place), turn.apply(arm), atol=1e-12)
+        h = 1e-6
+        ahead, behind = (turn * Rotation.from_rotvec(sign * h * rates) for sign in (1, -1))
+        np.testing.assert_allclose(np.concatenate(speed), (ahead.apply(arm) - behind.apply(arm)) / (2 * h), atol=1e-8)
+
+
 def test_vane_is_left_alone_when_there_is_no_wind() -> None:
     vane = Vane(angle="alpha", position=(0.0, -0.7, 0.0))
     still = (np.array([1.0]),) * 3

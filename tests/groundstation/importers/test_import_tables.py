@@ -5,7 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
+from groundstation.commands_data import import_
 from groundstation.flight import read_flight, write_flight
 from groundstation.importers.errors import ImportDataError
 from groundstation.importers.mapping import load_map
@@ -171,6 +173,83 @@ def test_a_sound_flight_raises_no_suspicion(root: Path, tmp_path: Path, flown: C
     assert import_data(write_csv(tmp_path / "log.csv", flown)).notes == ()
 
 
+def sideways_flight(root: Path) -> Columns:
+    """A flight of another simulator, with consistent kinematics and neither dynamic nor GPS speed."""
+    flight = read_flight(root / "recordings" / "foreign" / "ordinary_0.csv")
+    return {"time": flight.time, **flight.columns}
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("knots", 3600 / 1852), ("km/h", 3.6), ("mph", 1 / 0.44704)])
+def test_speed_in_another_unit_is_told_by_how_the_aircraft_turns(
+    root: Path, tmp_path: Path, unit: str, factor: float
+) -> None:
+    sound = sideways_flight(root)
+    assert import_data(write_csv(tmp_path / "sound.csv", sound)).notes == ()
+    wrong = {**sound, "V": sound["V"] * factor}
+    with pytest.raises(ImportDataError, match=f"turns and slips; is it in .*{unit}"):
+        import_data(write_csv(tmp_path / "log.csv", wrong))
+
+
+@pytest.mark.parametrize(("column", "words"), [("beta", "beta: turned, it would agree"), ("r", "r: turns against psi")])
+def test_signs_that_contradict_the_motion(root: Path, tmp_path: Path, column: str, words: str) -> None:
+    sound = sideways_flight(root)
+    with pytest.raises(ImportDataError, match=words):
+        import_data(write_csv(tmp_path / "log.csv", {**sound, column: -sound[column]}))
+
+
+@pytest.mark.parametrize("layout", ["spaces", "utf16", "decimal comma", "unit row", "shuffled"])
+def test_layouts_that_need_no_mapping(tmp_path: Path, flown: Columns, layout: str, rng: np.random.Generator) -> None:
+    theirs_ = {"time": flown["time"], "phi": flown["phi"], "beta": flown["beta"]}
+    path = tmp_path / "log.csv"
+    if layout == "decimal comma":
+        write_csv(path, theirs_, ";", ",")
+    else:
+        if layout == "unit row":
+            theirs_ = {"time": flown["time"] * 1e3, "phi": flown["phi"] * DEG, "beta": flown["beta"] * DEG}
+        text = write_csv(path, theirs_).read_text()
+        head, *rows = text.splitlines()
+        if layout == "shuffled":
+            rows = [rows[i] for i in rng.permutation(len(rows))]
+        if layout == "unit row":
+            rows = ["ms,deg,[deg]", *rows]
+        text = "\n".join([head, *rows])
+        text = text.replace(",", "  ") if layout == "spaces" else text
+        path.write_text(text, encoding="utf-16" if layout == "utf16" else "utf-8")
+    flight = import_data(path)
+    np.testing.assert_allclose(flight.time, flown["time"], atol=1e-9)
+    for name in ("phi", "beta"):
+        np.testing.assert_allclose(flight[name], flown[name], rtol=1e-12, atol=1e-12)
+
+
+def test_words_among_numbers_are_not_measured_and_named(tmp_path: Path, flown: Columns) -> None:
+    lines = write_csv(tmp_path / "log.csv", {"time": flown["time"], "beta": flown["beta"]}).read_text().splitlines()
+    lines[60], lines[61] = lines[60].split(",")[0] + ",ERR", lines[61].split(",")[0] + ",inf"
+    (tmp_path / "log.csv").write_text("\n".join(lines))
+    flight = import_data(tmp_path / "log.csv")
+    assert np.flatnonzero(np.isnan(flight["beta"])).tolist() == [59, 60]
+    assert any("column beta: 1 cells that are no numbers (the first 'ERR' in table line 61)" in n for n in flight.notes)
+
+
+def test_headers_that_cannot_be_field_names_are_kept_under_plain_ones(tmp_path: Path, flown: Columns) -> None:
+    odd = {"time": flown["time"], "phi": flown["phi"], "Höhe (AGL)": flown["V"], "1st": flown["V"], "V.": flown["V"]}
+    flight = import_data(write_csv(tmp_path / "log.csv", odd))
+    assert {"Hohe_AGL", "_1st", "V_other"} <= set(flight.columns)
+    assert any("Höhe (AGL) as Hohe_AGL" in n for n in flight.notes)
+    write_flight(flight, tmp_path / "flight.mcap")
+    np.testing.assert_array_equal(read_flight(tmp_path / "flight.mcap")["Hohe_AGL"], flown["V"])
+
+
+def test_split_writes_a_file_for_each_stretch(tmp_path: Path, flown: Columns) -> None:
+    jumped = {**flown, "time": flown["time"] + np.where(flown["time"] > 10.0, 30.0, 0.0)}
+    path = write_csv(tmp_path / "log.csv", jumped)
+    done = CliRunner().invoke(import_, [str(path), "-o", str(tmp_path / "out.mcap"), "--split"])
+    assert done.exit_code == 0, done.output
+    parts = [read_flight(tmp_path / f"out_{i}.mcap") for i in (1, 2)]
+    assert [len(p) for p in parts] == [201, 199]
+    assert not (tmp_path / "out.mcap").exists()
+    assert all(len(p.segments) == 1 for p in parts)
+
+
 def test_dates_and_large_stamps(tmp_path: Path, flown: Columns) -> None:
     stamps = [f"2026-03-01T10:00:{t:09.6f}" for t in flown["time"]]
     rows = {"when": np.array(stamps), "phi": flown["phi"]}
@@ -241,6 +320,8 @@ def test_mapping_mistakes_are_named(tmp_path: Path, text: str, words: str) -> No
         ("time,phi\n0,1,2\n", "3 cells"),
         ("a,b\n0,1\n1,2\n", "no column 'time'"),
         ("time,time\n0,1\n1,2\n", "appears twice"),
+        ("0,1\n1,2\n2,3\n", "holds numbers, not column names"),
+        ("time,ax [deg]\n0,1\n1,2\n", "unit 'deg' is not one of m/s2"),
         ("time,phi\nzero,1\none,2\n", "'zero', not a number"),
         ("time,bank\n0,1\n1,2\n", None),
     ],

@@ -38,7 +38,7 @@ def suspicions(time: Array, columns: Columns) -> list[str]:
     present = {n: v for n, v in columns.items() if n in COLUMN_BY_NAME and np.isfinite(v).sum() >= 2}
     checks: Iterable[Iterator[str]] = (
         _time(time), _gravity(present), _angles(present), _rates(present), _others(present), _attitude_rate(time, present),
-        _pressure_speed(present), _ground_speed(present),
+        _pressure_speed(present), _ground_speed(present), _sideways(time, present),
     )  # fmt: skip
     return [words for check in checks for words in check]
 
@@ -48,6 +48,8 @@ def _median(values: Array) -> float:
 
 
 def _time(time: Array) -> Iterator[str]:
+    if _shuffled(time):
+        time = np.sort(time)
     steps = np.diff(time)
     backwards = float(np.mean(steps < 0)) if steps.size else 0.0
     steps = steps[steps > 0]
@@ -55,6 +57,8 @@ def _time(time: Array) -> Iterator[str]:
         yield f"time: runs backwards from {backwards:.0%} of the rows to the next; is this the time column?"
     if not steps.size:
         return
+    if backwards > 0.02:
+        return  # the steps of a column that is not time, or of shuffled rows, say nothing of its unit
     interval = float(np.median(steps))
     for unit, scale in (("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9)):
         if interval >= 4 and 1e-3 <= interval * scale <= 0.5:
@@ -64,6 +68,16 @@ def _time(time: Array) -> Iterator[str]:
         yield f"time: {interval:g} s from sample to sample is too slow for flight dynamics; check the time unit"
     elif interval < 1e-4:
         yield f"time: {interval:.3g} s from sample to sample; is the column in min or h?"
+
+
+def _shuffled(time: Array) -> bool:
+    """Whether the rows are those of an even clock in another order: sorting them is then right."""
+    finite = time[np.isfinite(time)]
+    if finite.size < 20:
+        return False
+    steps = np.diff(np.sort(finite))
+    interval = float(np.median(steps))
+    return interval > 0 and float(np.mean(np.abs(steps - interval) < 0.2 * interval)) > 0.9
 
 
 def _gravity(c: Columns) -> Iterator[str]:
@@ -117,11 +131,12 @@ def _others(c: Columns) -> Iterator[str]:
 
 
 def _attitude_rate(time: Array, c: Columns) -> Iterator[str]:
-    """phi against the integral of p, theta against q: their ratio is 1, or 57.3 where one is in degrees."""
-    for angle, rate in (("phi", "p"), ("theta", "q")):
+    """Attitude against what the gyro turns: their ratio is 1, or 57.3 where one is in degrees, or -1."""
+    for angle, rate in (("phi", "p"), ("theta", "q"), ("psi", "r")):
         if angle not in c or rate not in c:
             continue
-        slope = _integral_slope(time, c[angle], c[rate])
+        turning = c[rate] if angle != "psi" else _heading_rate(c)
+        slope = _integral_slope(time, c[angle], turning)
         if slope is None:
             continue
         if 0.5 < abs(slope) / _DEG < 2:
@@ -132,25 +147,70 @@ def _attitude_rate(time: Array, c: Columns) -> Iterator[str]:
             yield f"{rate}: turns against {angle}; one of them has the wrong sign (sign = -1)"
 
 
-def _integral_slope(time: Array, angle: Array, rate: Array) -> float | None:
-    """Slope of the angle against the integrated rate over windows of 4 s with their lines removed; None without motion."""
-    top = bottom = rest = 0.0
+def _heading_rate(c: Columns) -> Array:
+    """What psi gathers; r alone where attitude is not measured, or not in radians."""
+    if not all(n in c for n in ("q", "phi", "theta")) or any(np.nanmax(np.abs(c[n])) > 1.6 for n in ("phi", "theta")):
+        return c["r"]
+    return np.asarray((c["q"] * np.sin(c["phi"]) + c["r"] * np.cos(c["phi"])) / np.cos(c["theta"]))
+
+
+def _sideways(time: Array, c: Columns) -> Iterator[str]:
+    """Sideways motion: V beta grows by p w - r u + g sin(phi) cos(theta) + ay. Tells the unit of V, and a sign."""
+    if (
+        not all(n in c for n in ("ay", "p", "r", "phi", "theta", "beta", "V"))
+        or float(np.nanmax(np.abs(c["phi"]))) > 1.6
+    ):
+        return
+    alpha = c["alpha"] if "alpha" in c and float(np.nanmax(np.abs(c["alpha"]))) < 1 else np.zeros_like(c["V"])
+    v, force, weight = c["V"] * c["beta"], c["ay"], GRAVITY * np.sin(c["phi"]) * np.cos(c["theta"])
+    turned = c["V"] * (c["r"] * np.cos(alpha) - c["p"] * np.sin(alpha))
+    windows = list(_windows(time, v, turned, force, weight))
+    slope, agreement = _line([(v + _summed(t, b), _summed(t, f + g)) for t, v, b, f, g in windows])
+    if agreement > 0.8 and slope > 0 and "p_dynamic" not in c:
+        units = [u for u, factor in _SPEED_UNITS.items() if abs(1 / (slope * factor) - 1) < 0.08]
+        if units:
+            yield f"V: {1 / slope:.3g} times the speed at which the aircraft turns and slips; is it in {' or '.join(units)}?"
+            return
+    other, better = _line([(_summed(t, b) - v, _summed(t, f + g)) for t, v, b, f, g in windows])
+    if better > 0.85 and 0.75 < other < 1.25 and agreement < 0.3:
+        yield (
+            "beta: turned, it would agree with the sideways motion that ay, r and phi make; is its sign wrong (sign = -1)?"
+        )
+
+
+def _summed(time: Array, values: Array) -> Array:
+    """Integral by the trapezoidal rule, from 0."""
+    return np.concatenate([[0.0], np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(time))])
+
+
+def _windows(time: Array, *values: Array) -> Iterator[tuple[Array, ...]]:
+    """Stretches of 4 s in which all is measured and time rises."""
     start = 0
     while start < time.size - 10:
         stop = int(np.searchsorted(time, time[start] + 4.0))
-        t, a, b = time[start:stop], angle[start:stop], rate[start:stop]
+        part = [v[start:stop] for v in (time, *values)]
         start = max(stop, start + 1)
-        if t.size < 10 or not all(np.all(np.isfinite(v)) for v in (t, a, b)) or np.any(np.diff(t) <= 0):
-            continue
-        turned = np.concatenate([[0.0], np.cumsum(0.5 * (b[1:] + b[:-1]) * np.diff(t))])
-        line = np.vander(t - t.mean(), 2)
-        x, y = (
-            v - line @ np.linalg.lstsq(line, v, rcond=None)[0] for v in (turned, np.unwrap(a) if np.ptp(a) < 7 else a)
-        )
+        if part[0].size >= 10 and all(np.all(np.isfinite(v)) for v in part) and np.all(np.diff(part[0]) > 0):
+            yield tuple(part)
+
+
+def _line(pairs: Iterable[tuple[Array, Array]]) -> tuple[float, float]:
+    """Slope of y against x, and the share of y it explains, with a straight line in time removed from each window."""
+    top = bottom = rest = 0.0
+    for x, y in pairs:
+        trend = np.vander(np.linspace(-1.0, 1.0, x.size), 2)
+        x, y = (v - trend @ np.linalg.lstsq(trend, v, rcond=None)[0] for v in (x, y))
         top, bottom, rest = top + float(x @ y), bottom + float(x @ x), rest + float(y @ y)
-    if bottom <= 0 or rest <= 0 or top * top < 0.7 * bottom * rest:  # the two do not show the same motion
-        return None
-    return top / bottom
+    if bottom <= 0 or rest <= 0:
+        return 0.0, 0.0
+    return top / bottom, top * top / (bottom * rest)
+
+
+def _integral_slope(time: Array, angle: Array, rate: Array) -> float | None:
+    """Slope of the angle against the integrated rate over windows of 4 s with their lines removed; None without motion."""
+    pairs = [(_summed(t, b), np.unwrap(a) if np.ptp(a) < 7 else a) for t, a, b in _windows(time, angle, rate)]
+    slope, agreement = _line(pairs)
+    return slope if agreement >= 0.7 else None  # else the two do not show the same motion
 
 
 def _pressure_speed(c: Columns) -> Iterator[str]:

@@ -1,0 +1,155 @@
+"""All records of all flights of one check, with their starts and noise levels.
+
+Noise of the inputs is read off the flight itself; that of the outputs, and the turbulence that moves the air under the
+aircraft, are scaled until the innovations of the filter are as large as it predicts them (relaxation).
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimation.compatibility.kalman import KalmanFilter, NoiseLevels, Record, Run, delayed_outputs
+from estimation.compatibility.records import attitude_errors, records_of, with_rate_derivatives
+from estimation.models.base import Model
+from estimation.models.kinematic import FILTER_ERRORS
+from estimation.preprocess import noise_level
+from groundstation.flight import Flight
+
+Array = NDArray[np.float64]
+
+_TURBULENCE_LOG10 = (-3.5, 0.7)  # of m/s per root second
+
+SMALLEST = 1e-6
+"""Noise [output's unit] below which no channel is believed to be."""
+
+
+class Problem:
+    """All records of all flights, with starts and noise levels."""
+
+    def __init__(self, model: Model, flights: Sequence[Flight]) -> None:
+        flights = [with_rate_derivatives(f, model.input_names) for f in flights]
+        self.attitude = [attitude_errors(f) for f in flights]
+        self.model = model
+        self.names = ", ".join(f.name for f in flights)
+        self.filter = KalmanFilter(model, delayed_outputs(model))
+        found = [records_of(model, f) for f in flights]
+        self.records = [r for r, _ in found]
+        self.notes = [(*n, *_filter_note(errors)) for (_, n), errors in zip(found, self.attitude, strict=True)]
+        self.inputs = [np.array([noise_level(joined(f[c])) for c in model.input_names]) for f in flights]
+        self.outputs = [self._output_noise(rs) for rs in self.records]
+        self.turbulence = 0.05
+
+    def _output_noise(self, records: list[Record]) -> Array:
+        levels = []
+        for j in range(records[0].z.shape[1]):
+            column = joined(np.concatenate([r.z[:, j] for r in records]))
+            span = float(np.ptp(column)) if column.size else 1.0
+            levels.append(max(noise_level(column) if column.size else 1.0, 1e-4 * span, SMALLEST))
+        return np.array(levels)
+
+    def noise(self, flight: int) -> NoiseLevels:
+        drift = {"u": self.turbulence, "v": self.turbulence, "w": self.turbulence}
+        for state, (sigma, memory) in self._filter_errors(flight).items():
+            drift[state] = sigma * np.sqrt(2.0 / memory)
+        in_order = [drift.get(s, 0.0) for s in self.model.state_names]
+        return NoiseLevels(self.inputs[flight], self.outputs[flight], np.array(in_order))
+
+    def _filter_errors(self, flight: int) -> dict[str, tuple[float, float]]:
+        """State -> its standard deviation [rad] and time constant [s]."""
+        return {
+            f"{angle}_{kind}": (share * sigma, memory)
+            for angle, sigma in self.attitude[flight].items()
+            for kind, (share, memory) in FILTER_ERRORS.items()
+        }
+
+    def runs(self, p: Array) -> list[list[Run]]:
+        return [
+            [self.filter.run(record, p, self.noise(i), *self._start(record, i)) for record in records]
+            for i, records in enumerate(self.records)
+        ]
+
+    def _start(self, record: Record, flight: int) -> tuple[Array, Array]:
+        """First state from the first tenth of a second of measurements, held loosely: the filter finds it."""
+        first = {}
+        for j, name in enumerate(self.model.output_names):
+            early = record.z[: max(3, round(0.2 / record.step)), j]
+            early = early[np.isfinite(early)]
+            first[name] = float(early.mean()) if early.size else (15.0 if name == "V" else 0.0)
+        v, a, b = first["V"], first["alpha"], first["beta"]
+        start = {
+            "u": (v * np.cos(a) * np.cos(b), 3.0),
+            "v": (v * np.sin(b), 3.0),
+            "w": (v * np.sin(a) * np.cos(b), 3.0),
+            "phi": (first["phi"], 0.2),
+            "theta": (first["theta"], 0.2),
+            "psi": (first["psi"], np.pi),  # nothing else depends on it, so that a late first heading does no harm
+            **{name: (0.0, sigma) for name, (sigma, _) in self._filter_errors(flight).items()},
+        }
+        x, spread = np.array([start[s] for s in self.model.state_names]).T
+        return x, spread
+
+    def cost(self, runs: list[list[Run]]) -> float:
+        return sum(r.cost if np.isfinite(r.log_variance) else np.inf for rs in runs for r in rs)
+
+    def relax(self, p: Array, rounds: int) -> list[list[Run]]:
+        """Scale the output noise of each flight until its normalised innovations have variance one."""
+        runs = self.runs(p)
+        for _ in range(rounds):
+            for i, flight_runs in enumerate(runs):
+                known = np.vstack([r.known for r in flight_runs])
+                e = np.vstack([r.normalised for r in flight_runs])
+                count = np.maximum(known.sum(axis=0), 1)
+                ratio = np.where(known.any(axis=0), (e**2).sum(axis=0) / count, 1.0)
+                self.outputs[i] = np.maximum(self.outputs[i] * np.sqrt(np.clip(ratio, 0.05, 20.0)), SMALLEST)
+            runs = self.runs(p)
+        return runs
+
+    def settle_turbulence(self, p: Array, *, known: bool = False) -> None:
+        """Turbulence of greatest likelihood, by a search over decades and then within one; known: only near the present."""
+        centre, width = float(np.log10(max(self.turbulence, 1e-4))), 0.5 if known else 1.0
+        kept = [o.copy() for o in self.outputs]
+        tried: dict[float, float] = {}
+        for _ in range(2 if known else 3):
+            for candidate in np.clip(centre + width * np.array([-1.0, 0.0, 1.0]), *_TURBULENCE_LOG10).tolist():
+                if candidate not in tried:
+                    self.turbulence = float(10**candidate)
+                    self.outputs = [o.copy() for o in kept]
+                    tried[candidate] = self.cost(self.relax(p, 2))
+            centre = min(tried, key=lambda c: tried[c])
+            width *= 0.5
+        self.outputs = kept
+        self.turbulence = float(10**centre)
+
+    def slopes(self, p: Array, steps: Array) -> list[list[Array]]:
+        """(N, ny, n) derivative of the normalised innovations by the factors, by central differences."""
+        columns = []
+        for k in range(p.size):
+            up, down = p.copy(), p.copy()
+            up[k] += steps[k]
+            down[k] -= steps[k]
+            plus, minus = self.runs(up), self.runs(down)
+            columns.append(
+                [
+                    [(a.normalised - b.normalised) / (2 * steps[k]) for a, b in zip(x, y, strict=True)]
+                    for x, y in zip(plus, minus, strict=True)
+                ]
+            )
+        return [
+            [np.stack([c[i][j] for c in columns], axis=2) for j in range(len(records))]
+            for i, records in enumerate(self.records)
+        ]
+
+
+def _filter_note(errors: dict[str, float]) -> tuple[str, ...]:
+    told = [f"{angle} {np.degrees(sigma):.1f} deg" for angle, sigma in errors.items() if sigma]
+    if not told:
+        return ()
+    return (
+        f"attitude is smoother than its gyro: it comes from a filter, whose slow errors ({', '.join(told)}) are allowed for; "
+        "no bias of ax or ay can be told much better than that much of gravity",
+    )
+
+
+def joined(values: Array) -> Array:
+    return values[np.isfinite(values)]

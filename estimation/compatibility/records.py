@@ -1,0 +1,229 @@
+"""The stretches of a flight that can be reconstructed, and what is left out of it, said in words."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import savgol_filter
+
+from daq.contract.channels import COLUMN_BY_NAME
+from estimation.compatibility.kalman import Record
+from estimation.errors import DataError
+from estimation.models.base import Model
+from estimation.models.kinematic import ATTITUDE
+from estimation.preprocess import noise_level
+from groundstation.flight import Flight
+
+Array = NDArray[np.float64]
+
+SHORTEST = 40  # samples
+COLUMNS = ("ax", "ay", "az", "p", "q", "r")
+FLYING = 5.0
+"""Airspeed [m/s] below which vanes do not follow the wind: on the ground, or not measured."""
+
+JUMP = 0.1
+"""Step [rad] of an attitude from one sample to the next, beyond what the rates turn, that no aircraft makes."""
+
+ATTITUDE_ERROR = {"phi": 0.01, "theta": 0.01, "psi": 0.03}
+"""Slow error of an onboard attitude filter [rad], one sigma, where its calibration states none."""
+
+WRONG_UNIT = 0.2
+"""A channel with a larger share of its samples beyond what it can be is not the channel it is said to be."""
+
+_FEWEST_CHANNELS = 3
+
+
+def records_of(model: Model, flight: Flight) -> tuple[list[Record], list[str]]:
+    """Stretches of a flight without gap in which it flies and all accelerations and rates are measured, and notes.
+
+    Raises MissingColumnError, or DataError when no stretch is long enough.
+    """
+    flight = with_rate_derivatives(flight, model.input_names)
+    flight.require(model.input_names, "the data-compatibility check")
+    _refuse_broken(flight, model.input_names)
+    compared = [o for o in model.output_names if shows_motion(flight, o)]
+    if len(compared) < _FEWEST_CHANNELS:
+        raise DataError(
+            f"{flight.name}: only {', '.join(compared) or 'none'} of V, alpha, beta, phi, theta, psi measured; "
+            "the data-compatibility check needs at least three"
+        )
+    notes = [
+        f"{o} {'is constant' if flight.measured(o) else 'not measured'}: not compared"
+        for o in model.output_names
+        if o not in compared
+    ]
+    u = np.column_stack([flight[c] for c in model.input_names])
+    nothing = np.full(len(flight), np.nan)
+    z = np.column_stack([_output(flight, o) if o in compared else nothing for o in model.output_names])
+    whole = np.all(np.isfinite(u), axis=1)
+    usable = whole & _flying(flight, notes)
+    jumps = attitude_jumps(flight)
+    found = []
+    for part in flight.segments:
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], usable[part], [False]]).astype(int)))
+        for a, b in zip(edges[::2] + part.start, edges[1::2] + part.start, strict=True):
+            inside = [j for j in sorted(jumps) if a < j < b]
+            for first, last in zip([a, *inside], [*inside, b], strict=True):
+                if first in jumps:
+                    notes.append(
+                        f"{jumps[first]} at t = {flight.time[first]:.2f} s from one sample to the next, which the rates "
+                        "do not: the attitude filter was set anew; split there"
+                    )
+                begin = _begin(model, flight, z, slice(first, last), notes)
+                if last - begin >= SHORTEST:
+                    found.append(Record(int(begin), flight.time[begin:last], u[begin:last], z[begin:last]))
+                else:
+                    notes.append(
+                        f"{last - begin} samples from t = {flight.time[begin]:g} s left out: too short a stretch"
+                    )
+    if not found:
+        raise DataError(
+            f"{flight.name}: no {SHORTEST} samples in a row, in flight, with {', '.join(COLUMNS)} all measured"
+        )
+    return found, notes
+
+
+def _refuse_broken(flight: Flight, inputs: Sequence[str]) -> None:
+    """Raise DataError for an input that never changes, or a channel that is mostly beyond what it can be."""
+    for name in inputs:
+        if _constant(flight[name]):
+            raise DataError(
+                f"{flight.name}: {name} is {flight[name][np.isfinite(flight[name])][0]:.4g} throughout: no working sensor "
+                "behind it; the data-compatibility check needs it"
+            )
+    for name in (*COLUMNS, "V", "alpha", "beta", *ATTITUDE):
+        if flight.measured(name):
+            low, high = COLUMN_BY_NAME[name].plausible
+            known = _known(flight[name])
+            beyond = float(np.mean((known < low) | (known > high)))
+            if beyond > WRONG_UNIT:
+                raise DataError(
+                    f"{flight.name}: {name} is beyond {low:.4g} to {high:.4g} {COLUMN_BY_NAME[name].unit} in {beyond:.0%} of "
+                    "the samples; in another unit? 'sideslip import --map' converts it"
+                )
+
+
+def shows_motion(flight: Flight, column: str) -> bool:
+    """Whether a channel is measured, and not stuck at one value throughout."""
+    return flight.measured(column) and not _constant(flight[column])
+
+
+def _constant(values: Array) -> bool:
+    known = _known(values)
+    return known.size > 1 and float(np.ptp(known)) == 0.0
+
+
+def _flying(flight: Flight, notes: list[str]) -> NDArray[np.bool_]:
+    """(N,) whether the aircraft flies, as far as the airspeed says so."""
+    if not flight.measured("V"):
+        return np.ones(len(flight), bool)
+    V = flight["V"]
+    slow = np.isfinite(V) & (V < FLYING)
+    if slow.sum() > 0.5 * np.isfinite(V).sum() and not np.any(V >= FLYING):
+        raise DataError(
+            f"{flight.name}: V never reaches {FLYING:g} m/s (largest {np.nanmax(V):.3g}): not in flight, or V is not in m/s"
+        )
+    if slow.any():
+        share = int(slow.sum())
+        notes.append(f"{share} samples with V below {FLYING:g} m/s left out: not in flight")
+    return np.asarray(~slow)
+
+
+def _begin(model: Model, flight: Flight, z: Array, part: slice, notes: list[str]) -> int:
+    """First row of a stretch at which each attitude has been measured; a filter that starts up delivers none."""
+    first = []
+    for name in ATTITUDE:
+        if name in model.output_names:
+            known = np.flatnonzero(np.isfinite(z[part, model.output_names.index(name)]))
+            if known.size and known[0] <= 0.5 * (part.stop - part.start):
+                first.append(int(known[0]))
+    late = max(first, default=0)
+    if late:
+        from_, to = flight.time[part.start], flight.time[part.start + late]
+        notes.append(f"t = {from_:.2f} to {to:.2f} s left out: attitude not measured there yet (filter starting up)")
+    return part.start + late
+
+
+def attitude_jumps(flight: Flight) -> dict[int, str]:
+    """Rows at which phi, theta or psi step for good by more than JUMP beyond what the rates turn -> what stepped.
+
+    A single wild value goes back at once and is no step. Needs p, q, r, phi and theta; none where they are missing.
+    """
+    if not all(flight.measured(c) for c in ("p", "q", "r", "phi", "theta")):
+        return {}
+    phi, theta = flight["phi"], flight["theta"]
+    p, q, r = (flight[c] for c in "pqr")
+    turn = q * np.sin(phi) + r * np.cos(phi)
+    rates = {"phi": p + np.tan(theta) * turn, "theta": q * np.cos(phi) - r * np.sin(phi), "psi": turn / np.cos(theta)}
+    found: dict[int, list[str]] = {}
+    for name, rate in rates.items():
+        if not flight.measured(name):
+            continue
+        for part in flight.segments:
+            for row, size in _steps(flight.time[part], flight[name][part], rate[part]):
+                found.setdefault(row + part.start, []).append(f"{name} by {np.degrees(size):.0f} deg")
+    return {row: f"attitude jumps ({', '.join(words)})" for row, words in found.items()}
+
+
+def _steps(time: Array, angle: Array, rate: Array) -> list[tuple[int, float]]:
+    """(row, size) of lasting steps between neighbouring measured samples."""
+    known = np.flatnonzero(np.isfinite(angle) & np.isfinite(rate))
+    if known.size < 8:
+        return []
+    t, mean = time[known], 0.5 * (rate[known][1:] + rate[known][:-1])
+    beyond = np.diff(np.unwrap(angle[known])) - mean * np.diff(t)
+    beyond = (beyond + np.pi) % (2 * np.pi) - np.pi
+    beyond[np.diff(known) > 1] = 0.0  # across missing values nothing can be said
+    limit = max(JUMP, 8.0 * noise_level(np.unwrap(angle[known])))
+    steps = []
+    for k in np.flatnonzero(np.abs(beyond) > limit):
+        around = beyond[max(k - 2, 0) : k + 3]
+        lasting = float(around.sum())
+        if abs(lasting) > limit and abs(beyond[k]) == np.abs(around).max():
+            steps.append((int(known[k + 1]), float(beyond[k])))
+    return steps
+
+
+def attitude_errors(flight: Flight) -> dict[str, float]:
+    """Slow error [rad] of each attitude that comes from a filter of the same gyro, 0 for one measured by itself.
+
+    Less noise from sample to sample than the gyro gathers within one sample interval: only a filter that integrates that
+    very gyro does so. Its error is slow, whatever the neighbouring samples agree on.
+    """
+    stated = flight.provenance.detail.get("uncertainty", {})
+    errors = {}
+    for angle, rate in zip(ATTITUDE, "pqr", strict=True):
+        errors[angle] = 0.0
+        if flight.measured(angle) and flight.measured(rate):
+            own = noise_level(_known(_output(flight, angle)))
+            gathered = noise_level(_known(flight[rate])) * flight.sample_interval
+            if own < gathered:
+                errors[angle] = float(stated.get(angle, 0.0)) or ATTITUDE_ERROR[angle]
+    return errors
+
+
+def with_rate_derivatives(flight: Flight, wanted: Sequence[str]) -> Flight:
+    """The flight with p_dot, q_dot, r_dot where they are wanted and not measured: local parabolas through 5 samples."""
+    columns = {}
+    for rate in "pqr":
+        if f"{rate}_dot" in wanted and not flight.measured(f"{rate}_dot") and flight.measured(rate):
+            derivative = np.full(len(flight), np.nan)
+            for part in flight.segments:
+                if part.stop - part.start >= SHORTEST:
+                    derivative[part] = savgol_filter(flight[rate][part], 5, 2, deriv=1, delta=flight.sample_interval)
+            columns[f"{rate}_dot"] = derivative
+    return flight.with_columns(**columns) if columns else flight
+
+
+def _known(values: Array) -> Array:
+    return values[np.isfinite(values)]
+
+
+def _output(flight: Flight, name: str) -> Array:
+    values = flight[name]
+    if name != "psi":
+        return values
+    known = np.isfinite(values)
+    unwrapped = values.copy()
+    unwrapped[known] = np.unwrap(values[known])
+    return unwrapped
