@@ -3,9 +3,9 @@
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from estimation.estimators.neural_gauss_newton.estimate import NgnOptions, estimate_ngn
+    from estimation.estimators.neural_gauss_newton.estimate import NgnOptions, estimate_campaign, estimate_ngn
 
-__all__ = ["NgnOptions", "estimate_ngn"]
+__all__ = ["NgnOptions", "estimate_campaign", "estimate_ngn"]
 
 
 def __getattr__(name: str) -> Any:

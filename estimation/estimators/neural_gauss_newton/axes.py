@@ -56,6 +56,10 @@ class Axis(Protocol):
     def coefficients(self) -> tuple[str, ...]:
         """Names of the three coefficients."""
 
+    @property
+    def linear(self) -> bool:
+        """Whether the coefficients are linear in the parameters."""
+
     def inertial(self, s: Signals, rate_derivatives: Signals) -> Array:
         """(N, 3) coefficients times dynamic pressure, from accelerations, rates and their derivatives."""
 
@@ -81,6 +85,7 @@ class LateralAxis:
     columns: tuple[str, ...] = ("beta", "phi", "psi", "p", "q", "r", "ay", "V", "rho", "delta_a", "delta_r")
     controls: tuple[str, ...] = ("delta_a", "delta_r")
     coefficients: tuple[str, ...] = ("CY", "Cl", "Cn")
+    linear: bool = True
     parameters: tuple[str, ...] = (
         "CY_0", "CY_beta", "CY_p", "CY_r", "CY_dr",
         "Cl_0", "Cl_beta", "Cl_p", "Cl_r", "Cl_da", "Cl_dr",
@@ -122,6 +127,7 @@ class LongitudinalAxis:
     columns: tuple[str, ...] = ("alpha", "theta", "q", "V", "p", "r", "ax", "az", "thrust", "rho", "delta_e")
     controls: tuple[str, ...] = ("delta_e", "thrust")
     coefficients: tuple[str, ...] = ("CL", "CD", "Cm")
+    linear: bool = False  # the polar
     parameters: tuple[str, ...] = (
         "CL_0", "CL_alpha", "CL_q", "CL_de", "CD_0", "CD_k", "Cm_0", "Cm_alpha", "Cm_q", "Cm_de",
     )  # fmt: skip

@@ -13,79 +13,20 @@ The Cramer-Rao bound of a frozen network takes the network for truth and its inp
 honest spread is from a block bootstrap (networks trained again on resampled blocks) together with the ensemble's.
 """
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field, replace
-
-import numpy as np
-import torch
-from numpy.typing import NDArray
+from collections.abc import Sequence
+from dataclasses import asdict, replace
 
 from estimation.aircraft import Aircraft
 from estimation.errors import EstimationError
-from estimation.estimators.neural_gauss_newton.axes import axis_for
-from estimation.estimators.neural_gauss_newton.campaign import usable_device
+from estimation.estimators.neural_gauss_newton.axes import Axis, axis_for
+from estimation.estimators.neural_gauss_newton.device import one_thread, usable_device
 from estimation.estimators.neural_gauss_newton.formulation import Rows, Unknowns
-from estimation.estimators.neural_gauss_newton.frozen import (
-    Frozen,
-    FrozenFit,
-    Predict,
-    fit_parameters,
-    fit_with_instruments,
-)
-from estimation.estimators.neural_gauss_newton.network import Shape
+from estimation.estimators.neural_gauss_newton.options import NgnOptions, default_options
 from estimation.estimators.neural_gauss_newton.present import describe
-from estimation.estimators.neural_gauss_newton.training import Trained, TrainingOptions, train
+from estimation.estimators.neural_gauss_newton.solve import Problem, solve
 from estimation.estimators.result import Result
 from estimation.models.base import Model
 from groundstation.flight import Flight
-
-Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True, slots=True)
-class NgnOptions:
-    """improved: the interval form with a linear path; instruments: normal equations with instruments.
-
-    hidden: neurons; ensemble: networks of different seeds whose estimates are averaged; bootstraps: networks of the
-    block bootstrap (0: no honest spread, the Cramer-Rao bound stands alone); device: cpu, cuda or auto.
-    """
-
-    improved: bool = False
-    instruments: bool = False
-    hidden: int = 6
-    training: TrainingOptions = field(default_factory=lambda: TrainingOptions(restarts=1))
-    ensemble: int = 2
-    bootstraps: int = 24
-    bootstrap_iterations: int = 4
-    seed: int = 0
-    device: str = "cpu"
-
-
-def default_options(improved: bool, axis: str = "lateral") -> NgnOptions:
-    """What the study found best. The published form's networks differ more, so it takes more of them.
-
-    Longitudinal: lift follows angle of attack so closely that instruments carry too little of what is left.
-    """
-    if improved and axis == "lateral":
-        return NgnOptions(improved=True, instruments=True)
-    steady = TrainingOptions(restarts=1, decay=1e-2)
-    if improved:
-        return NgnOptions(improved=True, hidden=4, training=steady)
-    return NgnOptions(training=steady, ensemble=4)
-
-
-@dataclass(frozen=True)
-class Solution:
-    """theta: (n,) estimates; bound, spread: (n, n) covariances, Cramer-Rao and bootstrap with ensemble."""
-
-    theta: Array
-    bound: Array
-    spread: Array
-    members: Array
-    bootstrap: Array
-    fits: tuple[FrozenFit, ...]
-    trained: tuple[Trained, ...]
 
 
 def estimate_ngn(
@@ -96,16 +37,50 @@ def estimate_ngn(
     improved: bool = False,
     options: NgnOptions | None = None,
     device: str | None = None,
+    bootstraps: int | None = None,
+    seed: int | None = None,
 ) -> Result:
     """Estimates over one flight or several together, in the same form as every other method's.
 
     model: one of the built-in lateral or longitudinal ones (default: lateral), with parameters fixed or local as wished.
-    options: decide over `improved` where given (default: `default_options`). device: cpu, cuda or auto, for torch.
+    options: decide over `improved` where given (default: `default_options`), device (cpu, cuda or auto),
+    bootstraps and seed over what the options say; bootstraps asked for are in the result's `bootstrap`.
     Raises EstimationError for another model, MissingColumnError and DataError for a flight that cannot be used.
     """
+    many = [flights] if isinstance(flights, Flight) else list(flights)
+    return _estimate(aircraft, [many], model, improved, options, device, bootstraps, seed)[0]
+
+
+def estimate_campaign(
+    aircraft: Aircraft,
+    flights: Sequence[Flight],
+    *,
+    model: Model | None = None,
+    improved: bool = False,
+    options: NgnOptions | None = None,
+    device: str | None = None,
+    bootstraps: int | None = None,
+    seed: int | None = None,
+) -> list[Result]:
+    """As `estimate_ngn` for each flight by itself, with the networks of all flights trained side by side.
+
+    Results are those of one flight after the other, within rounding.
+    """
+    return _estimate(aircraft, [[f] for f in flights], model, improved, options, device, bootstraps, seed)
+
+
+def _estimate(
+    aircraft: Aircraft,
+    sets: Sequence[Sequence[Flight]],
+    model: Model | None,
+    improved: bool,
+    options: NgnOptions | None,
+    device: str | None,
+    bootstraps: int | None,
+    seed: int | None,
+) -> list[Result]:
     from estimation.models import load_model
 
-    many = [flights] if isinstance(flights, Flight) else list(flights)
     chosen = load_model("lateral", aircraft) if model is None else model
     axis = axis_for(chosen.name, aircraft)
     if axis is None:
@@ -114,124 +89,24 @@ def estimate_ngn(
             "use method ml"
         )
     opt = options or default_options(improved, axis.name)
-    opt = replace(opt, device=usable_device(opt.device if device is None else device))
-    unknowns = Unknowns.of(chosen, axis, len(many))
-    rows = Rows.build(axis, many, "interval" if opt.improved else "point", opt.device)
-    with one_thread(opt.device):
-        solution = solve(rows, unknowns, opt)
-    return describe(chosen, many, rows, unknowns, solution, _settings(rows, opt), opt.improved)
-
-
-@contextmanager
-def one_thread(device: str) -> Iterator[None]:
-    """Sums in the same order on every machine, so that the same seed gives the same bits; as it was before afterwards."""
-    before = torch.get_num_threads()
-    if device == "cpu":
-        torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
-
-
-def solve(rows: Rows, unknowns: Unknowns, options: NgnOptions) -> Solution:
-    """Train, freeze, estimate; then again for the ensemble and the bootstrap."""
-    shape = Shape(rows.u.shape[1], options.hidden, rows.z.shape[1], skip=options.improved)
-    instruments = rows.instruments() if options.instruments else None
-    trained, fitted = [], []
-    for member in range(max(1, options.ensemble)):
-        net = _trained(shape, rows, options, member)
-        trained.append(net)
-        fitted.append(_parameters(shape, rows, unknowns, net, instruments))
-    members = np.stack([f.theta for f in fitted])
-    drawn = _bootstrap(shape, rows, unknowns, options, instruments, trained, fitted)
-    bound = np.mean([np.linalg.pinv(f.information, hermitian=True) for f in fitted], axis=0)
-    spread = np.atleast_2d(np.cov(drawn, rowvar=False)) if len(drawn) > 1 else bound
-    if len(members) > 1:
-        spread = spread + np.atleast_2d(np.cov(members, rowvar=False)) / len(members)
-    return Solution(members.mean(axis=0), bound, spread, members, drawn, tuple(fitted), tuple(trained))
-
-
-def _trained(shape: Shape, rows: Rows, options: NgnOptions, member: int) -> Trained:
-    """Chosen among restarts by the held-out blocks, then trained on with all rows."""
-    generator = torch.Generator().manual_seed(1000 * options.seed + member)
-    chosen = train(shape, rows.u, rows.z, rows.held_out, options.training, generator)
-    everything = torch.zeros_like(rows.held_out)
-    finished = train(shape, rows.u, rows.z, everything, options.training, generator, start=chosen.weights)
-    return replace(
-        finished, validation_error=chosen.validation_error, iterations=chosen.iterations + finished.iterations
+    opt = replace(
+        opt,
+        device=usable_device(opt.device if device is None else device),
+        bootstraps=opt.bootstraps if bootstraps is None else bootstraps,
+        seed=opt.seed if seed is None else seed,
     )
+    with one_thread():
+        problems = [_problem(axis, chosen, flights, opt) for flights in sets]
+        solutions = solve(problems, opt)
+    return [
+        describe(chosen, flights, p, s, _settings(p.rows, opt), bootstraps is not None)
+        for flights, p, s in zip(sets, problems, solutions, strict=True)
+    ]
 
 
-def _predict(frozen: Frozen, rows: Rows, unknowns: Unknowns, signals: Sequence[dict[str, Array] | None]) -> Predict:
-    def predict(theta: Array) -> tuple[list[Array], list[Array]]:
-        residuals, slopes = [], []
-        for stretch, flight, own in zip(rows.stretches, rows.flight, signals, strict=True):
-            r, s = frozen.residual_and_slope(stretch, unknowns.of_flight(flight, theta), own)
-            residuals.append(r)
-            slopes.append(unknowns.scatter(flight, s))
-        return residuals, slopes
-
-    return predict
-
-
-def _parameters(
-    shape: Shape,
-    rows: Rows,
-    unknowns: Unknowns,
-    net: Trained,
-    instruments: list[dict[str, Array]] | None,
-    *,
-    start: Array | None = None,
-    drawn: Array | None = None,
-    iterations: int = 40,
-) -> FrozenFit:
-    """Gauss-Newton with one frozen network; in the improved form from there to the root with instruments."""
-    frozen = Frozen(rows.axis, shape, net.weights, rows.standard)
-    counts = [len(s.u) for s in rows.stretches]
-    smooth = _predict(frozen, rows, unknowns, [s.smooth for s in rows.stretches])
-    multiplicity = None if drawn is None else rows.split(drawn)
-    believed = unknowns.start if start is None else start
-    if instruments is None:
-        return fit_parameters(
-            smooth, unknowns.size, counts, start=believed, multiplicity=multiplicity, iterations=iterations
-        )
-    if start is None:
-        start = fit_parameters(smooth, unknowns.size, counts, start=believed, multiplicity=multiplicity).theta
-    measured = _predict(frozen, rows, unknowns, [None] * len(counts))
-    instrument = _predict(frozen, rows, unknowns, instruments)
-    return fit_with_instruments(
-        measured, instrument, counts, start, multiplicity=multiplicity, iterations=min(iterations, 20)
-    )
-
-
-def _bootstrap(
-    shape: Shape,
-    rows: Rows,
-    unknowns: Unknowns,
-    options: NgnOptions,
-    instruments: list[dict[str, Array]] | None,
-    trained: Sequence[Trained],
-    fitted: Sequence[FrozenFit],
-) -> Array:
-    """(bootstraps, n) estimates with networks trained further, and parameters fitted again, on resampled blocks."""
-    rng = np.random.default_rng([options.seed, 64])
-    everything = torch.zeros_like(rows.held_out)
-    short = replace(options.training, optimiser="lm", iterations=options.bootstrap_iterations)
-    found = []
-    for k in range(options.bootstraps):
-        member = k % len(trained)
-        drawn = rows.resampled(rng)
-        weight = torch.as_tensor(drawn, device=rows.u.device)
-        net = train(
-            shape, rows.u, rows.z, everything, short, torch.Generator(), multiplicity=weight,
-            start=trained[member].weights,
-        )  # fmt: skip
-        fit = _parameters(
-            shape, rows, unknowns, net, instruments, start=fitted[member].theta, drawn=drawn, iterations=3
-        )
-        found.append(fit.theta - fitted[member].theta)
-    return np.array(found).reshape(-1, unknowns.size)
+def _problem(axis: Axis, model: Model, flights: Sequence[Flight], options: NgnOptions) -> Problem:
+    unknowns = Unknowns.of(model, axis, len(flights))
+    return Problem(Rows.build(axis, flights, "interval" if options.improved else "point"), unknowns, options)
 
 
 def _settings(rows: Rows, options: NgnOptions) -> dict[str, object]:
@@ -240,7 +115,7 @@ def _settings(rows: Rows, options: NgnOptions) -> dict[str, object]:
 
     smoothing = (
         f"means over {samples.INTERVAL_S:g} s" if options.improved
-        else f"piecewise polynomials, derivative on {samples.DERIVATIVE_POINTS} points"
+        else "piecewise polynomials, derivatives of cubic splines"
     )  # fmt: skip
     return {
         "form": "interval" if options.improved else "point",

@@ -15,6 +15,8 @@ from estimation.estimators.neural_gauss_newton.axes import Axis
 from estimation.estimators.neural_gauss_newton.frozen import Standard
 from estimation.estimators.neural_gauss_newton.instruments import predicted_signals
 from estimation.estimators.neural_gauss_newton.samples import (
+    COSTLY,
+    SHORTEST,
     Form,
     Stretch,
     missing_optional,
@@ -27,7 +29,7 @@ from groundstation.flight import Flight
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-BLOCK_S = 1.5  # of the block bootstrap: longer than the residuals remember, a twentieth of a flight
+BLOCK_S = 1.0  # of the block bootstrap: longer than residuals remember (0.2 s), and thirty in a flight of half a minute
 
 
 @dataclass(frozen=True)
@@ -104,25 +106,27 @@ class Rows:
     notes: tuple[str, ...]
 
     @classmethod
-    def build(cls, axis: Axis, flights: Sequence[Flight], form: Form, device: str = "cpu") -> "Rows":
+    def build(cls, axis: Axis, flights: Sequence[Flight], form: Form) -> "Rows":
         """Raises MissingColumnError or DataError naming the flight that cannot be used."""
+        for flight in flights:
+            require_columns(axis, flight)
         missing = missing_optional(axis, flights)
         motion = tuple(c for c in axis.motion if c not in missing)
         found: list[Stretch] = []
         owner: list[int] = []
+        notes = [f"{c} is not measured, or not throughout: the network does without it" for c in missing]
         for i, flight in enumerate(flights):
-            require_columns(axis, flight)
             own = stretches(axis, flight, form, motion)
             found += own
             owner += [i] * len(own)
+            notes += _unused(flight, own)
         standard = Standard.of(found)
-        u = torch.as_tensor(np.vstack([standard.u(s.u) for s in found]), device=device)
-        z = torch.as_tensor(np.vstack([standard.z(s.z) for s in found]), device=device)
+        u = torch.as_tensor(np.vstack([standard.u(s.u) for s in found]))
+        z = torch.as_tensor(np.vstack([standard.z(s.z) for s in found]))
         step = float(np.median([f.sample_interval for f in flights]))
         block = _blocks(found, step)
-        held = torch.as_tensor(block % 8 == 4, device=device)
-        notes = tuple(f"{c} is not measured: the network does without it" for c in missing)
-        return cls(axis, motion, tuple(found), tuple(owner), step, standard, u, z, held, block, notes)
+        held = torch.as_tensor(block % 8 == 4)
+        return cls(axis, motion, tuple(found), tuple(owner), step, standard, u, z, held, block, tuple(notes))
 
     def split(self, values: Array) -> list[Array]:
         """(M, ...) values row by row, as one array for each stretch."""
@@ -137,6 +141,17 @@ class Rows:
     def instruments(self) -> list[dict[str, Array]]:
         """Signals without the noise of the measured ones, for every stretch."""
         return predicted_signals(self.axis, list(self.stretches), self.motion, self.step)
+
+
+def _unused(flight: Flight, found: Sequence[Stretch]) -> list[str]:
+    """A sentence where much of a flight cannot be used."""
+    used = sum(len(s.u) + max(s.window, 1) for s in found)
+    if used >= (1.0 - COSTLY) * len(flight):
+        return []
+    return [
+        f"{flight.name}: the networks saw {used} of {len(flight)} samples; elsewhere a channel is missing, or the "
+        f"stretch is shorter than {SHORTEST}"
+    ]
 
 
 def _blocks(found: Sequence[Stretch], step: float) -> Index:

@@ -2,18 +2,19 @@
 
 The coefficients among the network's inputs are replaced by the aerodynamic model's; what is minimised is the one-step
 prediction error weighted by R^-1, R from the residuals (relaxation). The Jacobian is exact: network by its inputs
-(autograd) times coefficients by parameters.
+(autograd) times coefficients by parameters. Everything here is on the CPU: 64 fits of a flight take half a second.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from estimation.estimators.neural_gauss_newton.axes import Axis
-from estimation.estimators.neural_gauss_newton.network import Shape, input_jacobian
+from estimation.estimators.neural_gauss_newton.network import Shape, input_slopes
 from estimation.estimators.neural_gauss_newton.samples import Stretch
 
 Array = NDArray[np.float64]
@@ -56,28 +57,40 @@ class FrozenFit:
     converged: bool
 
 
+class Regressors:
+    """The model's coefficients on one stretch, as functions of the parameters.
+
+    Where they are linear their slopes are worked out once, for all networks and steps.
+    """
+
+    def __init__(self, axis: Axis, stretch: Stretch, signals: dict[str, Array]) -> None:
+        self.axis, self.stretch, self.signals = axis, stretch, signals
+        self.slopes = self._evaluate(np.zeros(len(axis.parameters)))[1] if axis.linear else None
+
+    def _evaluate(self, theta: Array) -> tuple[Array, Array]:
+        return self.stretch.model_coefficients(self.axis, theta, self.signals)
+
+    def __call__(self, theta: Array) -> tuple[Array, Array]:
+        """(M, 3) coefficients and their derivative (M, 3, axis parameters)."""
+        return self._evaluate(theta) if self.slopes is None else (self.slopes @ theta, self.slopes)
+
+
 @dataclass(frozen=True)
 class Frozen:
     """A trained network with its scaling, ready to predict rows of stretches."""
 
-    axis: Axis
     shape: Shape
     weights: torch.Tensor
     standard: Standard
 
-    def residual_and_slope(
-        self, stretch: Stretch, theta: Array, signals: dict[str, Array] | None = None
-    ) -> tuple[Array, Array]:
-        """Standardised residuals (M, out) and prediction slopes (M, out, n) with the model's coefficients.
-
-        signals: what the coefficients are computed from, instead of the measured ones.
-        """
+    def residual_and_slope(self, stretch: Stretch, regressors: Regressors, theta: Array) -> tuple[Array, Array]:
+        """Standardised residuals (M, out) and prediction slopes (M, out, n) with the model's coefficients."""
         m = stretch.u.shape[1] - 3
-        coefficients, d_theta = stretch.model_coefficients(self.axis, theta, signals)
-        u = self.standard.u(np.column_stack([stretch.u[:, :m], coefficients]))
-        out, d_u = input_jacobian(self.shape, self.weights, torch.as_tensor(u, device=self.weights.device))
-        d_c = d_u[:, :, m:].cpu().numpy() / self.standard.u_std[m:]
-        return self.standard.z(stretch.z) - out.cpu().numpy(), np.einsum("koc,kcp->kop", d_c, d_theta)
+        coefficients, d_theta = regressors(theta)
+        u = torch.as_tensor(self.standard.u(np.column_stack([stretch.u[:, :m], coefficients])))
+        out, d_u = input_slopes(self.shape, self.weights, u)
+        slopes = (d_u[:, :, m:].numpy() / self.standard.u_std[m:]) @ d_theta
+        return self.standard.z(stretch.z) - out.numpy(), slopes
 
 
 Predict = Callable[[Array], tuple[list[Array], list[Array]]]
@@ -93,7 +106,7 @@ def fit_parameters(
     multiplicity: Sequence[Array] | None = None,
     iterations: int = 40,
 ) -> FrozenFit:
-    """Minimise the prediction error over theta with step halving; converged when no step is above 1e-6 of its size.
+    """Minimise the prediction error over theta with step halving; converged when a step is settled.
 
     predict: residuals and slopes of every stretch; unknowns: size of theta; rows: of each stretch; multiplicity: weight
     of each row of each stretch.
@@ -118,12 +131,12 @@ def fit_parameters(
         while trial[3] > cost + 1e-9 * abs(cost) and scale > 1e-3:
             scale *= 0.5
             trial = look(theta + scale * step)
+        converged = settled(step, information)
         if trial[3] > cost + 1e-9 * abs(cost):
             break
         theta = theta + scale * step
         residuals, slopes, R, cost = trial
-        if np.all(np.abs(scale * step) < 1e-6 * (np.abs(theta) + 1e-3)):
-            converged = True
+        if converged:
             break
     information, _ = normal_equations(slopes, slopes, residuals, counts, R)
     return FrozenFit(theta, information, R, tuple(residuals), used, converged)
@@ -136,7 +149,7 @@ def fit_with_instruments(
     start: Array,
     *,
     multiplicity: Sequence[Array] | None = None,
-    iterations: int = 20,
+    iterations: int = 40,
 ) -> FrozenFit:
     """Root of sum of instrument' R^-1 residual, by Newton steps from `start` (instrumental variables).
 
@@ -152,13 +165,21 @@ def fit_with_instruments(
         matrix, right = normal_equations(left, slopes, residuals, counts, variance(residuals, counts))
         step = np.linalg.lstsq(matrix, right, rcond=1e-13)[0]
         theta = theta + step
-        if np.all(np.abs(step) < 1e-6 * (np.abs(theta) + 1e-3)):
-            converged = True
+        converged = settled(step, normal_equations(slopes, slopes, residuals, counts, variance(residuals, counts))[0])
+        if converged:
             break
     residuals, slopes = predict(theta)
     R = variance(residuals, counts)
     information, _ = normal_equations(slopes, slopes, residuals, counts, R)
     return FrozenFit(theta, information, R, tuple(residuals), used, converged)
+
+
+def settled(step: NDArray[np.floating[Any]], information: Array) -> bool:
+    """Whether a step is less than a hundredth of the Cramer-Rao bound, in every direction of parameter space.
+
+    Relative to the parameters themselves it would never be, where the data hardly sees one.
+    """
+    return bool(step @ information @ step < 1e-4)
 
 
 def variance(residuals: Sequence[Array], counts: Sequence[Array]) -> Array:

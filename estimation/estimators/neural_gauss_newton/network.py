@@ -64,31 +64,63 @@ def forward(shape: Shape, w: Tensor, u: Tensor) -> Tensor:
     return out if linear is None else out + u @ linear.mT
 
 
-def weight_jacobian(shape: Shape, w: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
-    """Output (samples, out) and its exact derivative by the weights (samples, out, n_weights), one net.
+def weight_normal_equations(shape: Shape, w: Tensor, u: Tensor, z: Tensor, weight: Tensor) -> tuple[Tensor, Tensor]:
+    """J'WJ (nets, n_weights, n_weights) and J'W(z - output) (nets, n_weights), J being the output's derivative by weights.
 
-    Written out because for one hidden layer it is four products; autograd gives the same (tested).
+    w: (nets, n_weights); u: (samples, in) or (nets, samples, in); z alike; weight: (nets, samples). J itself, of samples
+    times outputs rows, is never formed. With one hidden layer its row for output o is [W2[o, h] F, phi in the place of
+    o], F being the tanh slopes times the inputs and phi what the output layer sees, so that all sums over samples are
+    F'F, F'phi and phi'phi. Autograd gives the same (tested).
     """
     first, b1, second, b2, linear = shape.split(w)
-    samples = u.shape[0]
-    hidden = torch.tanh(u @ first.mT + b1)
-    slope = 1 - hidden**2
-    eye = torch.eye(shape.outputs, dtype=u.dtype, device=u.device)
-    d_hidden = second.unsqueeze(0) * slope.unsqueeze(1)  # (samples, out, hidden)
-    d_first = (d_hidden.unsqueeze(-1) * u[:, None, None, :]).reshape(samples, shape.outputs, -1)
-    d_second = (eye[None, :, :, None] * hidden[:, None, None, :]).reshape(samples, shape.outputs, -1)
-    parts = [d_first, d_hidden, d_second, eye.expand(samples, -1, -1)]
-    out = hidden @ second.mT + b2
+    nets, one = w.shape[0], torch.ones_like(u[..., :1])
+    seen = torch.tanh(u @ first.mT + b1.unsqueeze(-2))  # (nets, samples, hidden)
+    inputs = torch.cat([u, one], dim=-1).expand(nets, -1, -1)
+    layers = [seen, one.expand(nets, -1, -1)]
+    output = torch.cat([second, b2.unsqueeze(-1)], dim=-1)
     if linear is not None:
-        out = out + u @ linear.mT
-        parts.append((eye[None, :, :, None] * u[:, None, None, :]).reshape(samples, shape.outputs, -1))
-    return out, torch.cat(parts, dim=-1)
+        layers.append(u.expand(nets, -1, -1))
+        output = torch.cat([output, linear], dim=-1)
+    phi = torch.cat(layers, dim=-1)
+    F = ((1 - seen**2).unsqueeze(-1) * inputs.unsqueeze(-2)).flatten(-2)  # (nets, samples, hidden * (in + 1))
+    residual = (z - phi @ output.mT) * weight.unsqueeze(-1)
+    weighted = F * weight.unsqueeze(-1)
+    outer = second.mT @ second  # (nets, hidden, hidden)
+    across, wide = shape.inputs + 1, phi.shape[-1]
+    corner = (F.mT @ weighted).reshape(nets, shape.hidden, across, shape.hidden, across)
+    corner = (corner * outer[:, :, None, :, None]).reshape(nets, F.shape[-1], F.shape[-1])
+    side = (weighted.mT @ phi).reshape(nets, shape.hidden, across, 1, wide)
+    side = (side * second.mT[:, :, None, :, None]).reshape(nets, F.shape[-1], shape.outputs * wide)
+    gram = phi.mT @ (phi * weight.unsqueeze(-1))
+    eye = torch.eye(shape.outputs, dtype=w.dtype, device=w.device)
+    foot = (eye[None, :, None, :, None] * gram[:, None, :, None, :]).reshape(nets, side.shape[-1], side.shape[-1])
+    matrix = torch.cat([torch.cat([corner, side], dim=-1), torch.cat([side.mT, foot], dim=-1)], dim=-2)
+    back = (residual @ second).unsqueeze(-1)  # (nets, samples, hidden, 1)
+    right_first = (F.reshape(*back.shape[:-1], across) * back).sum(dim=1).flatten(1)
+    right = torch.cat([right_first, (residual.mT @ phi).flatten(1)], dim=-1)
+    order = _flat_order(shape).to(w.device)
+    return matrix[:, order][:, :, order], right[:, order]
 
 
-def input_jacobian(shape: Shape, w: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
-    """Output (samples, out) and its exact derivative by the inputs (samples, out, in), by autograd."""
+def _flat_order(shape: Shape) -> Tensor:
+    """Place of each flat weight among [(hidden, in + 1), (out, what the output layer sees)] of the normal equations."""
+    across = shape.inputs + 1
+    wide = shape.hidden + 1 + (shape.inputs if shape.skip else 0)
+    first = torch.arange(shape.hidden * across).reshape(shape.hidden, across)
+    last = shape.hidden * across + torch.arange(shape.outputs * wide).reshape(shape.outputs, wide)
+    parts = [first[:, :-1], first[:, -1], last[:, : shape.hidden], last[:, shape.hidden]]
+    if shape.skip:
+        parts.append(last[:, shape.hidden + 1 :])
+    return torch.cat([p.reshape(-1) for p in parts])
 
-    def one(row: Tensor) -> Tensor:
-        return forward(shape, w, row.unsqueeze(0)).squeeze(0)
 
-    return forward(shape, w, u), torch.func.vmap(torch.func.jacrev(one))(u)
+def input_slopes(shape: Shape, w: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
+    """Output (samples, out) and its exact derivative by the inputs (samples, out, in), one net, by autograd.
+
+    Samples do not see each other, so one pass back over as many copies of them as there are outputs gives all rows.
+    """
+    copies = u.expand(shape.outputs, -1, -1).clone().requires_grad_(True)
+    out = forward(shape, w, copies)
+    chosen = out.diagonal(dim1=0, dim2=2)  # output o of copy o
+    (slopes,) = torch.autograd.grad(chosen.sum(), copies)
+    return out[0].detach(), slopes.transpose(0, 1)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from estimation.engine.data import FlightData
 from estimation.engine.simulate import simulate
+from estimation.estimators.bootstrap import PERCENTILES, Bootstrap, Spread
 from estimation.estimators.gauss_newton import Status
 from estimation.estimators.neural_gauss_newton.formulation import Rows, Unknowns
 from estimation.estimators.output_error import compared, prepared
@@ -23,7 +24,7 @@ from estimation.validation import fits
 from groundstation.flight import Flight
 
 if TYPE_CHECKING:
-    from estimation.estimators.neural_gauss_newton.estimate import Solution
+    from estimation.estimators.neural_gauss_newton.solve import Problem, Solution
 
 Array = NDArray[np.float64]
 
@@ -31,13 +32,16 @@ Array = NDArray[np.float64]
 def describe(
     model: Model,
     flights: Sequence[Flight],
-    rows: Rows,
-    unknowns: Unknowns,
+    problem: "Problem",
     solution: "Solution",
     settings: dict[str, object],
-    improved: bool,
+    bootstrap: bool,
 ) -> Result:
-    """Estimates with bounds and verdicts, simulated histories, and the training record in `extra`."""
+    """Estimates with bounds and verdicts, simulated histories, and the training record in `extra`.
+
+    bootstrap: whether its replicates are wanted in the result.
+    """
+    rows, unknowns = problem.rows, problem.unknowns
     model, data = compared(model, prepared(model, flights))
     shared = [i for i, f in enumerate(unknowns.owner) if f < 0]
     names = tuple(unknowns.names[i] for i in shared)
@@ -53,9 +57,10 @@ def describe(
     R = np.diag(squares.sum(axis=0) / np.maximum(known.sum(axis=0), 1))
     cost = float(np.mean([0.5 * rows.u.shape[0] * np.log(f.R).sum() for f in solution.fits]))
     return Result(
-        model, "ngn-improved" if improved else "ngn", status, text, max(f.iterations for f in solution.fits),
+        model, "ngn-improved" if problem.options.improved else "ngn", status, text, max(f.iterations for f in solution.fits),
         sum(f.iterations for f in solution.fits), cost, R, names, ordered, solution.bound[pick], solution.spread[pick],
         pairs, fitted, "torch", {**settings, **_record(rows, unknowns, solution)},
+        bootstrap=_bootstrap(names, solution, np.array(shared, int)) if bootstrap else None,
     )  # fmt: skip
 
 
@@ -96,6 +101,18 @@ def _flight(
         data.name, data.samples, time, measured, predicted, measured - predicted, states, local, fit,
         (*data.notes, *notes),
     )  # fmt: skip
+
+
+def _bootstrap(names: tuple[str, ...], solution: "Solution", where: NDArray[np.int64]) -> Bootstrap | None:
+    """The replicates about the estimate, as other methods show theirs. where: of the names among the unknowns."""
+    deviations = solution.bootstrap[:, where]
+    if len(deviations) < 2:
+        return None
+    found = solution.theta[where] + deviations
+    low, high = np.percentile(found, PERCENTILES, axis=0)
+    std, bias = found.std(axis=0, ddof=1), deviations.mean(axis=0)
+    spreads = {n: Spread(float(std[i]), float(bias[i]), (float(low[i]), float(high[i]))) for i, n in enumerate(names)}
+    return Bootstrap(names, found, spreads, 0)
 
 
 def _mean_of_locals(flights: tuple[FlightFit, ...]) -> dict[str, Estimate]:

@@ -1,17 +1,22 @@
-"""Training of the network: Levenberg-Marquardt (default), L-BFGS or Adam, validated on held-out stretches, restarted.
+"""Training of networks side by side: Levenberg-Marquardt (default), L-BFGS or Adam, in float64, on a CPU or a GPU.
 
-Everything is seeded and in float64; on CPU the same seed gives the same weights bit for bit.
+On a CPU the same jobs give the same weights bit for bit.
 """
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import torch
 from torch import Tensor
 
-from estimation.estimators.neural_gauss_newton.network import Shape, forward, initial_weights, weight_jacobian
+from estimation.estimators.neural_gauss_newton.network import Shape, forward, weight_normal_equations
 
 Optimiser = Literal["lm", "lbfgs", "adam"]
+
+TRIES = 8  # dampings of one step before a network counts as trained
+LARGEST_BATCH_ROWS = {"cpu": 40_000, "cuda": 1_000_000}  # of all networks of a batch: 0.1 and 2 GB while training
+ENOUGH = 1e-7  # part of the cost that a step must gain
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,120 +40,183 @@ class Trained:
     iterations: int
 
 
-def train(
-    shape: Shape,
-    u: Tensor,
-    z: Tensor,
-    held_out: Tensor,
-    options: TrainingOptions,
-    generator: torch.Generator,
-    *,
-    multiplicity: Tensor | None = None,
-    start: Tensor | None = None,
-) -> Trained:
-    """Train `restarts` networks and keep the one that is best on the held-out rows.
+@dataclass(frozen=True, slots=True)
+class Job:
+    """One network to train. u: (M, in), z: (M, out) standardised rows, on the CPU; weight: (M,) how often each counts;
+    start: (n_weights,)."""
 
-    u: (M, in), z: (M, out) standardised; held_out: (M,) bool; multiplicity: (M,) weight of each row (block bootstrap);
-    start: weights to start from, instead of restarts.
+    shape: Shape
+    u: Tensor
+    z: Tensor
+    weight: Tensor
+    start: Tensor
+
+
+def train_jobs(jobs: Sequence[Job], options: TrainingOptions, device: str = "cpu") -> list[tuple[Tensor, int]]:
+    """Weights (n_weights,) of every network, on the CPU, and the iterations it took.
+
+    Networks of one shape are trained side by side, in batches that fill the device. They do not see each other: each is
+    what it would be alone, within rounding.
     """
-    weight = torch.ones(len(u), dtype=u.dtype, device=u.device) if multiplicity is None else multiplicity
-    fit = weight * (~held_out)
-    best: Trained | None = None
-    starts = initial_weights(shape, generator, options.restarts).to(u.device) if start is None else start.unsqueeze(0)
-    for w in starts:
-        w, iterations = OPTIMISERS[options.optimiser](shape, u, z, fit, w, options)
-        result = Trained(w, _error(shape, w, u, z, fit), _error(shape, w, u, z, weight * held_out), iterations)
-        score = result.validation_error if held_out.any() else result.training_error
-        if best is None or score < (best.validation_error if held_out.any() else best.training_error):
-            best = result
-    assert best is not None
-    return best
+    trained: list[tuple[Tensor, int]] = []
+    for batch in _batches(jobs, LARGEST_BATCH_ROWS[torch.device(device).type]):
+        longest = max(len(j.u) for j in batch)
+        shared = all(j.u is batch[0].u and j.z is batch[0].z for j in batch)
+        many = batch[:1] if shared else batch
+        u, z = (torch.stack([_padded(v, longest) for v in vs]) for vs in ([j.u for j in many], [j.z for j in many]))
+        weights, iterations = OPTIMISERS[options.optimiser](
+            batch[0].shape,
+            (u[0] if shared else u).to(device),
+            (z[0] if shared else z).to(device),
+            torch.stack([_padded(j.weight, longest) for j in batch]).to(device),
+            torch.stack([j.start for j in batch]).to(device),
+            options,
+        )
+        trained += zip(weights.cpu(), iterations.tolist(), strict=True)
+    return trained
 
 
-def _error(shape: Shape, w: Tensor, u: Tensor, z: Tensor, weight: Tensor) -> float:
+def _batches(jobs: Sequence[Job], largest: int) -> Iterator[list[Job]]:
+    """Consecutive jobs of one shape whose rows, padded to the longest, stay within `largest` (one job at least)."""
+    batch: list[Job] = []
+    longest = 0
+    for job in jobs:
+        longest = max(longest, len(job.u))
+        if batch and (job.shape != batch[0].shape or (len(batch) + 1) * longest > largest):
+            yield batch
+            batch, longest = [], len(job.u)
+        batch.append(job)
+    if batch:
+        yield batch
+
+
+def _padded(values: Tensor, length: int) -> Tensor:
+    """Zeros appended to `length` rows; rows of zero weight count for nothing."""
+    missing = length - values.shape[0]
+    return torch.cat([values, values.new_zeros(missing, *values.shape[1:])]) if missing else values
+
+
+def mean_square(shape: Shape, w: Tensor, u: Tensor, z: Tensor, weight: Tensor) -> float:
+    """Mean squared standardised error of one network over weighted rows; NaN without any."""
     total = float(weight.sum())
     if total == 0:
         return float("nan")
     return float((weight[:, None] * (z - forward(shape, w, u)) ** 2).sum() / (total * z.shape[1]))
 
 
-def _cost(shape: Shape, w: Tensor, u: Tensor, z: Tensor, weight: Tensor, decay: float) -> Tensor:
-    return (weight[:, None] * (z - forward(shape, w, u)) ** 2).sum() + decay * (w**2).sum()
+def levenberg_marquardt(
+    shape: Shape, u: Tensor, z: Tensor, weights: Tensor, starts: Tensor, options: TrainingOptions
+) -> tuple[Tensor, Tensor]:
+    """Gauss-Newton on the weights of many networks side by side, each with a damping of its own.
 
-
-def _levenberg_marquardt(
-    shape: Shape, u: Tensor, z: Tensor, weight: Tensor, w: Tensor, options: TrainingOptions
-) -> tuple[Tensor, int]:
-    """Gauss-Newton on the weights with damping that falls on success and rises on failure."""
-    damping = 1e-2
-    cost = _cost(shape, w, u, z, weight, options.decay)
-    root = torch.sqrt(weight)
-    for iteration in range(options.iterations):
-        out, jacobian = weight_jacobian(shape, w, u)
-        J = (root[:, None, None] * jacobian).reshape(-1, shape.weights)
-        r = (root[:, None] * (z - out)).reshape(-1)
-        H = J.T @ J
-        H.diagonal().add_(options.decay)
-        g = J.T @ r - options.decay * w
-        for _ in range(8):
-            M = H.clone()
-            M.diagonal().add_(damping * H.diagonal().mean())
-            trial = w + torch.linalg.solve(M, g)
-            new = _cost(shape, trial, u, z, weight, options.decay)
-            if new < cost:
+    Damping falls on success and rises on failure; a network is done when a step gains less than 1e-7 of its cost, or
+    none helps. weights: (nets, M) row multiplicities; starts: (nets, n_weights); u, z: shared (M, ...) or each net's own
+    (nets, M, ...). Returns weights (nets, n_weights) and iterations (nets,).
+    """
+    w = starts.clone()
+    damping = torch.full((len(w),), 1e-2, dtype=w.dtype, device=w.device)
+    cost = _costs(shape, w, u, z, weights, options.decay)
+    used = torch.zeros(len(w), dtype=torch.int64, device=w.device)
+    active = torch.arange(len(w), device=w.device)
+    for _ in range(options.iterations):
+        if not len(active):
+            break
+        mine = _Batch.of(u, z, weights, active)
+        matrix, right = weight_normal_equations(shape, w[active], mine.u, mine.z, mine.weights)
+        matrix.diagonal(dim1=1, dim2=2).add_(options.decay)
+        right -= options.decay * w[active]
+        scale = matrix.diagonal(dim1=1, dim2=2).mean(dim=1)
+        gain = torch.full_like(scale, -1.0)
+        for _ in range(TRIES):
+            left = torch.nonzero(gain < 0).squeeze(1)
+            if not len(left):
                 break
-            damping *= 4.0
-        else:
-            return w, iteration
-        gain = float((cost - new) / cost)
-        w, cost, damping = trial, new, max(damping / 3.0, 1e-10)
-        if gain < 1e-7:
-            return w, iteration + 1
-    return w, options.iterations
+            now = active[left]
+            step = _damped_step(matrix[left], right[left], damping[now] * scale[left])
+            trial = w[now] + step
+            part = mine.only(left)
+            new = _costs(shape, trial, part.u, part.z, part.weights, options.decay)
+            better = new < cost[now]
+            gain[left[better]] = ((cost[now] - new) / cost[now])[better]
+            w[now[better]], cost[now[better]] = trial[better], new[better]
+            damping[now] = torch.where(better, torch.clamp(damping[now] / 3.0, min=1e-10), damping[now] * 4.0)
+        used[active[gain >= 0]] += 1
+        active = active[gain >= ENOUGH]
+    return w, used
+
+
+@dataclass(frozen=True, slots=True)
+class _Batch:
+    """Rows of some of the networks; shared rows stay shared."""
+
+    u: Tensor
+    z: Tensor
+    weights: Tensor
+
+    @classmethod
+    def of(cls, u: Tensor, z: Tensor, weights: Tensor, chosen: Tensor) -> "_Batch":
+        return cls(u, z, weights).only(chosen) if len(chosen) < len(weights) else cls(u, z, weights)
+
+    def only(self, chosen: Tensor) -> "_Batch":
+        if len(chosen) == len(self.weights):
+            return self
+        u, z = (v[chosen] if v.dim() == 3 else v for v in (self.u, self.z))
+        return _Batch(u, z, self.weights[chosen])
+
+
+def _damped_step(matrix: Tensor, right: Tensor, damping: Tensor) -> Tensor:
+    """(nets, n) solution of (matrix + damping I) step = right; NaN where the matrix is not positive definite."""
+    damped = matrix.clone()
+    damped.diagonal(dim1=1, dim2=2).add_(damping[:, None])
+    factor, failed = torch.linalg.cholesky_ex(damped)
+    step = torch.cholesky_solve(right.unsqueeze(-1), factor).squeeze(-1)
+    return torch.where(failed[:, None] > 0, torch.full_like(step, torch.nan), step)
+
+
+def _costs(shape: Shape, w: Tensor, u: Tensor, z: Tensor, weights: Tensor, decay: float) -> Tensor:
+    """(nets,) weighted sum of squared errors with the decay of the weights."""
+    return (weights[:, :, None] * (z - forward(shape, w, u)) ** 2).sum(dim=(1, 2)) + decay * (w**2).sum(dim=1)
 
 
 def _lbfgs(
-    shape: Shape, u: Tensor, z: Tensor, weight: Tensor, w: Tensor, options: TrainingOptions
-) -> tuple[Tensor, int]:
-    w = w.clone().requires_grad_(True)
-    optimiser = torch.optim.LBFGS([w], max_iter=10 * options.iterations, history_size=30, line_search_fn="strong_wolfe")
+    shape: Shape, u: Tensor, z: Tensor, weights: Tensor, starts: Tensor, options: TrainingOptions
+) -> tuple[Tensor, Tensor]:
+    """One network after the other: a line search cannot be shared."""
+    found, used = [], []
+    for k in range(len(starts)):
+        own = [v[k] if v.dim() == 3 else v for v in (u, z)]
+        w = starts[k : k + 1].clone().requires_grad_(True)
+        optimiser = torch.optim.LBFGS(
+            [w], max_iter=10 * options.iterations, history_size=30, line_search_fn="strong_wolfe"
+        )
 
-    def closure() -> float:
-        optimiser.zero_grad()
-        cost = _cost(shape, w, u, z, weight, options.decay)
-        cost.backward()  # type: ignore[no-untyped-call]
-        return float(cost.detach())
+        def closure(w: Tensor = w, own: list[Tensor] = own, weight: Tensor = weights[k : k + 1]) -> float:
+            w.grad = None
+            cost = _costs(shape, w, own[0], own[1], weight, options.decay).sum()
+            cost.backward()  # type: ignore[no-untyped-call]
+            return float(cost.detach())
 
-    optimiser.step(closure)
-    return w.detach(), int(optimiser.state[w].get("n_iter", 0))
+        optimiser.step(closure)
+        found.append(w.detach()[0])
+        used.append(int(optimiser.state[w].get("n_iter", 0)))
+    return torch.stack(found), torch.tensor(used)
 
 
 def _adam(
-    shape: Shape, u: Tensor, z: Tensor, weight: Tensor, w: Tensor, options: TrainingOptions
-) -> tuple[Tensor, int]:
-    trained = train_ensemble(shape, u, z, weight.unsqueeze(0), w.unsqueeze(0), options)
-    return trained[0], 20 * options.iterations
-
-
-def train_ensemble(
     shape: Shape, u: Tensor, z: Tensor, weights: Tensor, starts: Tensor, options: TrainingOptions
-) -> Tensor:
-    """Train many networks at once by Adam, as one batched computation. weights: (nets, M) row multiplicities.
-
-    The nets do not see each other: each has its own cost, the batch only shares the arithmetic (and the GPU).
-    """
+) -> tuple[Tensor, Tensor]:
+    """20 steps for each iteration of the others, with a learning rate that falls to a hundredth."""
     w = starts.clone().requires_grad_(True)
     steps = 20 * options.iterations
     optimiser = torch.optim.Adam([w], lr=options.learning_rate)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, steps, eta_min=options.learning_rate * 1e-2)
     for _ in range(steps):
         optimiser.zero_grad()
-        error = (weights[:, :, None] * (z - forward(shape, w, u)) ** 2).sum(dim=(1, 2))
-        cost = (error + options.decay * (w**2).sum(dim=1)).sum()
+        cost = _costs(shape, w, u, z, weights, options.decay).sum()
         cost.backward()  # type: ignore[no-untyped-call]
         optimiser.step()
         schedule.step()
-    return w.detach()
+    return w.detach(), torch.full((len(starts),), steps)
 
 
-OPTIMISERS = {"lm": _levenberg_marquardt, "lbfgs": _lbfgs, "adam": _adam}
+OPTIMISERS = {"lm": levenberg_marquardt, "lbfgs": _lbfgs, "adam": _adam}

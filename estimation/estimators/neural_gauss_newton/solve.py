@@ -1,0 +1,181 @@
+"""From rows to estimates with their spread: for one problem, or for a campaign of many side by side.
+
+A problem is a flight, or several flights with shared parameters. Three rounds of training, each over all problems at
+once so that a batch fills the machine: networks that are judged by held-out blocks; the chosen ones trained on with all
+rows; the networks of the block bootstrap. Between them the parameters are fitted problem by problem. What a problem
+gets depends on its rows and the seed alone, not on the company it is in (but for rounding).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from estimation.estimators.neural_gauss_newton.formulation import Rows, Unknowns
+from estimation.estimators.neural_gauss_newton.frozen import (
+    Frozen,
+    FrozenFit,
+    Predict,
+    Regressors,
+    fit_parameters,
+    fit_with_instruments,
+)
+from estimation.estimators.neural_gauss_newton.network import Shape, initial_weights
+from estimation.estimators.neural_gauss_newton.options import NgnOptions
+from estimation.estimators.neural_gauss_newton.training import Job, Trained, mean_square, train_jobs
+
+Array = NDArray[np.float64]
+
+FEW_STEPS = 3  # of the parameters in a bootstrap: it starts at the solution
+
+
+@dataclass(frozen=True)
+class Solution:
+    """theta: (n,) estimates; bound, spread: (n, n) covariances, Cramer-Rao and bootstrap with ensemble; members:
+    (ensemble, n) and bootstrap: (bootstraps, n) estimates, the latter less those of the network they began with."""
+
+    theta: Array
+    bound: Array
+    spread: Array
+    members: Array
+    bootstrap: Array
+    fits: tuple[FrozenFit, ...]
+    trained: tuple[Trained, ...]
+
+
+class Problem:
+    """One set of rows with its unknowns, ready to be fitted with any network."""
+
+    def __init__(self, rows: Rows, unknowns: Unknowns, options: NgnOptions) -> None:
+        self.rows, self.unknowns, self.options = rows, unknowns, options
+        self.shape = Shape(rows.u.shape[1], options.hidden, rows.z.shape[1], skip=options.improved)
+        self.counts = [len(s.u) for s in rows.stretches]
+        self.smooth = [Regressors(rows.axis, s, s.smooth) for s in rows.stretches]
+        self.measured: list[Regressors] = []
+        self.instruments: list[Regressors] = []
+        if options.instruments:
+            self.measured = [Regressors(rows.axis, s, s.signals) for s in rows.stretches]
+            predicted = zip(rows.stretches, rows.instruments(), strict=True)
+            self.instruments = [Regressors(rows.axis, s, i) for s, i in predicted]
+
+    def job(self, weight: torch.Tensor, start: torch.Tensor) -> Job:
+        return Job(self.shape, self.rows.u, self.rows.z, weight, start)
+
+    def predict(self, frozen: Frozen, regressors: Sequence[Regressors]) -> Predict:
+        """Residuals and slopes of all stretches by the unknowns."""
+
+        def predict(theta: Array) -> tuple[list[Array], list[Array]]:
+            residuals, slopes = [], []
+            for stretch, flight, own in zip(self.rows.stretches, self.rows.flight, regressors, strict=True):
+                r, s = frozen.residual_and_slope(stretch, own, self.unknowns.of_flight(flight, theta))
+                residuals.append(r)
+                slopes.append(self.unknowns.scatter(flight, s))
+            return residuals, slopes
+
+        return predict
+
+    def fit(self, weights: torch.Tensor) -> FrozenFit:
+        """Gauss-Newton with one frozen network; in the improved form from there to the root with instruments."""
+        frozen = Frozen(self.shape, weights, self.rows.standard)
+        smooth = self.predict(frozen, self.smooth)
+        found = fit_parameters(smooth, self.unknowns.size, self.counts, start=self.unknowns.start)
+        if not self.instruments:
+            return found
+        return fit_with_instruments(
+            self.predict(frozen, self.measured), self.predict(frozen, self.instruments), self.counts, found.theta
+        )
+
+    def refit(self, weights: torch.Tensor, start: Array, drawn: Array) -> Array:
+        """(n,) parameters with another network on resampled rows, a few steps from a solution."""
+        frozen = Frozen(self.shape, weights, self.rows.standard)
+        multiplicity = self.rows.split(drawn)
+        if not self.instruments:
+            return fit_parameters(
+                self.predict(frozen, self.smooth), self.unknowns.size, self.counts,
+                start=start, multiplicity=multiplicity, iterations=FEW_STEPS,
+            ).theta  # fmt: skip
+        return fit_with_instruments(
+            self.predict(frozen, self.measured), self.predict(frozen, self.instruments), self.counts, start,
+            multiplicity=multiplicity, iterations=FEW_STEPS,
+        ).theta  # fmt: skip
+
+
+def solve(problems: Sequence[Problem], options: NgnOptions) -> list[Solution]:
+    """Train, freeze, estimate; then again for the bootstrap."""
+    trained = _trained(problems, options)
+    fitted = [[p.fit(t.weights) for t in nets] for p, nets in zip(problems, trained, strict=True)]
+    drawn = [_bootstrap_weights(p, options) for p in problems]
+    jobs = [
+        p.job(torch.as_tensor(row), nets[k % len(nets)].weights)
+        for p, nets, rows in zip(problems, trained, drawn, strict=True)
+        for k, row in enumerate(rows)
+    ]
+    short = replace(options.training, optimiser="lm", iterations=options.bootstrap_iterations)
+    again = iter(train_jobs(jobs, short, options.device))
+    solutions = []
+    for problem, nets, fits, rows in zip(problems, trained, fitted, drawn, strict=True):
+        spread = [
+            problem.refit(next(again)[0], fits[k % len(fits)].theta, row) - fits[k % len(fits)].theta
+            for k, row in enumerate(rows)
+        ]
+        bootstrap = np.array(spread).reshape(-1, problem.unknowns.size)
+        solutions.append(_solution(fits, nets, bootstrap))
+    return solutions
+
+
+def _trained(problems: Sequence[Problem], options: NgnOptions) -> list[list[Trained]]:
+    """Networks of every problem's ensemble: chosen among restarts by the held-out blocks, trained on with all rows."""
+    training, members = options.training, max(1, options.ensemble)
+    tries = members * training.restarts
+    jobs = []
+    for problem in problems:
+        seen = (~problem.rows.held_out).double()
+        for member in range(members):
+            generator = torch.Generator().manual_seed(1000 * options.seed + member)
+            starts = initial_weights(problem.shape, generator, training.restarts)
+            jobs += [problem.job(seen, start) for start in starts]
+    tried = train_jobs(jobs, training, options.device)
+    chosen: list[tuple[torch.Tensor, int, float]] = []
+    for i, problem in enumerate(problems):
+        for member in range(members):
+            first = i * tries + member * training.restarts
+            chosen.append(_best(problem, tried[first : first + training.restarts]))
+    everything = [problem.job(torch.ones(len(problem.rows.u), dtype=torch.float64), chosen[i * members + k][0])
+                  for i, problem in enumerate(problems) for k in range(members)]  # fmt: skip
+    finished = train_jobs(everything, training, options.device)
+    return [
+        [
+            Trained(w, mean_square(p.shape, w, p.rows.u, p.rows.z, torch.ones(len(p.rows.u))), before[2], before[1] + n)
+            for (w, n), before in zip(
+                finished[i * members : (i + 1) * members], chosen[i * members : (i + 1) * members], strict=True
+            )
+        ]
+        for i, p in enumerate(problems)
+    ]
+
+
+def _best(problem: Problem, tried: Sequence[tuple[torch.Tensor, int]]) -> tuple[torch.Tensor, int, float]:
+    """Weights, iterations and held-out error of the network that predicts held-out rows best."""
+    rows = problem.rows
+    judged = rows.held_out.double() if rows.held_out.any() else torch.ones(len(rows.u), dtype=torch.float64)
+    errors = [mean_square(problem.shape, w, rows.u, rows.z, judged) for w, _ in tried]
+    best = int(np.nanargmin(errors))
+    return *tried[best], errors[best]
+
+
+def _bootstrap_weights(problem: Problem, options: NgnOptions) -> Array:
+    """(bootstraps, M) how often each row is drawn."""
+    rng = np.random.default_rng([options.seed, 64])
+    drawn = [problem.rows.resampled(rng) for _ in range(options.bootstraps)]
+    return np.array(drawn).reshape(options.bootstraps, len(problem.rows.u))
+
+
+def _solution(fits: Sequence[FrozenFit], trained: Sequence[Trained], bootstrap: Array) -> Solution:
+    members = np.stack([f.theta for f in fits])
+    bound = np.mean([np.linalg.pinv(f.information, hermitian=True) for f in fits], axis=0)
+    spread = np.atleast_2d(np.cov(bootstrap, rowvar=False)) if len(bootstrap) > 1 else bound
+    if len(members) > 1:
+        spread = spread + np.atleast_2d(np.cov(members, rowvar=False)) / len(members)
+    return Solution(members.mean(axis=0), bound, spread, members, bootstrap, tuple(fits), tuple(trained))
