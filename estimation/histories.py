@@ -1,4 +1,4 @@
-"""Figures of measured against estimated (or predicted) histories, channel under channel, flight beside flight."""
+"""Measured against estimated (or predicted) histories: figures, and flights that `sideslip view` shows both of."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -8,9 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
+    from estimation.estimators.result import Result
     from estimation.laboratory import Session
     from estimation.models.base import Model
     from estimation.proof import Proof
+    from groundstation.flight import Flight
 
 Array = NDArray[np.float64]
 DEGREES = 57.29577951308232
@@ -32,6 +34,23 @@ def write_proof(proofs: Sequence["Proof"], path: Path) -> None:
     """Measured and predicted outputs of every flight."""
     columns = [(p.name, p.time, p.measured, {"predicted": p.predicted}) for p in proofs]
     _draw(proofs[0].result.model, columns, path)
+
+
+def write_flights(session: "Session", folder: Path, most: int | None = None) -> list[Path]:
+    """Each flight (the first `most`) with the outputs of its first method beside the measured ones; returns the files."""
+    used = [f for f in session.flights if f.results][:most]
+    return [write_beside(f.flight, next(iter(f.results.values())), folder) for f in used]
+
+
+def write_beside(flight: "Flight", result: "Result", folder: Path) -> Path:
+    """folder/<name>.mcap: the flight with a column `<column>_model` for every output of the model."""
+    from groundstation.flight import write_flight
+
+    shown = result.flights[0].outputs
+    columns = {f"{signal.source}_model": shown[:, i] for i, signal in enumerate(result.model.outputs)}
+    path = folder / f"{flight.name}.mcap"
+    write_flight(flight.with_columns(**columns), path)
+    return path
 
 
 def _draw(model: "Model", columns: Sequence[tuple[str, Array, Array, dict[str, Array]]], path: Path) -> None:

@@ -10,10 +10,12 @@ The noise level comes from the signal itself (`noise_level`), so nothing need be
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
+
+from estimation.pieces import Fits
 
 Array = NDArray[np.float64]
 
@@ -27,11 +29,15 @@ BREAK_RATE = 1.0 / 25.0  # prior probability of a break at a sample
 
 @dataclass(frozen=True, slots=True)
 class Denoised:
-    """values: (N,) the signal without its noise; noise: estimated standard deviation; removed: rms of what was taken."""
+    """values: (N,) the signal without its noise; noise: estimated standard deviation; removed: rms of what was taken.
+
+    errors: (draws, N), what may still be wrong with `values`: draws from the posterior less its mean.
+    """
 
     values: Array
     noise: float
     removed: float
+    errors: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
 
 def noise_level(values: Array) -> float:
@@ -51,22 +57,32 @@ def denoise(values: Array, *, order: int = 1, noise: float | None = None) -> Den
     return denoise_many([values], order=order, noise=noise)[0]
 
 
-def denoise_many(signals: Sequence[Array], *, order: int = 1, noise: float | None = None) -> list[Denoised]:
-    """`denoise` of several signals; those of equal length cost together little more than one."""
+def denoise_many(
+    signals: Sequence[Array],
+    *,
+    order: int = 1,
+    noise: float | None = None,
+    draws: int = 0,
+    rng: np.random.Generator | None = None,
+) -> list[Denoised]:
+    """`denoise` of several signals; those of equal length cost together little more than one.
+
+    draws: how many `errors` to draw with `rng`; all zero for a signal that is left alone.
+    """
     sigmas = [noise_level(v) if noise is None else noise for v in signals]
     noisy = [i for i, (v, s) in enumerate(zip(signals, sigmas, strict=True)) if v.size >= 8 and s > QUIET * np.ptp(v)]
-    result = [Denoised(v.copy(), s, 0.0) for v, s in zip(signals, sigmas, strict=True)]
-    smooth = _in_blocks([signals[i] / sigmas[i] for i in noisy], order)
-    for row, i in zip(smooth, noisy, strict=True):
+    result = [Denoised(v.copy(), s, 0.0, np.zeros((draws, v.size))) for v, s in zip(signals, sigmas, strict=True)]
+    smooth = _in_blocks([signals[i] / sigmas[i] for i in noisy], order, draws, rng or np.random.default_rng(0))
+    for (row, errors), i in zip(smooth, noisy, strict=True):
         values = row * sigmas[i]
         removed = float(np.sqrt(np.mean((signals[i] - values) ** 2)))
-        result[i] = Denoised(values, sigmas[i], removed)
+        result[i] = Denoised(values, sigmas[i], removed, errors * sigmas[i])
     return result
 
 
-def _in_blocks(signals: Sequence[Array], order: int) -> list[Array]:
-    """Piecewise means of signals of any lengths: long ones in overlapping blocks, equal blocks together."""
-    result = [np.empty_like(v) for v in signals]
+def _in_blocks(signals: Sequence[Array], order: int, draws: int, rng: np.random.Generator) -> list[tuple[Array, Array]]:
+    """Piecewise means of signals of any lengths, and errors: long ones in overlapping blocks, equal blocks together."""
+    result = [(np.empty_like(v), np.empty((draws, v.size))) for v in signals]
     blocks: dict[int, list[tuple[int, int, int, int]]] = {}  # length -> (signal, start, first kept, end kept)
     for i, v in enumerate(signals):
         for start, stop, first, end in _blocks(v.size):
@@ -74,9 +90,11 @@ def _in_blocks(signals: Sequence[Array], order: int) -> list[Array]:
     for length, rows in blocks.items():
         for k in range(0, len(rows), ROWS):
             batch = rows[k : k + ROWS]
-            smooth = _piecewise_mean(np.stack([signals[i][start : start + length] for i, start, _, _ in batch]), order)
-            for (i, start, first, end), values in zip(batch, smooth, strict=True):
-                result[i][first:end] = values[first - start : end - start]
+            stretch = np.stack([signals[i][start : start + length] for i, start, _, _ in batch])
+            smooth, errors = _piecewise_mean(stretch, order, draws, rng)
+            for row, (i, start, first, end) in enumerate(batch):
+                result[i][0][first:end] = smooth[row, first - start : end - start]
+                result[i][1][:, first:end] = errors[:, row, first - start : end - start]
     return result
 
 
@@ -89,11 +107,11 @@ def _blocks(size: int) -> list[tuple[int, int, int, int]]:
     return [(s, s + BLOCK, a, b) for s, a, b in zip(starts, kept[:-1], kept[1:], strict=True)]
 
 
-def _piecewise_mean(y: Array, order: int) -> Array:
-    """Posterior mean of piecewise polynomials in unit noise. y: (signals, N)."""
+def _piecewise_mean(y: Array, order: int, draws: int, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Posterior mean (signals, N) of piecewise polynomials in unit noise, and draws less the mean (draws, signals, N)."""
     signals, count = y.shape
     longest = min(LONGEST_PIECE, count)
-    fits = _Fits(y, order, longest)
+    fits = Fits(y, order, longest)
     log_stay, log_break = np.log1p(-BREAK_RATE), np.log(BREAK_RATE)
     prior = log_break + np.arange(longest) * log_stay  # of a piece of each length, given that it begins
     # score[e, :, n-1]: of the piece of n samples that ends before e; begin[s, :, n-1]: of the one that begins at s.
@@ -104,7 +122,8 @@ def _piecewise_mean(y: Array, order: int) -> Array:
         begin[: count - n + 1, :, n - 1] = score[n:, :, n - 1]
     forward = _recursion(np.exp(score[1:, :, :]))
     backward = _recursion(np.exp(begin[::-1]))[::-1]
-    return fits.average(forward, backward, score)
+    mean = fits.average(forward, backward, score)
+    return mean, fits.draw(forward, score, draws, rng) - mean if draws else np.zeros((0, *mean.shape))
 
 
 def _recursion(weight: Array) -> Array:
@@ -126,88 +145,3 @@ def _recursion(weight: Array) -> Array:
             past[:, k + 1 : k + longest + 1] /= value[:, None]
             scale += np.log(value)
     return result
-
-
-class _Fits:
-    """Least-squares polynomials on every stretch y[:, e-n:e] up to `longest` samples, from running sums."""
-
-    def __init__(self, y: Array, order: int, longest: int) -> None:
-        self.order, self.longest = order, longest
-        signals, count = y.shape
-        terms = order + 1
-        self.offset = np.median(y, axis=1, keepdims=True)
-        w = y - self.offset
-        # amplitude prior: coefficients wide compared with the data, so that its size hardly matters
-        width = float(np.max(np.maximum(10.0, 3.0 * np.std(w, axis=1))))
-        at = np.arange(count) - 0.5 * count
-        zero = np.zeros((signals, 1))
-        sums = [np.concatenate([zero, np.cumsum(w * at**k, axis=1)], axis=1) for k in range(terms)]
-        square = np.concatenate([zero, np.cumsum(w**2, axis=1)], axis=1)
-        self.evidence = np.full((count + 1, signals, longest), -np.inf)
-        self.moments: list[Array] = []
-        self.inverses: list[Array] = []
-        for n in range(1, longest + 1):
-            basis = _basis(n, order)
-            gram = basis.T @ basis + np.eye(terms) / width**2
-            inverse: Array = np.linalg.inv(gram).astype(np.float64)
-            moments = _centred([c[:, n:] - c[:, :-n] for c in sums], at[: count - n + 1] + 0.5 * (n - 1), n)
-            explained = np.sum((moments @ inverse) * moments, axis=2).T
-            energy = (square[:, n:] - square[:, :-n]).T
-            constant = -0.5 * np.linalg.slogdet(gram)[1] - terms * np.log(width)
-            self.evidence[n:, :, n - 1] = constant - 0.5 * (energy - explained)
-            self.moments.append(moments)
-            self.inverses.append(inverse)
-
-    def average(self, forward: Array, backward: Array, score: Array) -> Array:
-        """Mean over segmentations of the fitted curves, (signals, N).
-
-        Each stretch adds its polynomial between its ends: coefficients in common time, entered at one end and taken
-        out at the other, summed up once.
-        """
-        count, signals = forward.shape[0] - 1, forward.shape[1]
-        change = np.zeros((count + 1, signals, self.order + 2))
-        evidence = forward[count]
-        at = np.arange(count) - 0.5 * count
-        for n in range(1, self.longest + 1):
-            log_p = forward[: count - n + 1] + score[n:, :, n - 1] + backward[n:] - evidence
-            p = np.exp(np.minimum(log_p, 0.0))
-            centre = at[: count - n + 1] + 0.5 * (n - 1)
-            local = self.moments[n - 1] @ self.inverses[n - 1]
-            terms = [p, *(p * c for c in _common(local.transpose(2, 1, 0), centre[:, None], n))]
-            entry = np.stack(terms, axis=2)
-            change[: count - n + 1] += entry
-            change[n:] -= entry
-        running = np.cumsum(change[:-1], axis=0)
-        value = sum(running[:, :, k + 1] * at[:, None] ** k for k in range(self.order + 1))
-        return np.asarray((value / running[:, :, 0]).T + self.offset)
-
-
-def _common(local: Array, centre: Array, n: int) -> list[Array]:
-    """Coefficients in common time of polynomials in (t - centre) / half. local: (terms, stretches, signals)."""
-    half = 0.5 * (n - 1) if n > 1 else 1.0
-    shift = centre / half
-    if len(local) == 1:
-        return [local[0]]
-    if len(local) == 2:
-        return [local[0] - local[1] * shift, local[1] / half]
-    return [
-        local[0] - local[1] * shift + local[2] * shift**2,
-        (local[1] - 2.0 * local[2] * shift) / half,
-        local[2] / half**2,
-    ]
-
-
-def _centred(sums: Sequence[Array], centre: Array, n: int) -> Array:
-    """Moments (signals, stretches, terms) about the centres in units of half a stretch, from moments about the origin."""
-    half = 0.5 * (n - 1) if n > 1 else 1.0
-    moments = [sums[0]]
-    if len(sums) > 1:
-        moments.append((sums[1] - centre * sums[0]) / half)
-    if len(sums) > 2:
-        moments.append((sums[2] - 2.0 * centre * sums[1] + centre**2 * sums[0]) / half**2)
-    return np.stack(moments, axis=2)
-
-
-def _basis(n: int, order: int) -> Array:
-    t = np.linspace(-1.0, 1.0, n) if n > 1 else np.zeros(1)
-    return np.stack([t**k for k in range(order + 1)], axis=1)

@@ -41,7 +41,12 @@ class _ManyHoldouts(click.Command):
     "--model", default="lateral", show_default=True, help="Base model: built-in name, MODEL.toml or module:Class."
 )
 @click.option("--aircraft", default="cdfp", show_default=True, help="Built-in aircraft or an AIRCRAFT.toml.")
-@click.option("--report", "report_folder", type=click.Path(path_type=Path), help="Write an HTML report and the models.")
+@click.option(
+    "--report",
+    "report_folder",
+    type=click.Path(path_type=Path),
+    help="Write an HTML report, the same as a rerun recording, and the models.",
+)
 @click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write the answer as JSON.")
 @click.option("--seed", default=1, show_default=True, help="Of every random draw: same seed, same answer.")
 @click.option("--nulls", default=200, show_default=True, type=click.IntRange(min=20),
@@ -78,8 +83,11 @@ def gap(
         click.echo(line)
     if report_folder is not None:
         from estimation.gap.report import write_gap_report
+        from estimation.gap.rerun_report import available, write_gap_recording
 
         click.echo(f"report: {write_gap_report(result, report_folder)}")
+        if available():
+            click.echo(f"the same in rerun: sideslip view {write_gap_recording(result, report_folder / 'gap.rrd')}")
     return 0
 
 

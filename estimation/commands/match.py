@@ -15,6 +15,10 @@ EXAMPLE = "Example: sideslip match ld4.toml ld2.mcap --json match.json"
 )
 @click.option("--limit", type=float, default=0.3, show_default=True,
               help="Theil's coefficient above which a channel does not match (exit status 1).")  # fmt: skip
+@click.option("--segments", help="Use only these stretches, each with its own initial states: 2:12,15:25 [s].")
+@click.option("--histories", "histories_folder", type=click.Path(path_type=Path),
+              help="Write each flight with what the model predicts beside it, for sideslip view.")  # fmt: skip
+@click.option("--aircraft", default="cdfp", show_default=True, help="For a built-in model or a class of one's own.")
 @click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write the fit as JSON.")
 @click.option(
     "--figure",
@@ -23,17 +27,30 @@ EXAMPLE = "Example: sideslip match ld4.toml ld2.mcap --json match.json"
     help="Write a figure of measured and predicted histories.",
 )
 def match(
-    model: Path, flights: tuple[Path, ...], free: str, limit: float, json_path: Path | None, figure_path: Path | None
+    model: Path,
+    flights: tuple[Path, ...],
+    free: str,
+    limit: float,
+    segments: str | None,
+    histories_folder: Path | None,
+    aircraft: str,
+    json_path: Path | None,
+    figure_path: Path | None,
 ) -> int:
     """Predict each FLIGHT with MODEL.toml, parameters frozen and only initial states refitted, and judge the match."""
-    from estimation.commands.estimate import write_json
+    from estimation.aircraft import load_aircraft
+    from estimation.commands.estimate import select_segments, write_json
+    from estimation.commands.outputs import check_outputs
+    from estimation.laboratory import unique_names
     from estimation.models import load_model
     from estimation.proof import predict
     from groundstation.flight import read_flight
 
-    chosen = load_model(model)
+    check_outputs(json=json_path, figure=figure_path, histories=histories_folder)
+    chosen = load_model(model, load_aircraft(aircraft))
     wanted = tuple(n.strip() for n in free.split(",") if n.strip())
-    proofs = [predict(chosen, read_flight(path), free=wanted) for path in flights]
+    read = unique_names([select_segments(read_flight(path), segments) for path in flights])
+    proofs = [predict(chosen, flight, free=wanted) for flight in read]
     good = True
     for proof in proofs:
         click.echo(f"{proof.name}: {proof.text}")
@@ -44,6 +61,8 @@ def match(
                 f"{f.theil_covariance:7.2f}{f.rms:11.4g}{f.whiteness:7.2f}"
             )
             good = good and f.theil <= limit
+        for note in proof.result.flights[0].notes:
+            click.echo(f"  note: {note}")
         good = good and proof.converged
     if json_path is not None:
         write_json({"model": str(chosen.name), "flights": [p.to_json() for p in proofs]}, json_path)
@@ -51,4 +70,11 @@ def match(
         from estimation.histories import write_proof
 
         write_proof(proofs, figure_path)
+        click.echo(f"figure: {figure_path}")
+    if histories_folder is not None:
+        from estimation.histories import write_beside
+
+        for flight, proof in zip(read, proofs, strict=True):
+            path = write_beside(flight, proof.result, histories_folder)
+            click.echo(f"histories: {path} (look at them with: sideslip view {path})")
     return 0 if good else 1

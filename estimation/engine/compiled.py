@@ -1,6 +1,6 @@
 """The compiled back end: equations traced by CasADi to C, own integration loop, gcc, called through ctypes.
 
-Libraries are kept in the user's cache folder under a digest of equations, loop, compiler flags and processor, so the
+Libraries are kept in the user's cache folder under a digest of equations, generator, compiler flags and processor, so the
 second process needs neither gcc nor CasADi. Without gcc everything still works, on the virtual machine.
 """
 
@@ -18,6 +18,7 @@ import numpy as np
 
 from estimation.engine.kernel import Array, Columns, Drive, Motion
 from estimation.engine.trace import Traced, constant_names, trace
+from estimation.models import expressions
 from estimation.models.base import Model
 
 FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-fPIC", "-shared")
@@ -51,8 +52,8 @@ class CompiledKernel:
         empty: Array = np.zeros(0)
         reached = self._library.integrate(
             count, substeps, n, nt,
-            _pointer(drive.dt), _pointer(drive.u), _pointer(drive.u_begin), _pointer(drive.u_end),
-            _pointer(drive.du), _pointer(drive.du_begin), _pointer(drive.du_end),
+            _pointer(drive.dt), _pointer(drive.u), _pointer(drive.u_mid), _pointer(drive.u_end),
+            _pointer(drive.du), _pointer(drive.du_mid), _pointer(drive.du_end),
             _pointer(p), _pointer(x0),
             *((_pointer(columns.parameter), _pointer(columns.state), _pointer(columns.transform), _pointer(columns.gain))
               if columns is not None else (None,) * 4),
@@ -107,13 +108,15 @@ def _sizes(model: Model) -> tuple[int, int, int, int]:
 
 
 def _library_path(model: Model) -> Path:
-    seed = "\n".join((model.structure, _loop_digest(), *FLAGS, _processor()))
+    seed = "\n".join((model.structure, _generator_digest(), *FLAGS, _processor()))
     return cache_folder() / f"{hashlib.sha256(seed.encode()).hexdigest()[:32]}.so"
 
 
 @lru_cache(maxsize=1)
-def _loop_digest() -> str:
-    return hashlib.sha256(LOOP.read_bytes()).hexdigest()
+def _generator_digest() -> str:
+    """Of everything that decides what stands in a library beside the equations themselves."""
+    parts = (LOOP, LOOP.with_name("trace.py"), Path(__file__), Path(expressions.__file__))
+    return hashlib.sha256(b"".join(p.read_bytes() for p in parts)).hexdigest()
 
 
 @lru_cache(maxsize=1)
@@ -159,7 +162,11 @@ def _source(traced: Traced, folder: Path) -> str:
     import casadi as ca
 
     generator = ca.CodeGenerator("generated.c", {"with_export": False, "casadi_int": "int"})
-    for function in (traced.rates, traced.rates_jacobian, traced.outputs, traced.outputs_jacobian):
+    functions = (
+        traced.rates, traced.rates_jacobian, traced.rates_by_input,
+        traced.outputs, traced.outputs_jacobian, traced.outputs_by_input,
+    )  # fmt: skip
+    for function in functions:
         generator.add(function)
     generator.generate(str(folder) + os.sep)
     nx, nu, np_, ny = traced.sizes
@@ -169,10 +176,7 @@ def _source(traced: Traced, folder: Path) -> str:
         parts.append(f"enum {{ NZ_{key} = {len(rows)} }};")
         for name, values in (("row", rows), ("col", columns)):
             parts.append(f"static const int {name}_{key}[] = {{ {', '.join(map(str, values)) or '0'} }};")
-    work = max(
-        sum(max(getattr(f, size)(), 1) for size in ("sz_arg", "sz_res", "sz_iw", "sz_w"))
-        for f in (traced.rates, traced.rates_jacobian, traced.outputs, traced.outputs_jacobian)
-    )
+    work = max(sum(max(getattr(f, size)(), 1) for size in ("sz_arg", "sz_res", "sz_iw", "sz_w")) for f in functions)
     parts.append(f"enum {{ WORK = {work + 16} }};")
     parts.append(LOOP.read_text(encoding="utf-8"))
     return "\n".join(parts)

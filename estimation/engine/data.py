@@ -8,16 +8,22 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from estimation.engine.kernel import Array
+from estimation.engine.plausible import refuse_impossible, stuck
 from estimation.errors import DataError
 from estimation.models.base import Model, Signal
-from estimation.preprocess import denoise, denoise_many
+from estimation.preprocess import denoise, denoise_many, noise_level
 from groundstation.flight import Flight
 
 SHORTEST_SEGMENT = 8  # samples
 LONGEST_BRIDGE = 3  # missing input samples that a straight line may bridge
 FLAT = 1e-12
+DRAWS = 24  # of what may still be wrong with the inputs
+DRAWN = 200_000  # samples times draws: long flights need fewer, for they average over time
+FEWEST_DRAWS = 12
+SEED = 20  # of the draws: the same flight gives the same bound
 
 
 @dataclass(frozen=True)
@@ -46,7 +52,9 @@ class Segment:
 @dataclass(frozen=True)
 class FlightData:
     """A flight prepared for one model. samples: of the flight; states: (samples, nx) smoothed measured states, NaN columns
-    where a state is not measured; noise: column -> (estimated noise, rms removed) of the de-noised inputs."""
+    where a state is not measured; noise: column -> (estimated noise, rms removed) of the de-noised inputs; errors:
+    (samples, nu, draws) what may still be wrong with the inputs (draws from the posterior of the de-noising, zero outside the
+    segments), or None where nothing is known of it."""
 
     name: str
     samples: int
@@ -55,6 +63,7 @@ class FlightData:
     noise: Mapping[str, tuple[float, float]]
     notes: tuple[str, ...]
     absent_outputs: tuple[str, ...]
+    errors: NDArray[np.float32] | None = None
 
     @property
     def used(self) -> int:
@@ -64,12 +73,19 @@ class FlightData:
 
 @dataclass(frozen=True, slots=True)
 class Preparation:
-    """How measured signals are prepared. denoise: take noise off the measured inputs (edge-preserving)."""
+    """How measured signals are prepared. denoise: take noise off the measured inputs (edge-preserving). draws: of what is
+    left of it, for the corrected bound (0: inputs are taken for truth there too)."""
 
     denoise: bool = True
+    draws: int = DRAWS
 
 
 AS_USUAL = Preparation()
+
+
+def draws_for(samples: int) -> int:
+    """How many draws describe the errors of a flight well enough."""
+    return min(DRAWS, max(FEWEST_DRAWS, DRAWN // samples))
 
 
 def prepare(model: Model, flight: Flight, preparation: Preparation = AS_USUAL) -> FlightData:
@@ -78,12 +94,13 @@ def prepare(model: Model, flight: Flight, preparation: Preparation = AS_USUAL) -
     Raises MissingColumnError naming the columns that the model needs and the flight lacks, DataError when no stretch
     long enough is left.
     """
-    notes = list(flight.notes)
+    notes = [_less_used(n, model) for n in flight.notes]
     required = [s.source for s in (*model.inputs, *model.outputs) if not s.optional and s.source not in DERIVED]
     flight.require(dict.fromkeys(required), f"model {model.name}")
+    refuse_impossible(flight, (*model.inputs, *model.states), model.outputs, notes)
     pieces = _pieces(flight, [s for s in model.inputs if not _missing_optional(flight, s)], notes)
     noise: dict[str, tuple[float, float]] = {}
-    u = _inputs(model, flight, pieces, preparation, noise, notes)
+    u, errors = _inputs(model, flight, pieces, preparation, noise, notes)
     z, absent = _outputs(model, flight, pieces, notes)
     states = _states(model, flight, pieces)
     segments = tuple(
@@ -92,10 +109,31 @@ def prepare(model: Model, flight: Flight, preparation: Preparation = AS_USUAL) -
         for x0 in (_initial(model, flight, states, a),)
     )
     if not segments:
-        raise DataError(
-            f"{flight.name}: no stretch of {SHORTEST_SEGMENT} samples in a row with every input of model {model.name} measured"
+        raise DataError(_nothing_left(model, flight))
+    return FlightData(
+        flight.name, len(flight), segments, states, noise, tuple(n for n in dict.fromkeys(notes) if n), absent, errors
+    )
+
+
+UNKNOWN = "columns not known to Sideslip, kept as they are: "
+
+
+def _less_used(note: str, model: Model) -> str:
+    """The note on unknown columns without those that the model knows; empty where none is left."""
+    if not note.startswith(UNKNOWN):
+        return note
+    used = {s.source for s in (*model.states, *model.inputs, *model.outputs)}
+    left = [c for c in note.removeprefix(UNKNOWN).split(", ") if c.rpartition(" as ")[2] not in used]
+    return UNKNOWN + ", ".join(left) if left else ""
+
+
+def _nothing_left(model: Model, flight: Flight) -> str:
+    longest = max(part.stop - part.start for part in flight.segments)
+    if longest < SHORTEST_SEGMENT:
+        return (
+            f"{flight.name}: the longest stretch has {longest} samples; at least {SHORTEST_SEGMENT} in a row are needed"
         )
-    return FlightData(flight.name, len(flight), segments, states, noise, tuple(notes), absent)
+    return f"{flight.name}: no stretch of {SHORTEST_SEGMENT} samples in a row with every input of model {model.name} measured"
 
 
 def _missing_optional(flight: Flight, signal: Signal) -> bool:
@@ -147,8 +185,8 @@ def _inputs(
     preparation: Preparation,
     noise: dict[str, tuple[float, float]],
     notes: list[str],
-) -> Array:
-    """(samples, nu) inputs, de-noised piece by piece; NaN outside the pieces."""
+) -> tuple[Array, NDArray[np.float32] | None]:
+    """(samples, nu) inputs, de-noised piece by piece, NaN outside the pieces; and `FlightData.errors`."""
     u = np.full((len(flight), len(model.inputs)), np.nan)
     for i, signal in enumerate(model.inputs):
         if _missing_optional(flight, signal):
@@ -157,27 +195,52 @@ def _inputs(
         elif flight.measured(signal.source):
             for a, b in pieces:
                 u[a:b, i] = _bridged(flight[signal.source][a:b])
+            _say_stuck(flight, signal.source, stuck(flight.time, flight[signal.source]), notes, "is its sensor stuck?")
         else:
             u[:, i] = _derived(flight, signal.source, pieces, notes)
-    if preparation.denoise:
-        for order in (1, 2):
-            columns = [i for i, s in enumerate(model.inputs) if s.control == (order == 1) and flight.measured(s.source)]
-            _denoise_columns(u, columns, pieces, order, [s.name for s in model.inputs], noise)
-    return u
+    if not preparation.denoise:
+        notes.append("measured inputs taken with their noise")
+        for i, signal in enumerate(model.inputs):
+            if flight.measured(signal.source):
+                noise[signal.name] = (max((noise_level(u[a:b, i]) for a, b in pieces), default=0.0), 0.0)
+        return u, None
+    draws = min(preparation.draws, draws_for(len(flight)))
+    errors = np.zeros((*u.shape, draws), np.float32)
+    rng = np.random.default_rng(SEED)
+    for order in (1, 2):
+        columns = [i for i, s in enumerate(model.inputs) if s.control == (order == 1) and flight.measured(s.source)]
+        _denoise_columns(u, errors, columns, pieces, order, [s.name for s in model.inputs], noise, rng)
+    _derive_errors(model, flight, pieces, errors)
+    return u, errors
+
+
+def _derive_errors(model: Model, flight: Flight, pieces: list[tuple[int, int]], errors: NDArray[np.float32]) -> None:
+    """Errors of inputs that are slopes of other inputs: slopes of their errors."""
+    sources = [s.source for s in model.inputs]
+    for i, source in enumerate(sources):
+        origin = source.removesuffix("_dot")
+        if source in DERIVED and not flight.measured(source) and origin != source and origin in sources:
+            for a, b in pieces:
+                errors[a:b, i] = np.gradient(errors[a:b, sources.index(origin)], flight.time[a:b], axis=0)
 
 
 def _denoise_columns(
     u: Array,
+    errors: NDArray[np.float32],
     columns: list[int],
     pieces: list[tuple[int, int]],
     order: int,
     names: list[str],
     noise: dict[str, tuple[float, float]],
+    rng: np.random.Generator,
 ) -> None:
     heard: dict[int, list[tuple[float, float]]] = {i: [] for i in columns}
     places = [(a, b, i) for a, b in pieces for i in columns]
-    for (a, b, i), done in zip(places, denoise_many([u[a:b, i] for a, b, i in places], order=order), strict=True):
+    noisy = [u[a:b, i] for a, b, i in places]
+    smooth = denoise_many(noisy, order=order, draws=errors.shape[2], rng=rng)
+    for (a, b, i), done in zip(places, smooth, strict=True):
         u[a:b, i] = done.values
+        errors[a:b, i] = done.errors.T
         heard[i].append((done.noise, done.removed))
     for i in columns:
         if heard[i]:
@@ -201,6 +264,7 @@ def _outputs(
     for i, signal in enumerate(model.outputs):
         if flight.measured(signal.source):
             z[:, i] = flight[signal.source]
+            _leave_out_stuck(flight, signal.source, z[:, i], notes)
         elif signal.source in DERIVED and not _missing_optional(flight, signal):
             z[:, i] = _derived(flight, signal.source, pieces, notes)
         else:
@@ -217,6 +281,22 @@ def _outputs(
             f"{flight.name}: none of the outputs of model {model.name} moves; nothing can be estimated from it"
         )
     return z, tuple(absent)
+
+
+def _leave_out_stuck(flight: Flight, source: str, values: Array, notes: list[str]) -> None:
+    """Samples of a stuck sensor become NaN in `values`; those and the missing ones are said."""
+    missing = int((~np.isfinite(values)).sum())
+    if missing:
+        notes.append(f"{source} not measured at {missing} samples: not compared there")
+    still = stuck(flight.time, values)
+    _say_stuck(flight, source, still, notes, "not compared there")
+    values[still] = np.nan
+
+
+def _say_stuck(flight: Flight, source: str, still: np.ndarray, notes: list[str], what: str) -> None:  # type: ignore[type-arg]
+    if still.any():
+        at = flight.time[still]
+        notes.append(f"{source} repeats one value for {int(still.sum())} samples from t = {at[0]:g} s on: {what}")
 
 
 def _states(model: Model, flight: Flight, pieces: list[tuple[int, int]]) -> Array:

@@ -1,9 +1,9 @@
 """What an integration back end takes and gives; the two back ends agree to 1e-9 relative.
 
 One call integrates one segment: from x[0] through samples 0..N-1, classical fourth-order Runge-Kutta with `substeps`
-equal steps per sample interval, inputs going straight from `u_begin[k]` to `u_end[k]` within interval k (equal where an
-input is held). Sensitivities come from the variational equations S_dot = f_x S + f_p + f_u du/dpsi, integrated with the
-same stages (exact derivatives of the discrete solution).
+equal steps per sample interval, inputs going straight from `u[k]` to `u_mid[k]` half-way and on to `u_end[k]` within
+interval k (all equal where an input is held). Sensitivities come from the variational equations
+S_dot = f_x S + f_p + f_u du/dpsi, integrated with the same stages (exact derivatives of the discrete solution).
 
 With a gain, every sample corrects the state by x += K (z - y), NaN samples of z left out (innovations form).
 """
@@ -22,18 +22,18 @@ Integers = NDArray[np.int32]
 class Drive:
     """One segment as the integrator sees it.
 
-    dt: (N,) s, time to the next sample (last entry unused). u: (N, nu) inputs at the samples, u_begin, u_end: (N, nu)
-    inputs at both ends of the interval after each sample. z: (N, ny) measured outputs (only used with a gain).
-    du, du_begin, du_end: (N, nu, nt) derivatives of the inputs with respect to the parameters of input transforms.
+    dt: (N,) s, time to the next sample (last entry unused). u: (N, nu) inputs at the samples, u_mid, u_end: (N, nu)
+    inputs half-way through the interval after each sample and at its end. z: (N, ny) measured outputs (only used with
+    a gain). du, du_mid, du_end: (N, nu, nt) derivatives of the inputs with respect to the parameters of input transforms.
     """
 
     dt: Array
     u: Array
-    u_begin: Array
+    u_mid: Array
     u_end: Array
     z: Array
     du: Array = field(default_factory=lambda: np.zeros((0, 0, 0)))
-    du_begin: Array = field(default_factory=lambda: np.zeros((0, 0, 0)))
+    du_mid: Array = field(default_factory=lambda: np.zeros((0, 0, 0)))
     du_end: Array = field(default_factory=lambda: np.zeros((0, 0, 0)))
 
 

@@ -1,5 +1,5 @@
 /* Integration of one segment with variational sensitivities: see kernel.py. Included after the generated functions
-   rates, rates_jacobian, outputs, outputs_jacobian (CasADi signature) and the constants NX NU NP NY NZ_* row_* col_*. */
+   rates, rates_jacobian, rates_by_input, and the same of outputs (CasADi signature) and the constants NX NU NP NY NZ_* row_* col_*. */
 
 #include <stdlib.h>
 #include <string.h>
@@ -7,13 +7,13 @@
 static int is_finite(double v) { return v - v == 0.0 && v < 1e12 && v > -1e12; }
 
 static void call(int (*function)(const double **, double **, int *, double *, int),
-                 const double *x, const double *u, const double *p, double *r0, double *r1, double *r2, double *r3) {
+                 const double *x, const double *u, const double *p, double *r0, double *r1, double *r2) {
     const double *arg[WORK];
     double *res[WORK];
     double w[WORK];
     int iw[WORK];
     arg[0] = x; arg[1] = u; arg[2] = p;
-    res[0] = r0; res[1] = r1; res[2] = r2; res[3] = r3;
+    res[0] = r0; res[1] = r1; res[2] = r2;
     function(arg, res, iw, w, 0);
 }
 
@@ -39,14 +39,18 @@ static void variation(int n, int nt, const int *restrict parameter, const int *r
     }
 }
 
-static void blend(int size, double part, const double *a, const double *b, double *to) {
-    for (int i = 0; i < size; ++i) to[i] = a[i] + part * (b[i] - a[i]);
+/* Input at a fraction of the interval: straight from a to m half-way, straight on to b. */
+static void blend(int size, double at, const double *a, const double *m, const double *b, double *to) {
+    const double *from = at < 0.5 ? a : m, *next = at < 0.5 ? m : b;
+    const double part = at < 0.5 ? 2.0 * at : 2.0 * at - 1.0;
+    for (int i = 0; i < size; ++i) to[i] = from[i] + part * (next[i] - from[i]);
 }
 
 static void outputs_with(int n, int nt, const int *parameter, const int *transform, const double *x, const double *u,
                          const double *p, const double *s, const double *du, double *y, double *dy) {
     double yx[NZ_y_x + 1], yu[NZ_y_u + 1], yp[NZ_y_p + 1];
-    call(outputs_jacobian, x, u, p, y, yx, yu, yp);
+    call(outputs_jacobian, x, u, p, y, yx, yp);
+    if (nt > 0) call(outputs_by_input, x, u, p, yu, 0, 0);
     memset(dy, 0, sizeof(double) * NY * n);
     for (int z = 0; z < NZ_y_x; ++z) {
         const double a = yx[z];
@@ -103,12 +107,13 @@ static void step(int n, int nt, const int *parameter, const int *transform, doub
             const double c = h * part[i];
             if (i == 0) memcpy(ss, s, sizeof(double) * size);
             else for (int a = 0; a < size; ++a) ss[a] = s[a] + c * k[a];
-            call(rates_jacobian, xs, us[i], p, f, fx, fu, fp);
+            call(rates_jacobian, xs, us[i], p, f, fx, fp);
+            if (nt > 0) call(rates_by_input, xs, us[i], p, fu, 0, 0);
             variation(n, nt, parameter, transform, fx, fu, fp, ss, ds[i], k);
             const double w = h * weight[i];
             for (int a = 0; a < size; ++a) sn[a] += w * k[a];
         } else {
-            call(rates, xs, us[i], p, f, 0, 0, 0);
+            call(rates, xs, us[i], p, f, 0, 0);
         }
         for (int a = 0; a < NX; ++a) xn[a] += h * weight[i] * f[a];
     }
@@ -117,8 +122,8 @@ static void step(int n, int nt, const int *parameter, const int *transform, doub
 }
 
 /* Returns the number of samples reached before the motion left the finite numbers (N where it never did). */
-int integrate(int count, int substeps, int n, int nt, const double *dt, const double *u, const double *u_begin,
-              const double *u_end, const double *du, const double *du_begin, const double *du_end, const double *p,
+int integrate(int count, int substeps, int n, int nt, const double *dt, const double *u, const double *u_mid,
+              const double *u_end, const double *du, const double *du_mid, const double *du_end, const double *p,
               const double *x0, const int *parameter, const int *state, const int *transform, const int *gain_column,
               const double *gain, const double *z, double *x_out, double *y_out, double *dy_out) {
     double x[NX], ua[NU + 1], um[NU + 1], ub[NU + 1];
@@ -139,22 +144,22 @@ int integrate(int count, int substeps, int n, int nt, const double *dt, const do
         if (n > 0)
             outputs_with(n, nt, parameter, transform, x, u + (size_t)k * NU, p, s, du + (size_t)k * width, y, dy);
         else
-            call(outputs, x, u + (size_t)k * NU, p, y, 0, 0, 0);
+            call(outputs, x, u + (size_t)k * NU, p, y, 0, 0);
         if (gain) correct(n, gain, gain_column, z + (size_t)k * NY, y, dy, x, s);
         memcpy(x_out + (size_t)k * NX, x, sizeof(double) * NX);
         if (k + 1 == count) break;
         const double h = dt[k] / substeps;
-        const double *ua0 = u_begin + (size_t)k * NU, *ub0 = u_end + (size_t)k * NU;
-        const double *da0 = du_begin + (size_t)k * width, *db0 = du_end + (size_t)k * width;
+        const double *ua0 = u + (size_t)k * NU, *um0 = u_mid + (size_t)k * NU, *ub0 = u_end + (size_t)k * NU;
+        const double *da0 = du + (size_t)k * width, *dm0 = du_mid + (size_t)k * width, *db0 = du_end + (size_t)k * width;
         for (int j = 0; j < substeps; ++j) {
             const double at = (double)j / substeps;
-            blend(NU, at, ua0, ub0, ua);
-            blend(NU, at + 0.5 / substeps, ua0, ub0, um);
-            blend(NU, at + 1.0 / substeps, ua0, ub0, ub);
+            blend(NU, at, ua0, um0, ub0, ua);
+            blend(NU, at + 0.5 / substeps, ua0, um0, ub0, um);
+            blend(NU, at + 1.0 / substeps, ua0, um0, ub0, ub);
             if (width > 0) {
-                blend(width, at, da0, db0, da);
-                blend(width, at + 0.5 / substeps, da0, db0, dm);
-                blend(width, at + 1.0 / substeps, da0, db0, db);
+                blend(width, at, da0, dm0, db0, da);
+                blend(width, at + 0.5 / substeps, da0, dm0, db0, dm);
+                blend(width, at + 1.0 / substeps, da0, dm0, db0, db);
             }
             step(n, nt, parameter, transform, h, ua, um, ub, da, dm, db, p, x, s, buffer);
         }
@@ -171,13 +176,13 @@ int integrate(int count, int substeps, int n, int nt, const double *dt, const do
 /* Rates, outputs and their parameter derivatives at given states: the regressors of equation error. */
 void pointwise(int count, const double *x, const double *u, const double *p, double *f, double *fp, double *y,
                double *yp) {
-    double fx[NZ_f_x + 1], fu[NZ_f_u + 1], fpz[NZ_f_p + 1], yx[NZ_y_x + 1], yu[NZ_y_u + 1], ypz[NZ_y_p + 1];
+    double fx[NZ_f_x + 1], fpz[NZ_f_p + 1], yx[NZ_y_x + 1], ypz[NZ_y_p + 1];
     memset(fp, 0, sizeof(double) * (size_t)count * NX * NP);
     memset(yp, 0, sizeof(double) * (size_t)count * NY * NP);
     for (int k = 0; k < count; ++k) {
         const double *xk = x + (size_t)k * NX, *uk = u + (size_t)k * NU;
-        call(rates_jacobian, xk, uk, p, f + (size_t)k * NX, fx, fu, fpz);
-        call(outputs_jacobian, xk, uk, p, y + (size_t)k * NY, yx, yu, ypz);
+        call(rates_jacobian, xk, uk, p, f + (size_t)k * NX, fx, fpz);
+        call(outputs_jacobian, xk, uk, p, y + (size_t)k * NY, yx, ypz);
         for (int z = 0; z < NZ_f_p; ++z) fp[((size_t)k * NX + row_f_p[z]) * NP + col_f_p[z]] = fpz[z];
         for (int z = 0; z < NZ_y_p; ++z) yp[((size_t)k * NY + row_y_p[z]) * NP + col_y_p[z]] = ypz[z];
     }

@@ -125,11 +125,36 @@ class Simulator:
             if names:
                 du = transform_derivatives(model.transforms, model.input_names, segment.time, u, values, names)
             u = apply_transforms(model.transforms, model.input_names, segment.time, u, values)
-        dt = np.append(np.diff(segment.time), 0.0)
-        return Drive(dt, u, u, self._ends(u), segment.z, du, du, self._ends(du))
+        step = np.diff(segment.time)
+        return Drive(
+            np.append(step, 0.0), u, self._middle(u, step), self._end(u), segment.z,
+            du, self._middle_slopes(u, du, step), self._end(du),
+        )  # fmt: skip
 
-    def _ends(self, values: Array) -> Array:
+    def _end(self, values: Array) -> Array:
+        """Inputs (or their derivatives) at the end of the interval after each sample."""
         return values if self.hold == "hold" else np.ascontiguousarray(np.concatenate([values[1:], values[-1:]]))
+
+    def _middle(self, values: Array, step: Array) -> Array:
+        """Inputs half-way to the next sample."""
+        if self.hold == "hold":
+            return values
+        middle = values.copy()
+        if self.hold == "smooth" and len(values) > 2:
+            middle[:-1] = _midpoints(values, step)
+        else:
+            middle[:-1] = 0.5 * (values[:-1] + values[1:])
+        return middle
+
+    def _middle_slopes(self, u: Array, du: Array, step: Array) -> Array:
+        """Derivatives (N, nu, nt) of `_middle`, by central differences along du where it is no straight line."""
+        if not du.shape[2]:
+            return du
+        if self.hold != "smooth":
+            return self._middle(du, step)
+        h = 1e-5
+        ends = [(u + h * du[:, :, t], u - h * du[:, :, t]) for t in range(du.shape[2])]
+        return np.stack([(self._middle(up, step) - self._middle(down, step)) / (2 * h) for up, down in ends], axis=2)
 
     def run(
         self,
@@ -145,14 +170,40 @@ class Simulator:
         drive = self.drive(segment, values, sensitivities)
         columns = self.columns(gain_free) if sensitivities else None
         x0 = np.ascontiguousarray(x0, float)
-        if self.hold == "smooth" and len(segment) > 2:
-            fine = self.kernel.run(_halved(drive), self.vector(values), x0, max(1, self.substeps // 2), columns, gain)
-            motion = _every_second(fine)
-        else:
-            motion = self.kernel.run(drive, self.vector(values), x0, self.substeps, columns, gain)
+        motion = self.kernel.run(drive, self.vector(values), x0, self.substeps, columns, gain)
         if self.model.output_delays and motion.finite:
             motion = self._delayed(motion, segment.time, values)
         return motion
+
+    def response(
+        self,
+        segment: Segment,
+        values: Mapping[str, float],
+        x0: Array,
+        du: Array,
+        du_mid: Array,
+        *,
+        gain: Array | None = None,
+    ) -> Array:
+        """(N, ny, k) change of the outputs with k small changes of the inputs, linearised about the motion from x0.
+
+        du: (N, nu, k) at the samples; du_mid: (N, nu, k) half-way to the next one (last entry unused).
+        """
+        k, nx, ny = du.shape[2], len(self.model.states), len(self.model.outputs)
+        p = self.vector(values)
+        held, kept = np.full(p.size, -1, np.int32), np.full(nx, -1, np.int32)
+        columns = Columns(k, held, kept, np.arange(k, dtype=np.int32), np.full((nx, ny), -1, np.int32))
+        du, du_mid = np.ascontiguousarray(du), np.ascontiguousarray(du_mid)
+        drive = replace(self.drive(segment, values, False), du=du, du_mid=du_mid, du_end=self._end(du))
+        motion = self.kernel.run(drive, p, np.ascontiguousarray(x0, float), self.substeps, columns, gain)
+        if motion.dy is None or not motion.finite:
+            return np.zeros((len(segment), ny, k))
+        dy = motion.dy.copy()
+        for output, name in self.model.output_delays.items():
+            c = self.model.output_names.index(output)
+            weights, at, _ = _cubic(segment.time, segment.time - values[name])
+            dy[:, c] = np.einsum("ij,ijn->in", weights, motion.dy[at, c])
+        return dy
 
     def _delayed(self, motion: Motion, time: Array, values: Mapping[str, float]) -> Motion:
         """Outputs shown later than they happen: cubic interpolation between samples, values before the record held."""
@@ -167,26 +218,6 @@ class Simulator:
                 if name in self.free:
                     dy[:, c, self.free.index(name)] -= np.einsum("ij,ij->i", slope, motion.y[at, c])
         return Motion(motion.x, y, dy, motion.reached)
-
-
-def _halved(drive: Drive) -> Drive:
-    """The drive on a grid twice as fine: inputs half-way between samples from a monotone cubic, the rest on lines."""
-    step = drive.dt[:-1]
-    u = _between(drive.u, _midpoints(drive.u, step))
-    du = _between(drive.du, _midpoint_slopes(drive.u, drive.du, step))
-    z = _between(drive.z, np.full_like(drive.z[1:], np.nan))
-    dt = np.append(np.repeat(0.5 * step, 2), 0.0)
-    return Drive(dt, u, u, _following(u), z, du, du, _following(du))
-
-
-def _between(values: Array, middle: Array) -> Array:
-    result = np.empty((2 * len(values) - 1, *values.shape[1:]))
-    result[0::2], result[1::2] = values, middle
-    return result
-
-
-def _following(values: Array) -> Array:
-    return np.ascontiguousarray(np.concatenate([values[1:], values[-1:]]))
 
 
 def _midpoints(u: Array, step: Array) -> Array:
@@ -204,22 +235,6 @@ def _midpoints(u: Array, step: Array) -> Array:
     safe = np.where(same, before, 1.0), np.where(same, after, 1.0)
     slope[1:-1] = np.where(same, (w1 + w2) / (w1 / safe[0] + w2 / safe[1]), 0.0)
     return np.asarray(0.5 * (u[1:] + u[:-1]) + 0.125 * step[:, None] * (slope[:-1] - slope[1:]))
-
-
-def _midpoint_slopes(u: Array, du: Array, step: Array) -> Array:
-    """(N - 1, nu, nt) derivatives of the values half-way, by central differences along du (N, nu, nt)."""
-    h = 1e-5
-    result = np.empty((u.shape[0] - 1, *du.shape[1:]))
-    for t in range(du.shape[2]):
-        result[:, :, t] = (_midpoints(u + h * du[:, :, t], step) - _midpoints(u - h * du[:, :, t], step)) / (2 * h)
-    return result
-
-
-def _every_second(fine: Motion) -> Motion:
-    """The samples of a motion that was computed on the finer grid."""
-    reached = (fine.reached + 1) // 2
-    dy = None if fine.dy is None else np.ascontiguousarray(fine.dy[0::2])
-    return Motion(np.ascontiguousarray(fine.x[0::2]), np.ascontiguousarray(fine.y[0::2]), dy, reached)
 
 
 def _cubic(time: Array, wanted: Array) -> tuple[Array, np.ndarray, Array]:  # type: ignore[type-arg]

@@ -1,7 +1,8 @@
 """Model text -> CasADi functions of (x, u, p): rates and outputs with their exact Jacobians.
 
 p holds the model's parameters followed by its constants (in the order of `constant_names`), so that a changed mass or a
-fixed parameter needs no new tracing. Jacobians are sparse; their patterns travel with the functions.
+fixed parameter needs no new tracing; only parameters have derivatives. Jacobians are sparse; their patterns travel with
+the functions.
 """
 
 from collections.abc import Callable, Mapping
@@ -11,6 +12,7 @@ from typing import Any
 
 import casadi as ca
 
+from estimation.errors import ModelError
 from estimation.models.base import Model
 from estimation.models.expressions import evaluate, names_in
 
@@ -27,14 +29,17 @@ CASADI_FUNCTIONS: Mapping[str, Callable[..., Any]] = {
 class Traced:
     """Functions of one model structure; see the module head for (x, u, p).
 
-    rates: -> f. rates_jacobian: -> f, non-zeros of df/dx, df/du, df/dp. outputs and outputs_jacobian alike for y.
-    patterns: the six sparsity patterns, keyed "f_x" "f_u" "f_p" "y_x" "y_u" "y_p".
+    rates: -> f. rates_jacobian: -> f, non-zeros of df/dx, df/dp. rates_by_input: -> non-zeros of df/du, which only input
+    transforms ask for. outputs, outputs_jacobian, outputs_by_input: alike for y. patterns: the six sparsity patterns,
+    keyed "f_x" "f_u" "f_p" "y_x" "y_u" "y_p".
     """
 
     rates: ca.Function
     rates_jacobian: ca.Function
+    rates_by_input: ca.Function
     outputs: ca.Function
     outputs_jacobian: ca.Function
+    outputs_by_input: ca.Function
     patterns: Mapping[str, Pattern]
     sizes: tuple[int, int, int, int]  # states, inputs, parameters with constants, outputs
 
@@ -49,7 +54,8 @@ def trace(model: Model) -> Traced:
     return _trace(
         model.state_names,
         model.input_names,
-        (*model.parameter_names, *constant_names(model)),
+        model.parameter_names,
+        constant_names(model),
         model.output_names,
         tuple(model.definitions.items()),
     )
@@ -60,12 +66,14 @@ def _trace(
     states: tuple[str, ...],
     inputs: tuple[str, ...],
     parameters: tuple[str, ...],
+    constants: tuple[str, ...],
     outputs: tuple[str, ...],
     lines: tuple[tuple[str, str], ...],
 ) -> Traced:
-    x, u, p = (ca.SX.sym(k, len(v)) for k, v in (("x", states), ("u", inputs), ("p", parameters)))
+    x, u, t, c = (ca.SX.sym(k, len(v)) for k, v in zip("xutc", (states, inputs, parameters, constants), strict=True))
+    p = ca.vertcat(t, c)
     symbols: dict[str, Any] = {}
-    for vector, names in ((x, states), (u, inputs), (p, parameters)):
+    for vector, names in ((x, states), (u, inputs), (t, parameters), (c, constants)):
         symbols |= {name: vector[i] for i, name in enumerate(names)}
     definitions = dict(lines)
 
@@ -73,28 +81,36 @@ def _trace(
         if name not in symbols:
             for needed in names_in(definitions[name]):
                 resolve(needed)
-            symbols[name] = evaluate(definitions[name], symbols, CASADI_FUNCTIONS)
+            try:
+                symbols[name] = evaluate(definitions[name], symbols, CASADI_FUNCTIONS)
+            except ArithmeticError as error:
+                raise ModelError(f"the line of {name!r} cannot be calculated: {error}") from error
         return symbols[name]
 
     f = ca.vertcat(*(resolve(f"{s}_dot") for s in states))
     shown = (f"{o}_measured" if f"{o}_measured" in definitions else o for o in outputs)
     y = ca.vertcat(*(resolve(name) for name in shown))
     patterns: dict[str, Pattern] = {}
-    jacobians: dict[str, list[Any]] = {"f": [], "y": []}
+    jacobians: dict[str, Any] = {}
     for key, value in (("f", f), ("y", y)):
-        for letter, vector in (("x", x), ("u", u), ("p", p)):
+        for letter, vector in (("x", x), ("u", u), ("p", t)):
             matrix = ca.jacobian(value, vector)
             rows, columns = matrix.sparsity().get_triplet()
             patterns[f"{key}_{letter}"] = (tuple(rows), tuple(columns))
-            jacobians[key].append(_nonzeros(matrix))
-    arguments = [x, u, p]
+            jacobians[f"{key}_{letter}"] = _nonzeros(matrix)
+
+    def function(name: str, *results: Any) -> ca.Function:
+        return ca.Function(name, [x, u, p], ca.cse(list(results)))
+
     return Traced(
-        rates=ca.Function("rates", arguments, [f]),
-        rates_jacobian=ca.Function("rates_jacobian", arguments, ca.cse([f, *jacobians["f"]])),
-        outputs=ca.Function("outputs", arguments, [y]),
-        outputs_jacobian=ca.Function("outputs_jacobian", arguments, ca.cse([y, *jacobians["y"]])),
+        rates=function("rates", f),
+        rates_jacobian=function("rates_jacobian", f, jacobians["f_x"], jacobians["f_p"]),
+        rates_by_input=function("rates_by_input", jacobians["f_u"]),
+        outputs=function("outputs", y),
+        outputs_jacobian=function("outputs_jacobian", y, jacobians["y_x"], jacobians["y_p"]),
+        outputs_by_input=function("outputs_by_input", jacobians["y_u"]),
         patterns=patterns,
-        sizes=(len(states), len(inputs), len(parameters), len(outputs)),
+        sizes=(len(states), len(inputs), len(parameters) + len(constants), len(outputs)),
     )
 
 

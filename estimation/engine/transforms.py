@@ -78,11 +78,21 @@ def apply_transforms(
     u: Array,
     values: Mapping[str, float],
 ) -> Array:
-    """Inputs (N, nu) as the equations see them."""
+    """Inputs (N, nu) as the equations see them.
+
+    All delays of one input act as one, their sum: done one after the other, two opposite ones would blur its edges.
+    """
     u = u.copy()
+    late: dict[str, float] = {}
+    for t in transforms:
+        if t.kind == "delay":
+            late[t.input] = late.get(t.input, 0.0) + values[t.parameters[0]]
     for t in transforms:
         column = input_names.index(t.input)
-        u[:, column] = FUNCTIONS[t.kind][0](time, u[:, column], values[t.parameters[0]])
+        if t.kind != "delay":
+            u[:, column] = FUNCTIONS[t.kind][0](time, u[:, column], values[t.parameters[0]])
+        elif t.input in late:
+            u[:, column] = _delay(time, u[:, column], late.pop(t.input))
     return u
 
 

@@ -1,10 +1,12 @@
 """The back end that needs no compiler: the same scheme as `loop.c`, on CasADi's virtual machine.
 
 Variational Runge-Kutta written in MX around SX rates and Jacobians, mapped over samples by mapaccum, called through
-`Function.buffer()` (the ordinary call triples the cost). A built function serves any segment: long ones go through it
-in blocks, the last block padded with steps of zero length.
+`Function.buffer()` (the ordinary call triples the cost). A built function serves any segment, which goes through it in
+blocks: short ones, because building one takes time in proportion to its length, and the last padded with steps of zero
+length.
 """
 
+from collections.abc import Iterator
 from functools import lru_cache
 from typing import Any
 
@@ -15,7 +17,7 @@ from estimation.engine.kernel import Array, Columns, Drive, Motion
 from estimation.engine.trace import Pattern, Traced, constant_names, trace
 from estimation.models.base import Model
 
-BLOCKS = (16, 64, 128, 256, 640, 1280)
+BLOCKS = (128, 16)
 LIMIT = 1e12
 
 
@@ -41,36 +43,27 @@ class VirtualKernel:
         nx, _, _, ny = self.sizes
         count = drive.dt.size
         n = columns.count if columns is not None else 0
-        block = next((b for b in BLOCKS if b >= count), BLOCKS[-1])
-        stepper = self._stepper(block, substeps, columns, drive.du.shape[2], gain is not None)
         x, y, dy = np.zeros((count, nx)), np.zeros((count, ny)), np.zeros((count, ny, n))
         state = np.concatenate([x0, _initial(nx, columns).ravel(order="F")])
-        for first in range(0, count, block):
-            part = slice(first, min(first + block, count))
-            state = stepper.advance(drive, part, p, gain, state, x, y, dy)
+        transforms = drive.du.shape[2] if columns is not None else 0
+        samples, key = _samples(drive, p, transforms, gain), _key(columns)
+        for part, block in _parts(count):
+            stepper = _stepper(self._traced, block, substeps, key, transforms, gain is not None)
+            state = stepper.advance(samples, part, state, x, y, dy)
             bad = ~np.all(np.isfinite(x[part]) & (np.abs(x[part]) < LIMIT), axis=1)
             if bad.any():
-                reached = first + int(np.argmax(bad))
+                reached = part.start + int(np.argmax(bad))
                 x[reached:], y[reached:], dy[reached:] = 0.0, 0.0, 0.0
                 return Motion(x, y, dy if columns is not None else None, reached)
         return Motion(x, y, dy if columns is not None else None, count)
-
-    def _stepper(self, block: int, substeps: int, columns: Columns | None, transforms: int, gain: bool) -> "_Stepper":
-        key: tuple[Any, ...] = ()
-        if columns is not None:
-            key = (
-                columns.count, tuple(columns.parameter.tolist()), tuple(columns.transform.tolist()),
-                tuple(map(tuple, columns.gain.tolist())),
-            )  # fmt: skip
-        return _stepper(self._traced, block, substeps, key, transforms if columns is not None else 0, gain)
 
     def evaluate(self, x: Array, u: Array, p: Array) -> tuple[Array, Array, Array, Array]:
         nx, _, np_, ny = self.sizes
         count = x.shape[0]
         traced = self._traced
         arguments = (ca.DM(x.T), ca.DM(u.T), ca.repmat(ca.DM(p), 1, count))
-        f, _, _, fp = (np.array(v) for v in traced.rates_jacobian.map(count)(*arguments))
-        y, _, _, yp = (np.array(v) for v in traced.outputs_jacobian.map(count)(*arguments))
+        f, _, fp = (np.array(v) for v in traced.rates_jacobian.map(count)(*arguments))
+        y, _, yp = (np.array(v) for v in traced.outputs_jacobian.map(count)(*arguments))
         return (
             f.T.copy(), _spread(fp, traced.patterns["f_p"], (count, nx, np_)),
             y.T.copy(), _spread(yp, traced.patterns["y_p"], (count, ny, np_)),
@@ -82,6 +75,41 @@ def _spread(nonzeros: Array, pattern: Pattern, shape: tuple[int, int, int]) -> A
     rows, columns = pattern
     full[:, list(rows), list(columns)] = nonzeros.T
     return full
+
+
+def _key(columns: Columns | None) -> tuple[Any, ...]:
+    """The sensitivity columns as a key of built functions."""
+    if columns is None:
+        return ()
+    return (
+        columns.count, tuple(columns.parameter.tolist()), tuple(columns.transform.tolist()),
+        tuple(map(tuple, columns.gain.tolist())),
+    )  # fmt: skip
+
+
+def _samples(drive: Drive, p: Array, transforms: int, gain: Array | None) -> list[Array]:
+    """Arguments of the step function sample by sample, (N, width) or (width,), in its order after the state."""
+    samples = [drive.u, drive.u_mid, drive.u_end]
+    if transforms:
+        width = transforms * drive.u.shape[1]
+        samples += [a.transpose(0, 2, 1).reshape(-1, width) for a in (drive.du, drive.du_mid, drive.du_end)]
+    dt = drive.dt.copy()
+    dt[-1] = 0.0
+    samples += [dt[:, None], p]
+    if gain is not None:
+        known = np.isfinite(drive.z)
+        samples += [np.where(known, drive.z, 0.0), known.astype(float), gain.ravel(order="F")]
+    return samples
+
+
+def _parts(count: int) -> Iterator[tuple[slice, int]]:
+    """(samples, length of the block) that cover `count` samples with little padding."""
+    first = 0
+    while first < count:
+        left = count - first
+        block = next((b for b in BLOCKS if b <= left), BLOCKS[-1])
+        yield slice(first, min(first + block, count)), block
+        first += block
 
 
 def _initial(nx: int, columns: Columns | None) -> Array:
@@ -97,49 +125,34 @@ def _initial(nx: int, columns: Columns | None) -> Array:
 class _Stepper:
     """A mapaccum function with its buffers: state and sensitivities through one block of samples."""
 
-    def __init__(self, function: ca.Function, block: int, sizes: tuple[int, int, int, int], n: int, nt: int) -> None:
-        nx, nu, np_, ny = sizes
-        self.block, self.n, self.nt, self.sizes = block, n, nt, sizes
-        widths = (nu, nu, nu, nu * nt, nu * nt, nu * nt, 1, ny, ny, np_, nx * ny)
-        self.state = np.zeros(nx + nx * n)
-        self.inputs = [np.zeros((block, w)) for w in widths]
+    def __init__(self, function: ca.Function, block: int, n: int, step_length: int) -> None:
+        self.n, self.step_length = n, step_length
+        self.state = np.zeros(function.numel_in(0))
+        self.inputs = [np.zeros((block, function.numel_in(i))) for i in range(1, function.n_in())]
         # results in the order of the step function: state after each step, x, y, dy at each sample
-        self.results = [np.zeros((block, w)) for w in (nx + nx * n, nx, ny, ny * n)]
-        self._function = function
-        self._buffer, self._call = function.buffer()
+        self.results = [np.zeros((block, function.numel_out(i))) for i in range(function.n_out())]
+        self._function = function.mapaccum(block)
+        self._buffer, self._call = self._function.buffer()
         for i, array in enumerate([self.state, *self.inputs]):
             self._buffer.set_arg(i, memoryview(array))  # type: ignore[call-arg,arg-type]
         for i, array in enumerate(self.results):
             self._buffer.set_res(i, memoryview(array))  # type: ignore[call-arg,arg-type]
 
-    def advance(
-        self, drive: Drive, part: slice, p: Array, gain: Array | None, state: Array, x: Array, y: Array, dy: Array
-    ) -> Array:
+    def advance(self, samples: list[Array], part: slice, state: Array, x: Array, y: Array, dy: Array) -> Array:
+        """Fill x, y, dy of one part; the state that the next part begins with."""
         size = part.stop - part.start
-        _, nu, _, ny = self.sizes
         self.state[:] = state
-        samples = [drive.u, drive.u_begin, drive.u_end]
-        if self.nt:
-            samples += [
-                a.transpose(0, 2, 1).reshape(-1, self.nt * nu) for a in (drive.du, drive.du_begin, drive.du_end)
-            ]
-        else:
-            samples += [np.zeros((drive.dt.size, 0))] * 3
-        known = np.isfinite(drive.z)
-        samples += [drive.dt[:, None], np.where(known, drive.z, 0.0), known.astype(float)]
-        for array, values in zip(self.inputs, samples, strict=False):
-            array[:size] = values[part]
-            array[size:] = values[part][-1]
-        self.inputs[6][size:] = 0.0
-        if part.stop == drive.dt.size:
-            self.inputs[6][size - 1 :] = 0.0
-        self.inputs[9][:] = p
-        if gain is not None:
-            self.inputs[10][:] = gain.ravel(order="F")
+        for array, values in zip(self.inputs, samples, strict=True):
+            if values.ndim == 1:
+                array[:] = values
+            else:
+                array[:size] = values[part]
+                array[size:] = values[part.stop - 1]
+        self.inputs[self.step_length][size:] = 0.0
         self._call()
         after, xs, ys, dys = self.results
         x[part], y[part] = xs[:size], ys[:size]
-        dy[part] = dys[:size].reshape(size, self.n, ny).transpose(0, 2, 1)
+        dy[part] = dys[:size].reshape(size, self.n, ys.shape[1]).transpose(0, 2, 1)
         return after[size - 1].copy()
 
 
@@ -149,10 +162,10 @@ def _stepper(traced: Traced, block: int, substeps: int, key: tuple[Any, ...], nt
     n, parameter, transform, gain_columns = key or (0, (-1,) * np_, (), ())
     variation = _Variation(traced, n, parameter, transform, nt)
     state = ca.MX.sym("state", nx + nx * n)
-    u, ua, ub = (ca.MX.sym(k, nu) for k in ("u", "ua", "ub"))
-    d, da, db = (ca.MX.sym(k, nu * nt) for k in ("d", "da", "db"))
-    dt, z, known = ca.MX.sym("dt"), ca.MX.sym("z", ny), ca.MX.sym("known", ny)
-    p, gain = ca.MX.sym("p", np_), ca.MX.sym("gain", nx * ny)
+    u, um, ub = (ca.MX.sym(k, nu) for k in ("u", "um", "ub"))
+    d, dm, db = (ca.MX.sym(k, nu * nt) for k in ("d", "dm", "db"))
+    dt, p = ca.MX.sym("dt"), ca.MX.sym("p", np_)
+    z, known, gain = ca.MX.sym("z", ny), ca.MX.sym("known", ny), ca.MX.sym("gain", nx * ny)
     x, s = state[:nx], ca.reshape(state[nx:], nx, n)
     y, dy = variation.outputs(x, s, u, ca.reshape(d, nu, nt), p)
     if with_gain:
@@ -161,13 +174,21 @@ def _stepper(traced: Traced, block: int, substeps: int, key: tuple[Any, ...], nt
     h = dt / substeps
     for j in range(substeps):
         a, m, b = (j / substeps, (j + 0.5) / substeps, (j + 1) / substeps)
-        us = [ua + t * (ub - ua) for t in (a, m, b)]
-        ds = [ca.reshape(da + t * (db - da), nu, nt) for t in (a, m, b)]
+        us = [_path(t, u, um, ub) for t in (a, m, b)]
+        ds = [ca.reshape(_path(t, d, dm, db), nu, nt) for t in (a, m, b)]
         x, s = variation.step(x, s, h, us, ds, p)
-    after = ca.vertcat(x, ca.vec(s))
-    results = [after, x_here, y, ca.vec(dy)]
-    step = ca.Function("step", [state, u, ua, ub, d, da, db, dt, z, known, p, gain], results)
-    return _Stepper(step.mapaccum(block), block, traced.sizes, n, nt)
+    results = [ca.vertcat(x, ca.vec(s)), x_here, y, ca.vec(dy)]
+    inputs = [u, um, ub, *([d, dm, db] if nt else []), dt, p, *([z, known, gain] if with_gain else [])]
+    return _Stepper(ca.Function("step", [state, *inputs], results), block, n, 6 if nt else 3)
+
+
+def _path(at: float, begin: ca.MX, middle: ca.MX, end: ca.MX) -> ca.MX:
+    """Input at a fraction of the interval: straight to the middle, straight on to the end."""
+    if at in (0.0, 0.5, 1.0):
+        return {0.0: begin, 0.5: middle, 1.0: end}[at]
+    if at < 0.5:
+        return begin + 2.0 * at * (middle - begin)
+    return middle + (2.0 * at - 1.0) * (end - middle)
 
 
 def _corrected(
@@ -198,42 +219,54 @@ class _Variation:
     """Rates and outputs with the sensitivity columns, as MX expressions."""
 
     def __init__(self, traced: Traced, n: int, parameter: tuple[int, ...], transform: tuple[int, ...], nt: int) -> None:
-        self.traced, self.n, self.nt = traced, n, nt
-        np_ = traced.sizes[2]
-        self.select = ca.DM.zeros(np_, n)
-        for i, column in enumerate(parameter):
-            if column >= 0:
-                self.select[i, column] = 1
-        self.place = ca.DM.zeros(nt, n)
+        self.traced, self.n, self.nt, self.parameter = traced, n, nt, parameter
+        place = ca.DM.zeros(nt, n)
         for t, column in enumerate(transform):
             if column >= 0:
-                self.place[t, column] = 1
-        self.select, self.place = ca.sparsify(self.select), ca.sparsify(self.place)
+                place[t, column] = 1
+        self.place = ca.sparsify(place)
 
     def _matrix(self, key: str, nonzeros: ca.MX, rows: int, columns: int) -> ca.MX:
         r, c = self.traced.patterns[key]
         sparsity = ca.Sparsity.triplet(rows, columns, list(r), list(c))
         return ca.MX(sparsity, nonzeros) if r else ca.MX(rows, columns)
 
-    def _total(self, key: str, parts: Any, rows: int, s: ca.MX, d: ca.MX) -> ca.MX:
-        nx, nu, np_, _ = self.traced.sizes
-        total = ca.mtimes(self._matrix(f"{key}_x", parts[0], rows, nx), s)
-        total += ca.mtimes(self._matrix(f"{key}_p", parts[2], rows, np_), self.select)
-        if self.nt:
-            total += ca.mtimes(ca.mtimes(self._matrix(f"{key}_u", parts[1], rows, nu), d), self.place)
-        return ca.densify(total)
+    def _by_column(self, key: str, nonzeros: ca.MX, rows: int) -> ca.MX:
+        """Derivatives with respect to p, each entry in the sensitivity column of its parameter; (rows, n) dense."""
+        r, c = self.traced.patterns[key]
+        used = sorted((self.parameter[col], row, i) for i, (row, col) in enumerate(zip(r, c, strict=True))
+                      if self.parameter[col] >= 0)  # fmt: skip
+        if not used:
+            return ca.MX.zeros(rows, self.n)
+        sparsity = ca.Sparsity.triplet(rows, self.n, [row for _, row, _ in used], [col for col, _, _ in used])
+        return ca.densify(ca.MX(sparsity, nonzeros[[i for _, _, i in used]]))
+
+    def _total(self, key: str, by_state: ca.MX, by_parameter: ca.MX, rows: int, s: ca.MX) -> ca.MX:
+        nx = self.traced.sizes[0]
+        return ca.mac(self._matrix(f"{key}_x", by_state, rows, nx), s, self._by_column(f"{key}_p", by_parameter, rows))
+
+    def _through_inputs(self, key: str, by_input: ca.MX, rows: int, d: ca.MX) -> ca.MX:
+        """What the parameters of input transforms change by way of the inputs, (rows, n) dense."""
+        nu = self.traced.sizes[1]
+        return ca.densify(ca.mtimes(ca.mtimes(self._matrix(f"{key}_u", by_input, rows, nu), d), self.place))
 
     def rates(self, x: ca.MX, s: ca.MX, u: ca.MX, d: ca.MX, p: ca.MX) -> tuple[ca.MX, ca.MX]:
         if not self.n:
             return self.traced.rates(x, u, p), ca.MX(x.shape[0], 0)
-        f, *parts = self.traced.rates_jacobian(x, u, p)
-        return f, self._total("f", parts, self.traced.sizes[0], s, d)
+        f, by_state, by_parameter = self.traced.rates_jacobian(x, u, p)
+        total = self._total("f", by_state, by_parameter, self.traced.sizes[0], s)
+        if self.nt:
+            total += self._through_inputs("f", self.traced.rates_by_input(x, u, p), self.traced.sizes[0], d)
+        return f, total
 
     def outputs(self, x: ca.MX, s: ca.MX, u: ca.MX, d: ca.MX, p: ca.MX) -> tuple[ca.MX, ca.MX]:
         if not self.n:
             return self.traced.outputs(x, u, p), ca.MX(self.traced.sizes[3], 0)
-        y, *parts = self.traced.outputs_jacobian(x, u, p)
-        return y, self._total("y", parts, self.traced.sizes[3], s, d)
+        y, by_state, by_parameter = self.traced.outputs_jacobian(x, u, p)
+        total = self._total("y", by_state, by_parameter, self.traced.sizes[3], s)
+        if self.nt:
+            total += self._through_inputs("y", self.traced.outputs_by_input(x, u, p), self.traced.sizes[3], d)
+        return y, total
 
     def step(self, x: ca.MX, s: ca.MX, h: ca.MX, us: list[ca.MX], ds: list[ca.MX], p: ca.MX) -> tuple[ca.MX, ca.MX]:
         k1, v1 = self.rates(x, s, us[0], ds[0], p)

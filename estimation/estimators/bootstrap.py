@@ -2,7 +2,8 @@
 
 It needs no linearisation: bias and skewness of the estimates show, which a bound cannot. The noise has the covariance
 between outputs and the colour of the residuals, from the same autoregressive spectrum as the corrected bound, raised by
-what the fit took away (`estimators.coloured`). Inputs are taken for truth, as output error does. (B. Efron and R. J.
+what the fit took away (`estimators.coloured`), and the noise that de-noising left in the inputs is drawn anew
+(`estimators.input_error`). (B. Efron and R. J.
 Tibshirani, An Introduction to the Bootstrap, sections 6.5 and 13.3.)
 """
 
@@ -17,6 +18,7 @@ from estimation.engine.kernel import Array
 from estimation.errors import EstimationError
 from estimation.estimators.coloured import Spectrum, coloured_noise, square_root
 from estimation.estimators.gauss_newton import Outcome, minimise
+from estimation.estimators.input_error import Disturbed, disturbed
 from estimation.estimators.likelihood import LikelihoodPoint, OutputErrorProblem
 from estimation.estimators.output_error import STANDARD, OutputErrorOptions, build_problem, reopened
 from estimation.estimators.result import Result
@@ -80,10 +82,11 @@ def parametric_bootstrap(
     assert isinstance(point, LikelihoodPoint)
     options = replace(options, substeps=problem.simulator.substeps)
     roots = [square_root(s) for s in noise_spectra(problem, best.unknowns, point)]
+    inputs = [disturbed(problem, best.unknowns, i) for i in range(len(problem.flights))]
     rows = []
     for _ in range(replicates):
         again = build_problem(
-            _prior_redrawn(problem, best, rng), _repeated(problem, point, roots, rng), options, replicates
+            _prior_redrawn(problem, best, rng), _repeated(problem, point, roots, inputs, rng), options, replicates
         )
         outcome = minimise(again, best.unknowns, options.loop)
         if outcome.status.usable:
@@ -115,15 +118,22 @@ def _mean_over_flights(problem: OutputErrorProblem, unknowns: Array) -> Array:
 
 
 def _repeated(
-    problem: OutputErrorProblem, point: LikelihoodPoint, roots: list[Spectrum], rng: np.random.Generator
+    problem: OutputErrorProblem,
+    point: LikelihoodPoint,
+    roots: list[Spectrum],
+    inputs: list[list[Disturbed]],
+    rng: np.random.Generator,
 ) -> list[FlightData]:
     """The flights as they might be measured another time, with the same samples missing."""
     factor = np.linalg.cholesky(point.R)
     repeated = []
-    for flight, motions, root in zip(problem.flights, point.motions, roots, strict=True):
+    for flight, motions, root, responses in zip(problem.flights, point.motions, roots, inputs, strict=True):
         segments = []
-        for segment, motion in zip(flight.segments, motions, strict=True):
+        draws = responses[0].noise
+        weight = rng.standard_normal(draws) / np.sqrt(max(draws, 1))
+        for segment, motion, response in zip(flight.segments, motions, responses, strict=True):
             noise = coloured_noise(root, len(segment), 1, rng)[:, :, 0] @ factor.T
+            noise += response.values[:, :, :draws] @ weight
             segments.append(replace(segment, z=np.where(np.isfinite(segment.z), motion.y + noise, np.nan)))
         repeated.append(replace(flight, segments=tuple(segments)))
     return repeated

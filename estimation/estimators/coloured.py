@@ -42,17 +42,27 @@ def score_covariance(pieces: list[Piece], inverse: Array, nuisance_inverse: list
 
     inverse: (n, n) covariance of the parameters; nuisance_inverse: inverse information of each piece's initial states.
     """
-    n = inverse.shape[0]
-    ny = pieces[0].residual.shape[1]
     projected = without_nuisance(pieces, nuisance_inverse)
     spectrum = noise_spectrum(pieces, projected, inverse, nuisance_inverse)
-    size = 2 * (spectrum.shape[0] - 1)
+    return filtered_covariance(pieces, projected, spectrum)
+
+
+def filtered_covariance(pieces: list[Piece], projected: list[Array], spectrum: Spectrum) -> Array:
+    """(n, n) covariance of the products of columns (N ny, n) with noise of a spectrum."""
+    n = projected[0].shape[1]
     total = np.zeros((n, n))
     for piece, J in zip(pieces, projected, strict=True):
         if n == 0:  # everything frozen: nothing to correct
             continue
-        total += _quadratic(J.reshape(piece.residual.shape[0], ny, n), spectrum, size)
+        total += _quadratic(J.reshape(piece.residual.shape[0], -1, n), spectrum)
     return total
+
+
+def white_products(piece: Piece, columns: Array, inverse_spectrum: Spectrum) -> Array:
+    """(m, m) inner products of columns (N ny, m) in the metric in which noise of the spectrum is white, with what the piece's
+    initial states and sensitivities can make of them: order nuisance, jacobian, columns, residual."""
+    every = np.concatenate([piece.nuisance, piece.jacobian, columns, piece.residual.reshape(-1, 1)], axis=1)
+    return _quadratic(every.reshape(piece.residual.shape[0], -1, every.shape[1]), inverse_spectrum)
 
 
 def without_nuisance(pieces: list[Piece], nuisance_inverse: list[Array]) -> list[Array]:
@@ -67,13 +77,21 @@ def without_nuisance(pieces: list[Piece], nuisance_inverse: list[Array]) -> list
 
 
 def noise_spectrum(
-    pieces: list[Piece], projected: list[Array], inverse: Array, nuisance_inverse: list[Array]
+    pieces: list[Piece],
+    projected: list[Array],
+    inverse: Array,
+    nuisance_inverse: list[Array],
+    known_lags: Array | None = None,
 ) -> Spectrum:
     """Spectrum (size/2 + 1, ny, ny) of the noise of one flight, in units of R: colour as the residuals show it, raised
-    by what the fit took away. size: a power of two, at least twice the longest piece."""
-    size = 1 << int(np.ceil(np.log2(2 * max(p.residual.shape[0] for p in pieces))))
+    by what the fit took away. size: even, at least twice the longest piece.
+
+    known_lags: (lags, ny, ny) autocovariance that residuals have from a cause accounted for elsewhere: taken out."""
+    size = _fast_length(2 * max(p.residual.shape[0] for p in pieces))
     lags = autocovariance([p.residual for p in pieces], [p.known for p in pieces])
     order = order_for(lags, sum(p.residual.shape[0] for p in pieces))
+    if known_lags is not None:
+        lags = _without(lags, known_lags, order)
     observed = autoregressive_spectrum(lags, order, size)
     spectrum = observed
     rng = np.random.default_rng(20)
@@ -84,17 +102,40 @@ def noise_spectrum(
     return spectrum
 
 
+def _fast_length(least: int) -> int:
+    """The smallest of 2^k, 3 2^k and 5 2^k from `least` on: what a Fourier transform likes."""
+    return min(a << max(1, int(np.ceil(np.log2(least / a)))) for a in (1, 3, 5))
+
+
 def autocovariance(series: list[Array], known: list[NDArray[np.bool_]]) -> Array:
-    """C_k = E v_t v_{t-k}' for k = 0 .. largest order, (lags, ny, ny), biased (so a stable autoregression follows)."""
+    """C_k = E v_t v_{t-k}' for k = 0 .. largest order, (lags, ny, ny), biased (so a stable autoregression follows).
+
+    series: one (N, ny) per piece, or (N, ny, draws) for the mean over draws.
+    """
     longest = max(v.shape[0] for v in series)
     lags = min(LONGEST_ORDER, max(longest // 8, 0))
     ny = series[0].shape[1]
+    draws = series[0].shape[2] if series[0].ndim == 3 else 1
     sums = np.zeros((lags + 1, ny, ny))
-    counts = sum(k.sum() for k in known) / ny
+    counts = draws * sum(k.sum() for k in known) / ny
     for v in series:
+        rows = np.ascontiguousarray(np.moveaxis(v.reshape(*v.shape[:2], draws), 2, 1))  # (N, draws, ny)
         for k in range(min(lags, v.shape[0] - 1) + 1):
-            sums[k] += v[k:].T @ v[: v.shape[0] - k]
+            sums[k] += rows[k:].reshape(-1, ny).T @ rows[: v.shape[0] - k].reshape(-1, ny)
     return sums / max(float(counts), 1.0)
+
+
+def _without(lags: Array, known: Array, order: int) -> Array:
+    """`lags` less those of a known cause, or less as great a part of them as leaves every direction half its smallest
+    share: the known part is an expectation, and a record can have less of it."""
+    whole, part = _toeplitz(lags, order), _toeplitz(known, order)
+    smallest = float(np.linalg.eigvalsh(whole)[0])
+    if smallest <= 0.0:
+        return lags
+    L = np.linalg.cholesky(whole - 0.5 * smallest * np.eye(len(whole)))
+    half = np.linalg.solve(L, part)
+    most = float(np.linalg.eigvalsh(np.linalg.solve(L, half.T))[-1])
+    return lags - min(1.0, 1.0 / max(most, 1e-12)) * known
 
 
 def order_for(lags: Array, samples: int) -> int:
@@ -110,15 +151,18 @@ def _autoregression(lags: Array, order: int) -> tuple[Array, Array]:
     ridge = 1e-9 * np.eye(ny) * max(float(np.trace(lags[0])) / ny, 1e-300)
     if order == 0:
         return np.zeros((ny, 0)), lags[0] + ridge
-    toeplitz = np.zeros((order * ny, order * ny))
-    for i in range(order):
-        for j in range(order):
-            block = lags[j - i] if j >= i else lags[i - j].T
-            toeplitz[i * ny : (i + 1) * ny, j * ny : (j + 1) * ny] = block + (ridge if i == j else 0.0)
+    toeplitz = _toeplitz(lags, order - 1) + np.kron(np.eye(order), ridge)
     right = np.concatenate([lags[k] for k in range(1, order + 1)], axis=1)
     coefficients = np.linalg.solve(toeplitz.T, right.T).T
     innovation = lags[0] + ridge - coefficients @ right.T
     return coefficients, 0.5 * (innovation + innovation.T)
+
+
+def _toeplitz(lags: Array, order: int) -> Array:
+    """Covariance of order + 1 samples in a row, ((order + 1) ny, (order + 1) ny)."""
+    ny = lags.shape[1]
+    rows = [[lags[j - i] if j >= i else lags[i - j].T for j in range(order + 1)] for i in range(order + 1)]
+    return np.asarray(rows).transpose(0, 2, 1, 3).reshape((order + 1) * ny, (order + 1) * ny)
 
 
 def autoregressive_spectrum(lags: Array, order: int, size: int) -> Spectrum:
@@ -154,16 +198,15 @@ def _after_fit(
         rest = e - J @ (inverse @ (J.T @ e))
         if piece.nuisance.shape[1]:
             rest -= piece.nuisance @ (own @ (piece.nuisance.T @ e))
-        shown.append(np.ascontiguousarray(np.moveaxis(rest.reshape(count, ny, DRAWS), 2, 0)))
-    known = [p.known for p in pieces]
-    each = [autocovariance([s[d] for s in shown], known) for d in range(DRAWS)]
-    return autoregressive_spectrum(np.mean(each, axis=0), order, size)
+        shown.append(rest.reshape(count, ny, DRAWS))
+    return autoregressive_spectrum(autocovariance(shown, [p.known for p in pieces]), order, size)
 
 
 def square_root(spectrum: Spectrum) -> Spectrum:
     """A factor L of each frequency's matrix, L L^H = spectrum."""
-    values, vectors = np.linalg.eigh(spectrum)
-    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :])
+    ny = spectrum.shape[1]
+    ridge = 1e-12 * np.real(np.trace(spectrum, axis1=1, axis2=2)) + 1e-300
+    return np.asarray(np.linalg.cholesky(spectrum + ridge[:, None, None] * np.eye(ny)))
 
 
 def coloured_noise(root: Spectrum, count: int, draws: int, rng: np.random.Generator) -> Array:
@@ -176,11 +219,12 @@ def coloured_noise(root: Spectrum, count: int, draws: int, rng: np.random.Genera
     return np.asarray(np.fft.irfft(root @ kick, size, axis=0)[:count] * np.sqrt(size))
 
 
-def _quadratic(jacobian: Array, spectrum: Spectrum, size: int) -> Array:
+def _quadratic(jacobian: Array, spectrum: Spectrum) -> Array:
     """sum_i sum_j J_i' Gamma(i - j) J_j by Fourier transform. jacobian: (N, ny, n)."""
     n = jacobian.shape[2]
+    size = 2 * (spectrum.shape[0] - 1)
     transformed = np.fft.rfft(jacobian, size, axis=0)
-    part = np.full(size // 2 + 1, 2.0)
+    part = np.full(spectrum.shape[0], 2.0)
     part[0] = part[-1] = 1.0
     left = (transformed.conj() * part[:, None, None]).reshape(-1, n)
     total = np.real(left.T @ (spectrum @ transformed).reshape(-1, n)) / size

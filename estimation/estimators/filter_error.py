@@ -33,9 +33,23 @@ class FilterErrorProblem(OutputErrorProblem):
 
     gains: Sequence[Sequence[str]] = ()
 
+    def _gain(self, values: Mapping[str, float]) -> Array:
+        return np.array([[values[n] if n else 0.0 for n in row] for row in self.gains])
+
+    def response(self, unknowns: Array, flight: int, segment: int, du: Array, du_mid: Array) -> Array:
+        values = self.values(unknowns, flight)
+        return self.simulator.response(
+            self.flights[flight].segments[segment],
+            values,
+            self.initial_state(unknowns, flight, segment),
+            du,
+            du_mid,
+            gain=self._gain(values),
+        )
+
     def motion(self, unknowns: Array, flight: int, segment: int, derivatives: bool) -> Motion:
         values = self.values(unknowns, flight)
-        gain = np.array([[values[n] if n else 0.0 for n in row] for row in self.gains])
+        gain = self._gain(values)
         mask = np.array([[bool(n) for n in row] for row in self.gains])
         motion = self.simulator.run(
             self.flights[flight].segments[segment],

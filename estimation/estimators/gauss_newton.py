@@ -1,5 +1,8 @@
 """The one optimisation loop: Gauss-Newton with step halving, Levenberg-Marquardt where that stalls.
 
+Near the optimum, where steps shrink by a steady factor because the model is not quite right or R relaxes, several are
+combined into one (Anderson mixing; Walker and Ni, SIAM J. Numer. Anal. 49, 2011): the fixed point is the same.
+
 A problem evaluates its cost (a negative log likelihood) and proposes steps; limits, acceptance, damping and the
 non-finite checks live here. The outcome is a named state with a sentence, never an exception.
 """
@@ -42,10 +45,15 @@ P = TypeVar("P", bound=Point)
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """A proposed change of the unknowns; decrement: the cost reduction it predicts, in log-likelihood units."""
+    """A proposed change of the unknowns; decrement: the cost reduction it predicts, in log-likelihood units.
+
+    weight: scale of each unknown (square root of the information's diagonal), or None where steps are not to be
+    combined.
+    """
 
     direction: Array
     decrement: float
+    weight: Array | None = None
 
 
 class Problem(Protocol[P]):
@@ -74,6 +82,8 @@ class LoopOptions:
     halvings: int = 8
     first_damping: float = 1e-3
     most_damping: float = 1e8
+    near: float = 10.0  # predicted reduction from which steps are combined
+    memory: int = 4  # steps combined
 
 
 AS_USUAL_LOOP = LoopOptions()
@@ -98,11 +108,13 @@ def minimise(problem: Problem[P], start: Array, options: LoopOptions = AS_USUAL_
     if not math.isfinite(point.cost):
         return Outcome(Status.DIVERGED, unknowns, point, 0, count, tuple(history))
     damping = 0.0
+    past = _Past(options.memory)
     for iteration in range(1, options.iterations + 1):
         step = problem.step(unknowns, point, damping)
         if step.decrement < options.tolerance:
             return Outcome(Status.CONVERGED, unknowns, point, iteration - 1, count, tuple(history))
-        moved, moved_point, used = _search(problem, unknowns, point, step, options)
+        combined = past.combined(unknowns, step) if damping == 0.0 and step.decrement < options.near else None
+        moved, moved_point, used = _search(problem, unknowns, point, step, combined, options)
         count += used
         if moved is None or moved_point is None:
             if step.decrement < 1e3 * options.tolerance:  # the cost is flat to rounding here
@@ -117,11 +129,39 @@ def minimise(problem: Problem[P], start: Array, options: LoopOptions = AS_USUAL_
     return Outcome(Status.LIMIT, unknowns, point, options.iterations, count, tuple(history))
 
 
+class _Past:
+    """The last places and the steps proposed there."""
+
+    def __init__(self, memory: int) -> None:
+        self.memory = memory
+        self.places: list[Array] = []
+        self.directions: list[Array] = []
+
+    def combined(self, unknowns: Array, step: Step) -> Array | None:
+        """The step to where a straight-line law through the last steps would vanish; None while there is only one."""
+        if step.weight is None:
+            return None
+        self.places = [*self.places[-self.memory :], unknowns]
+        self.directions = [*self.directions[-self.memory :], step.direction]
+        if len(self.places) < 2:
+            return None
+        change = np.diff(np.array(self.places), axis=0).T
+        turn = np.diff(np.array(self.directions), axis=0).T
+        share = np.linalg.lstsq(turn * step.weight[:, None], step.direction * step.weight, rcond=1e-8)[0]
+        return np.asarray(step.direction - (change + turn) @ share)
+
+
 def _search(
-    problem: Problem[P], unknowns: Array, point: P, step: Step, options: LoopOptions
+    problem: Problem[P], unknowns: Array, point: P, step: Step, combined: Array | None, options: LoopOptions
 ) -> tuple[Array | None, P | None, int]:
-    """First of the halved steps that lowers the cost, evaluated with derivatives."""
+    """First of the combined and the halved steps that lowers the cost, evaluated with derivatives."""
     count = 0
+    if combined is not None and np.all(np.isfinite(combined)):
+        trial = problem.clip(unknowns + combined)
+        candidate = problem.evaluate(trial, True)
+        count += 1
+        if math.isfinite(candidate.cost) and candidate.cost < point.cost:
+            return trial, candidate, count
     for halving in range(options.halvings):
         fraction = 0.5**halving
         trial = problem.clip(unknowns + fraction * step.direction)

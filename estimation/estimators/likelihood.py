@@ -18,6 +18,7 @@ from estimation.estimators.gauss_newton import Step
 from estimation.models.base import Model
 
 Noise = Literal["diagonal", "full"]
+LARGEST_SLOPE = 1e60  # of an output with respect to an unknown
 DEFINITELY_ZERO = 1e-9  # of the range of an output: smaller residuals are exact fits, and R must not vanish
 
 
@@ -119,6 +120,16 @@ class OutputErrorProblem:
             sensitivities=derivatives,
         )
 
+    def response(self, unknowns: Array, flight: int, segment: int, du: Array, du_mid: Array) -> Array:
+        """(N, ny, k) change of the outputs of a segment with k small changes of its inputs (N, nu, k)."""
+        return self.simulator.response(
+            self.flights[flight].segments[segment],
+            self.values(unknowns, flight),
+            self.initial_state(unknowns, flight, segment),
+            du,
+            du_mid,
+        )
+
     def evaluate(self, unknowns: Array, derivatives: bool) -> LikelihoodPoint:
         residuals: list[list[Array]] = []
         motions: list[list[Motion]] = []
@@ -127,7 +138,7 @@ class OutputErrorProblem:
             motions.append([])
             for j, segment in enumerate(flight.segments):
                 motion = self.motion(unknowns, i, j, derivatives)
-                if not motion.finite or not np.all(np.isfinite(motion.y)):
+                if not motion.finite or not np.all(np.isfinite(motion.y)) or _runaway(motion):
                     return LikelihoodPoint(np.inf, [], [], np.eye(self.ny))
                 residuals[-1].append(segment.z - motion.y)
                 motions[-1].append(motion)
@@ -230,8 +241,9 @@ class OutputErrorProblem:
         information = information + damping * np.diag(np.diag(information))
         now = unknowns[: len(self.shared)]
         change = self._bounded_solution(information, gradient, now)
-        direction = np.zeros(self.size)
+        direction, weight = np.zeros(self.size), np.zeros(self.size)
         direction[: len(self.shared)] = change
+        weight[: len(self.shared)] = np.diag(information)
         full = np.zeros(len(self.free))
         decrement = 0.5 * float(gradient @ change)
         for i, flight in enumerate(self.flights):
@@ -239,12 +251,14 @@ class OutputErrorProblem:
             if len(self.local):
                 full[self.local] = blocks[i].local(change)
                 direction[self._local_slice(i)] = full[self.local]
+                weight[self._local_slice(i)] = np.diag(blocks[i].ll)
                 decrement += 0.5 * float(blocks[i].gl @ blocks[i].ll_inverse @ blocks[i].gl)
             for j in range(len(flight.segments)):
                 block = point.blocks[i][j]
                 direction[self._state_slice(i, j)] = block.states(full)
+                weight[self._state_slice(i, j)] = np.diag(block.xx)
                 decrement += 0.5 * float(block.gx @ block.xx_inverse @ block.gx)
-        return Step(direction, decrement)
+        return Step(direction, decrement, np.sqrt(np.maximum(weight, 0.0)))
 
     def _bounded_solution(self, information: Array, gradient: Array, now: Array) -> Array:
         """Solution of the reduced normal equations with parameters that press against a limit held there."""
@@ -255,6 +269,11 @@ class OutputErrorProblem:
             index = np.flatnonzero(moving)
             change[index] = pseudo_inverse(information[np.ix_(index, index)])[0] @ gradient[index]
         return change
+
+
+def _runaway(motion: Motion) -> bool:
+    """Whether sensitivities have grown beyond what normal equations can hold."""
+    return motion.dy is not None and not float(np.abs(motion.dy).max(initial=0.0)) < LARGEST_SLOPE
 
 
 def whiten(residual: Array, R: Array) -> tuple[Array, float]:

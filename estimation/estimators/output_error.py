@@ -6,6 +6,7 @@ bounds and says what the data could not tell.
 """
 
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -46,6 +47,9 @@ class OutputErrorOptions:
 STANDARD = OutputErrorOptions()
 HOPELESS = 0.2  # median r2 below which a fit is tried again from pieces
 PIECES = (8.0, 4.0, 2.0, 1.0)  # s
+GROWTH = 1e4  # of a disturbance over a record: from here the end of it says nothing about its beginning
+NEARBY = 1.0  # predicted reduction of the log likelihood from which all integration steps are taken
+MOVED = 1.5e-4  # of the log likelihood: integration error that moves an estimate by some hundredth of its bound
 COARSE = 0.05  # of the noise: integration error that matters
 FINEST = 16  # substeps
 
@@ -65,11 +69,25 @@ def output_error(
     chosen, data = compared(chosen, prepared(chosen, flights, options.preparation))
     problem = build_problem(chosen, data, options)
     _enough(problem)
-    outcome = minimise(problem, _starts(problem, options), options.loop)
-    if _hopeless(problem, outcome):
+    outcome = optimum(problem, _starts(problem, options), options)
+    if _hopeless(problem, outcome) or _unstable(problem, outcome):
         problem, outcome = _rescued(chosen, data, options, problem, outcome)
     problem, outcome = _fine_enough(problem, outcome, options)
     return describe(problem, outcome, "ml")
+
+
+def optimum(problem: OutputErrorProblem, start: Array, options: OutputErrorOptions) -> Outcome:
+    """The optimum from `start`: the way there with half the integration steps, the end with all of them."""
+    steps = problem.simulator.substeps
+    if steps < 2 or problem.size == 0:
+        return minimise(problem, start, options.loop)
+    rough = copy(problem)
+    rough.simulator = replace(problem.simulator, substeps=steps // 2)
+    way = minimise(rough, start, replace(options.loop, tolerance=max(options.loop.tolerance, NEARBY)))
+    if way.status is not Status.CONVERGED:
+        return minimise(problem, start, options.loop)
+    end = minimise(problem, way.unknowns, options.loop)
+    return replace(end, iterations=way.iterations + end.iterations, evaluations=way.evaluations + end.evaluations)
 
 
 def _enough(problem: OutputErrorProblem) -> None:
@@ -96,6 +114,22 @@ def _hopeless(problem: OutputErrorProblem, outcome: Outcome) -> bool:
     return bool(np.nanmedian(r2) < HOPELESS)
 
 
+def _unstable(problem: OutputErrorProblem, outcome: Outcome) -> bool:
+    """Whether what the outputs owe to the initial state grows beyond all measure within some segment."""
+    point = outcome.point
+    assert isinstance(point, LikelihoodPoint)
+    states = len(problem.free) + problem.free_states
+    for motions in point.motions:
+        for motion in motions:
+            if motion.dy is None or not states.size or len(motion.dy) < 2:
+                continue
+            size = np.abs(motion.dy[:, :, states]).max(axis=(1, 2))
+            quarter = max(1, len(size) // 4)
+            if size[-quarter:].max() > GROWTH * max(float(size[:quarter].min()), 1e-300):
+                return True
+    return False
+
+
 def _rescued(
     model: Model, data: list[FlightData], options: OutputErrorOptions, problem: OutputErrorProblem, outcome: Outcome
 ) -> tuple[OutputErrorProblem, Outcome]:
@@ -114,7 +148,10 @@ def _rescued(
         if done.status is not Status.CONVERGED or _hopeless(short, done):
             continue
         again = minimise(problem, problem.pack(short.values(done.unknowns, 0)), options.loop)
-        if not _hopeless(problem, again) and again.point.cost <= _cost(outcome):  # type: ignore[attr-defined]
+        whole = not _hopeless(problem, again) and _cost(again) <= _cost(outcome)
+        if whole and _unstable(problem, again):  # by Akaike's criterion: the pieces have more unknowns
+            whole = _cost(again) + problem.size <= _cost(done) + short.size
+        if whole:
             return problem, again
         return short, replace(done, status=Status.CUT)
     return problem, outcome
@@ -141,24 +178,30 @@ def cut(data: FlightData, seconds: float) -> FlightData:
 def _fine_enough(
     problem: OutputErrorProblem, outcome: Outcome, options: OutputErrorOptions
 ) -> tuple[OutputErrorProblem, Outcome]:
-    """Refit with finer integration steps where twice as many change the outputs by more than a twentieth of the noise."""
+    """Refit with finer integration steps where twice as many change the outputs by more than a twentieth of the noise,
+    or would move the estimates by more than about a hundredth of their bounds."""
     while outcome.status in (Status.CONVERGED, Status.CUT) and problem.simulator.substeps < FINEST:
         point = outcome.point
         assert isinstance(point, LikelihoodPoint)
         finer = replace(problem.simulator, substeps=2 * problem.simulator.substeps)
         worst = 0.0
+        residuals: list[list[Array]] = []
         for i, flight in enumerate(problem.flights):
             values = problem.values(outcome.unknowns, i)
+            residuals.append([])
             for j, segment in enumerate(flight.segments):
                 motion = finer.run(segment, values, problem.initial_state(outcome.unknowns, i, j))
                 off = (motion.y - point.motions[i][j].y) / np.sqrt(np.diag(point.R))
                 worst = max(worst, float(np.sqrt(np.mean(off**2, axis=0)).max()))
-        if worst < COARSE:
+                residuals[-1].append(segment.z - motion.y)
+        probe = LikelihoodPoint(point.cost, residuals, point.motions, point.R)
+        step = problem.step(outcome.unknowns, probe, 0.0)
+        if worst < COARSE and step.decrement < MOVED:
             break
         options = replace(options, substeps=finer.substeps)
         problem = build_problem(problem.model, problem.flights, options)
         status = outcome.status
-        outcome = minimise(problem, outcome.unknowns, options.loop)
+        outcome = minimise(problem, outcome.unknowns + step.direction, options.loop)
         if status is Status.CUT and outcome.status is Status.CONVERGED:
             outcome = replace(outcome, status=Status.CUT)
     return problem, outcome
@@ -326,7 +369,8 @@ def _flight_fit(
 
 
 def _mean_of_locals(flights: tuple[FlightFit, ...], names: tuple[str, ...]) -> dict[str, Estimate]:
-    """One line per local parameter for the joint table: mean over flights, and the bound of that mean."""
+    """One line per local parameter for the joint table: mean over flights, and the bound of that mean; not to be told where
+    no flight can tell its own."""
     result = {}
     for name in names:
         each = [f.local[name] for f in flights]
@@ -334,5 +378,7 @@ def _mean_of_locals(flights: tuple[FlightFit, ...], names: tuple[str, ...]) -> d
         std = float(np.sqrt(sum(e.std**2 for e in each))) / count
         coloured = float(np.sqrt(sum(e.std_coloured**2 for e in each))) / count
         mean = float(np.mean([e.estimate for e in each]))
-        result[name] = replace(each[0], estimate=mean, std=std, std_coloured=coloured, identifiable=True, why="")
+        told = any(e.identifiable for e in each)
+        why = "" if told else f"each flight's own: {each[0].why}"
+        result[name] = replace(each[0], estimate=mean, std=std, std_coloured=coloured, identifiable=told, why=why)
     return result

@@ -1,6 +1,8 @@
-"""Bounds and what they are worth: Cramer-Rao, corrected for coloured residuals, identifiability with reasons.
+"""Bounds and what they are worth: Cramer-Rao, corrected for coloured residuals and inputs in error, identifiability with
+reasons.
 
-The coloured correction is in `estimation.estimators.coloured`.
+The corrected covariance is M^-1 B M^-1 with M the information and B the covariance of the score, the sum of what the
+outputs' noise (`estimation.estimators.coloured`) and the inputs' errors (`estimation.estimators.input_error`) put into it.
 """
 
 from dataclasses import dataclass
@@ -10,7 +12,15 @@ from numpy.typing import NDArray
 
 from estimation.engine.data import FlightData
 from estimation.estimators.arrow import FlightBlocks, pseudo_inverse
-from estimation.estimators.coloured import Piece, Spectrum, noise_spectrum, score_covariance, without_nuisance
+from estimation.estimators.coloured import (
+    Piece,
+    Spectrum,
+    autocovariance,
+    filtered_covariance,
+    noise_spectrum,
+    without_nuisance,
+)
+from estimation.estimators.input_error import Disturbed, Evidence, common_error, disturbed, edge_size, evidence
 from estimation.estimators.likelihood import LikelihoodPoint, OutputErrorProblem, whiten_all
 from estimation.estimators.result import Estimate, correlation
 from estimation.models.base import Model, Parameter
@@ -42,26 +52,32 @@ def uncertainty(problem: OutputErrorProblem, unknowns: Array, point: LikelihoodP
     information, _ = problem.shared_information(unknowns, blocks)
     covariance, blind = pseudo_inverse(information)
     undetermined = np.any(np.abs(blind) > TIED, axis=1) if blind.size else np.zeros(len(problem.shared), bool)
-    ns = len(problem.shared)
-    middle = np.zeros((ns, ns))
+    scores = [flight_score(problem, unknowns, point, i, covariance, block) for i, block in enumerate(blocks)]
+    reduced = [_reduction(problem, block) for block in blocks]
+    change = covariance @ np.sum([r @ s.common for r, s in zip(reduced, scores, strict=True)], axis=0)
+    told = [s.evidence for s in scores]
+    edges = edge_size(told)
+    common = common_error(told, edges)
+    middle = np.diag(problem.prior_weight[problem.shared])
+    middle += sum(r @ s.covariance(edges) @ r.T for r, s in zip(reduced, scores, strict=True))
+    coloured = covariance @ middle @ covariance + change @ common @ change.T
     local_covariance, local_coloured = [], []
-    for i in range(len(problem.flights)):
-        score = flight_score_covariance(problem, point, i, covariance, blocks[i])
-        shared, local = problem.shared, problem.local
-        lever = blocks[i].sl @ blocks[i].ll_inverse if len(local) else np.zeros((ns, 0))
-        middle += (
-            score[np.ix_(shared, shared)]
-            - lever @ score[np.ix_(local, shared)]
-            - score[np.ix_(shared, local)] @ lever.T
-            + lever @ score[np.ix_(local, local)] @ lever.T
-        )
-        local_covariance.append(_local(blocks[i], covariance, blocks[i].ll_inverse))
-        local_coloured.append(score[np.ix_(local, local)])
-    coloured = covariance @ (middle + np.diag(problem.prior_weight[problem.shared])) @ covariance
-    for i, block in enumerate(blocks):
-        own = block.ll_inverse @ local_coloured[i] @ block.ll_inverse
-        local_coloured[i] = _local(block, coloured, own)
+    for block, score in zip(blocks, scores, strict=True):
+        local_covariance.append(_local(block, covariance, block.ll_inverse))
+        of_local = score.covariance(edges)[np.ix_(problem.local, problem.local)]
+        off = score.common[problem.local]
+        own = block.ll_inverse @ (of_local + off @ common @ off.T) @ block.ll_inverse
+        local_coloured.append(_local(block, coloured, own))
     return Uncertainty(covariance, coloured, local_covariance, local_coloured, undetermined)
+
+
+def _reduction(problem: OutputErrorProblem, block: FlightBlocks) -> Array:
+    """(shared, n) from a flight's score to that of the shared parameters with the local ones eliminated."""
+    reduce = np.zeros((len(problem.shared), len(problem.free)))
+    reduce[:, problem.shared] = np.eye(len(problem.shared))
+    if len(problem.local):
+        reduce[:, problem.local] = -block.sl @ block.ll_inverse
+    return reduce
 
 
 def _local(block: FlightBlocks, shared: Array, own: Array) -> Array:
@@ -69,24 +85,82 @@ def _local(block: FlightBlocks, shared: Array, own: Array) -> Array:
     return own + lever @ shared @ lever.T
 
 
-def flight_score_covariance(
-    problem: OutputErrorProblem, point: LikelihoodPoint, index: int, covariance: Array, blocks: FlightBlocks
-) -> Array:
-    """(n, n) covariance of one flight's score about the free parameters, initial states projected out."""
-    if not problem.free:
-        return np.zeros((0, 0))
-    return score_covariance(*_pieces(problem, point, index, covariance, blocks))
+@dataclass(frozen=True)
+class FlightScore:
+    """Where the score of one flight about the free parameters scatters from, initial states projected out.
+
+    noise: (n, n) covariance from the outputs' noise; inputs, edges: (n, draws) and common: (n, errors) scores; evidence: from
+    which the sizes of the last two are found.
+    """
+
+    noise: Array
+    inputs: Array
+    edges: Array
+    common: Array
+    evidence: Evidence
+
+    def covariance(self, edges: float) -> Array:
+        """(n, n), of all that is independent from flight to flight. edges: factor on their variance."""
+        inputs = self.inputs @ self.inputs.T / max(self.inputs.shape[1], 1)
+        return self.noise + inputs + edges / max(self.edges.shape[1], 1) * (self.edges @ self.edges.T)
+
+
+def flight_score(
+    problem: OutputErrorProblem,
+    unknowns: Array,
+    point: LikelihoodPoint,
+    index: int,
+    covariance: Array,
+    blocks: FlightBlocks,
+) -> FlightScore:
+    """Where the score of one flight scatters from: the outputs' noise, coloured as residuals show it, and the inputs."""
+    pieces, inverse, nuisance_inverse = _pieces(problem, point, index, covariance, blocks)
+    responses = disturbed(problem, unknowns, index)
+    noise, edges = responses[0].noise, responses[0].edges
+    projected = without_nuisance(pieces, nuisance_inverse)
+    white = _responses(pieces, nuisance_inverse, responses, point)
+    columns = np.sum([J.T @ w for J, w in zip(projected, white, strict=True)], axis=0)
+    lags = _input_lags(pieces, projected, [w[:, :noise] for w in white], inverse @ columns[:, :noise])
+    spectrum = noise_spectrum(pieces, projected, inverse, nuisance_inverse, lags)
+    inputs, edge, common = np.split(columns, [noise, noise + edges], axis=1)
+    return FlightScore(
+        filtered_covariance(pieces, projected, spectrum), inputs, edge, common,
+        evidence(pieces, white, spectrum, responses[0]),
+    )  # fmt: skip
+
+
+def _responses(
+    pieces: list[Piece], nuisance_inverse: list[Array], responses: list[Disturbed], point: LikelihoodPoint
+) -> list[Array]:
+    """Responses (N ny, columns) of each piece in units of the noise, initial states projected out."""
+    white = []
+    for d, p, own in zip(responses, pieces, nuisance_inverse, strict=True):
+        w = whiten_all(d.values, np.where(p.known, 0.0, np.nan), point.R)[0]
+        white.append(w - p.nuisance @ (own @ (p.nuisance.T @ w)))
+    return white
+
+
+def _input_lags(pieces: list[Piece], projected: list[Array], white: list[Array], change: Array) -> Array | None:
+    """Autocovariance that the noise of the inputs gives the residuals of a fit. change: (n, draws) of the parameters."""
+    if not change.shape[1]:
+        return None
+    series = [(w - J @ change).reshape(*p.residual.shape, -1) for p, J, w in zip(pieces, projected, white, strict=True)]
+    return autocovariance(series, [p.known for p in pieces])
 
 
 def noise_spectra(problem: OutputErrorProblem, unknowns: Array, point: LikelihoodPoint) -> list[Spectrum]:
-    """Spectrum of each flight's noise in units of R, the one that the corrected bound is made of."""
+    """Spectrum of each flight's output noise in units of R, the one that the corrected bound is made of."""
     blocks = [problem.flight_blocks(unknowns, point, i) for i in range(len(problem.flights))]
     covariance, _ = pseudo_inverse(problem.shared_information(unknowns, blocks)[0])
     spectra = []
     for i, block in enumerate(blocks):
         pieces, inverse, nuisance_inverse = _pieces(problem, point, i, covariance, block)
+        responses = disturbed(problem, unknowns, i)
         projected = without_nuisance(pieces, nuisance_inverse)
-        spectra.append(noise_spectrum(pieces, projected, inverse, nuisance_inverse))
+        white = [w[:, : responses[0].noise] for w in _responses(pieces, nuisance_inverse, responses, point)]
+        change = inverse @ np.sum([J.T @ w for J, w in zip(projected, white, strict=True)], axis=0)
+        lags = _input_lags(pieces, projected, white, change)
+        spectra.append(noise_spectrum(pieces, projected, inverse, nuisance_inverse, lags))
     return spectra
 
 
@@ -168,6 +242,8 @@ def _why_not(
                     + (f" against {noise * factor:.2g} {unit} of sensor noise" if noise else "")
                     + ": this data cannot tell; move it on purpose (doublet or 3-2-1-1)"
                 )
+    if value in (parameter.lower, parameter.upper):
+        return f"rests on its limit {value:g}: the data would have it beyond; widen the limit or fix the parameter"
     if not np.isfinite(std):
         return ""
     limit = _useful_bound(parameter, value)

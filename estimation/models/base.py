@@ -10,75 +10,19 @@ Signals carry the names of flight columns; SI and radians; body axes x forward, 
 
 import hashlib
 import json
-import math
+import re
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
 from estimation.errors import ModelError
-from estimation.models.expressions import check_name, names_in, split_line
+from estimation.models import plain
+from estimation.models.consistency import check_model
+from estimation.models.expressions import names_in, split_line
+from estimation.models.parts import TRANSFORM_KINDS, InputTransform, Parameter, Signal
 
-TRANSFORM_KINDS: Mapping[str, int] = {"delay": 1, "lag": 1, "deadzone": 1, "backlash": 1, "scale": 1, "bias": 1}
-"""Input transforms by name -> number of parameters. Seconds for delay and lag, the input's unit for the next three."""
-
-
-@dataclass(frozen=True, slots=True)
-class Signal:
-    """A state, input or output. `column` names the flight column it is read from (its own name by default).
-
-    `start` (states): the column or number from which the initial value is guessed where the state itself is not
-    measured. `servo` (inputs): True where a servo moves it, so that it runs on a curve between samples, not on a line.
-    `control` (inputs): True for a control surface or other input that may step, False for a motion variable
-    that is smooth; it decides how measurement noise is taken off. `optional`: where the flight has no such column, an
-    input is taken as zero and an output is not compared, and the result says so.
-    """
-
-    name: str
-    unit: str = ""
-    description: str = ""
-    column: str | None = None
-    start: str | float | None = None
-    control: bool = False
-    servo: bool = False
-    optional: bool = False
-
-    @property
-    def source(self) -> str:
-        return self.column or self.name
-
-
-@dataclass(frozen=True, slots=True)
-class Parameter:
-    """An unknown (or `fixed` known) number of the model.
-
-    `prior_mean`, `prior_std`: a Gaussian prior that enters the fit when both are given. `reference`: what is believed
-    before flying (wind tunnel, engineering estimate): printed beside the estimate and used as the scale of what a
-    useful bound is, but never drawn towards. `local`: each flight has its own value in a joint fit.
-    """
-
-    name: str
-    unit: str = "1"
-    start: float = 0.0
-    lower: float = -math.inf
-    upper: float = math.inf
-    prior_mean: float | None = None
-    prior_std: float | None = None
-    fixed: bool = False
-    local: bool = False
-    reference: float | None = None
-    reference_std: float | None = None
-    reference_source: str = ""
-    description: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class InputTransform:
-    """A change of a measured input that no algebra on its samples can express: delay, backlash, dead zone, lag."""
-
-    kind: str
-    input: str
-    parameters: tuple[str, ...]
+__all__ = ["TRANSFORM_KINDS", "InputTransform", "Model", "Parameter", "Signal"]
 
 
 @dataclass(frozen=True)
@@ -102,7 +46,7 @@ class Model:
     description: str = ""
 
     def __post_init__(self) -> None:
-        _check_model(self)
+        check_model(self)
 
     # ------------------------------------------------------------------------------------------------ names
     @property
@@ -265,7 +209,7 @@ class Model:
         """Plain data that `from_dict` turns back into an equal model."""
         data: dict[str, Any] = {"name": self.name, "title": self.title, "description": self.description}
         for kind in ("states", "inputs", "outputs", "parameters", "transforms"):
-            data[kind] = [_without_defaults(item) for item in getattr(self, kind)]
+            data[kind] = [plain.without_defaults(item) for item in getattr(self, kind)]
         data["constants"] = dict(self.constants)
         data["output_delays"] = dict(self.output_delays)
         data["equations"] = list(self.equations)
@@ -288,14 +232,14 @@ class Model:
             name=str(data["name"]),
             title=str(data.get("title", "")),
             description=str(data.get("description", "")),
-            states=tuple(_item(Signal, "states", d) for d in data["states"]),
-            inputs=tuple(_item(Signal, "inputs", d) for d in data.get("inputs", [])),
-            outputs=tuple(_item(Signal, "outputs", d) for d in data["outputs"]),
-            parameters=tuple(_parameter(d) for d in data["parameters"]),
-            transforms=tuple(_transform(d) for d in data.get("transforms", [])),
-            constants={str(k): _number(v, f"constants.{k}") for k, v in dict(data.get("constants", {})).items()},
-            output_delays={str(k): str(v) for k, v in dict(data.get("output_delays", {})).items()},
-            equations=_lines(data["equations"]),
+            states=tuple(plain.signal("states", d) for d in plain.listed(data, "states")),
+            inputs=tuple(plain.signal("inputs", d) for d in plain.listed(data, "inputs")),
+            outputs=tuple(plain.signal("outputs", d) for d in plain.listed(data, "outputs")),
+            parameters=tuple(plain.parameter(d) for d in plain.listed(data, "parameters")),
+            transforms=tuple(plain.transform(d) for d in plain.listed(data, "transforms")),
+            constants={str(k): plain.number(v, f"constants.{k}") for k, v in plain.table(data, "constants").items()},
+            output_delays={str(k): str(v) for k, v in plain.table(data, "output_delays").items()},
+            equations=plain.lines(data["equations"]),
         )
 
     @cached_property
@@ -313,90 +257,6 @@ class Model:
         return hashlib.sha256(json.dumps(self.to_dict(), sort_keys=True).encode()).hexdigest()[:16]
 
 
-# ---------------------------------------------------------------------------------------------------- checking
-
-
-def _check_model(model: Model) -> None:
-    where = f"model {model.name}"
-    symbols: dict[str, str] = {}
-    for kind, names in (
-        ("state", model.state_names), ("input", model.input_names), ("parameter", model.parameter_names),
-    ):  # fmt: skip
-        for name in names:
-            check_name(name, f"{where}: {kind}")
-            if name in symbols:
-                raise ModelError(f"{where}: {name!r} is both {symbols[name]} and {kind}")
-            symbols[name] = kind
-    lines = [split_line(line) for line in model.equations]
-    defined: set[str] = set()
-    for symbol, _ in lines:
-        if symbol in defined or symbol in symbols:
-            raise ModelError(f"{where}: {symbol!r} is defined twice ({symbols.get(symbol, 'equation')} and equation)")
-        defined.add(symbol)
-    for state in model.state_names:
-        if f"{state}_dot" not in defined:
-            raise ModelError(f"{where}: state {state!r} has no line '{state}_dot = ...'")
-    known = defined | set(symbols) | set(model.constants)
-    for output in model.output_names:
-        if output not in known and f"{output}_measured" not in defined:
-            raise ModelError(f"{where}: output {output!r} has no line '{output} = ...'")
-    for symbol, expression in lines:
-        for name in sorted(names_in(expression) - known):
-            raise ModelError(f"{where}: {name!r} in the line of {symbol!r} is defined nowhere")
-    if not model.states or not model.outputs:
-        raise ModelError(f"{where}: at least one state and one output are needed")
-    _check_circles(model, dict(lines))
-    _check_parameters(model)
-    _check_transforms(model)
-
-
-def _check_circles(model: Model, definitions: Mapping[str, str]) -> None:
-    done: set[str] = set()
-
-    def visit(symbol: str, path: tuple[str, ...]) -> None:
-        if symbol in path:
-            raise ModelError(f"model {model.name}: definitions run in a circle: {' -> '.join((*path, symbol))}")
-        if symbol in done or symbol not in definitions:
-            return
-        for name in sorted(names_in(definitions[symbol])):
-            visit(name, (*path, symbol))
-        done.add(symbol)
-
-    for symbol in definitions:
-        visit(symbol, ())
-
-
-def _check_parameters(model: Model) -> None:
-    for p in model.parameters:
-        where = f"model {model.name}: parameter {p.name}"
-        if not p.lower <= p.start <= p.upper:
-            raise ModelError(f"{where}: start {p.start} lies outside its limits {p.lower} .. {p.upper}")
-        if not math.isfinite(p.start):
-            raise ModelError(f"{where}: start {p.start} is not a finite number")
-        if (p.prior_mean is None) != (p.prior_std is None) or (p.prior_std is not None and not p.prior_std > 0):
-            raise ModelError(f"{where}: a prior needs a mean and a standard deviation greater than zero")
-
-
-def _check_transforms(model: Model) -> None:
-    for t in model.transforms:
-        where = f"model {model.name}: transform {t.kind} of {t.input}"
-        if t.kind not in TRANSFORM_KINDS:
-            raise ModelError(f"{where}: no such kind; known are {', '.join(TRANSFORM_KINDS)}")
-        if t.input not in model.input_names:
-            raise ModelError(f"{where}: the model has no such input")
-        if len(t.parameters) != TRANSFORM_KINDS[t.kind]:
-            raise ModelError(f"{where}: {TRANSFORM_KINDS[t.kind]} parameter(s) needed, {len(t.parameters)} given")
-        for name in t.parameters:
-            model.parameter(name)
-    for output, name in model.output_delays.items():
-        if output not in model.output_names:
-            raise ModelError(f"model {model.name}: delay on {output!r}, which is no output")
-        model.parameter(name)
-
-
-# ---------------------------------------------------------------------------------------------------- text and data
-
-
 def _has(definitions: Mapping[str, str]) -> str:
     return f"it has {', '.join(definitions)}"
 
@@ -406,57 +266,4 @@ def _bracket(term: str) -> str:
 
 
 def _rename(expression: str, old: str, new: str) -> str:
-    import re
-
     return re.sub(rf"\b{re.escape(old)}\b", new, expression)
-
-
-def _without_defaults(item: Any) -> dict[str, Any]:
-    cls = type(item)
-    default = cls("x", "x", ("x",)) if cls is InputTransform else cls("x")
-    data = {k: v for k, v in asdict(item).items() if k in ("name", "kind", "input") or v != getattr(default, k)}
-    return {k: list(v) if isinstance(v, tuple) else v for k, v in data.items()}
-
-
-def _number(value: object, key: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise ModelError(f"{key} = {value!r} is not a number")
-    return float(value)
-
-
-def _lines(value: object) -> tuple[str, ...]:
-    rows = value.splitlines() if isinstance(value, str) else value
-    if not isinstance(rows, list) or not all(isinstance(r, str) for r in rows):
-        raise ModelError("equations must be lines of text: 'name = expression'")
-    bare = (row.split("#", 1)[0].strip() for row in rows)
-    return tuple(row for row in bare if row)
-
-
-def _item(cls: type[Any], key: str, data: object) -> Any:
-    if isinstance(data, str):
-        data = {"name": data}
-    if not isinstance(data, Mapping) or "name" not in data:
-        raise ModelError(f"{key}: each entry is a table with at least a name, not {data!r}")
-    allowed = set(cls.__dataclass_fields__)
-    unknown = sorted(set(data) - allowed)
-    if unknown:
-        raise ModelError(f"{key} {data['name']!r}: unknown key {unknown[0]!r}; known are {', '.join(sorted(allowed))}")
-    return cls(**data)
-
-
-def _parameter(data: object) -> Parameter:
-    if isinstance(data, Mapping):
-        texts = {"name", "unit", "reference_source", "description"}
-        flags = {"fixed", "local"}
-        for key, value in data.items():
-            if key in Parameter.__dataclass_fields__ and key not in texts | flags:
-                _number(value, f"parameter {data.get('name')!r}: {key}")
-            if key in flags and not isinstance(value, bool):
-                raise ModelError(f"parameter {data.get('name')!r}: {key} = {value!r} must be true or false")
-    return _item(Parameter, "parameters", data)  # type: ignore[no-any-return]
-
-
-def _transform(data: object) -> InputTransform:
-    if not isinstance(data, Mapping) or set(data) != {"kind", "input", "parameters"}:
-        raise ModelError(f"transforms: each entry has kind, input and parameters, not {data!r}")
-    return InputTransform(str(data["kind"]), str(data["input"]), tuple(str(p) for p in data["parameters"]))

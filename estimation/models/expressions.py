@@ -21,6 +21,7 @@ FUNCTIONS: Mapping[str, int] = {
 """Function name -> number of arguments."""
 
 NUMBERS: Mapping[str, float] = {"pi": 3.141592653589793}
+LARGEST = 1e100  # of a number in an equation
 LONGEST = 4000  # characters in one expression; longer text is no equation of motion
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*\Z")
@@ -91,6 +92,8 @@ def evaluate(expression: str, symbols: Mapping[str, Any], functions: Mapping[str
 def _check(node: ast.AST, text: str) -> None:
     match node:
         case ast.Constant(value=value) if isinstance(value, int | float) and not isinstance(value, bool):
+            if not abs(value) <= LARGEST:
+                raise ModelError(f"expression {_short(text)}: {value} is no number to calculate with")
             return
         case ast.Name():
             return

@@ -13,6 +13,11 @@ from estimation.errors import ModelError
 from estimation.models.base import Model
 from estimation.models.library import BUILDERS
 
+MISTAKES = (
+    ImportError, SyntaxError, NameError, AttributeError, TypeError, ValueError, KeyError, IndexError, ZeroDivisionError,
+)  # fmt: skip
+"""What a mistake in somebody's own module or class raises."""
+
 
 def load_model(which: str | Path | type | Model, aircraft: Aircraft | str | None = None) -> Model:
     """The model meant by `which`: a built-in name, a TOML file, `module:Class`, a class, or a model.
@@ -32,6 +37,17 @@ def load_model(which: str | Path | type | Model, aircraft: Aircraft | str | None
     if ":" in text:
         return _from_class(_import_class(text), aircraft)
     raise ModelError(f"model {text!r}: none of {', '.join(BUILDERS)}, no .toml file and not of the form module:Class")
+
+
+def asks_for_aircraft(which: str) -> bool:
+    """Whether a model takes constants or derivatives from an aircraft: a built-in one, or a class that is given it."""
+    if which in BUILDERS:
+        return True
+    if which.endswith(".toml"):
+        return False
+    from estimation.models.own import takes_aircraft
+
+    return takes_aircraft(_import_class(which))
 
 
 def read_model(path: str | Path) -> Model:
@@ -90,14 +106,16 @@ def _value(value: Any) -> str:
 
 def _import_class(text: str) -> type:
     module_name, _, class_name = text.partition(":")
+    if not all(part.isidentifier() for part in (*module_name.split("."), class_name)):
+        raise ModelError(f"model {text!r}: write it as module:Class, like docs.examples.roll_yaw:RollYaw")
     here = str(Path.cwd())
     added = here not in sys.path
     if added:
         sys.path.insert(0, here)
     try:
         module = importlib.import_module(module_name)
-    except ImportError as error:
-        raise ModelError(f"model {text!r}: cannot import {module_name}: {error}") from error
+    except MISTAKES as error:
+        raise ModelError(f"model {text!r}: cannot import {module_name}: {_said(error)}") from error
     finally:
         if added:
             sys.path.remove(here)
@@ -110,4 +128,18 @@ def _import_class(text: str) -> type:
 def _from_class(cls: type, aircraft: Aircraft | str | None) -> Model:
     from estimation.models.own import model_from_class
 
-    return model_from_class(cls, load_aircraft(aircraft) if isinstance(aircraft, str) else aircraft)
+    try:
+        return model_from_class(cls, load_aircraft(aircraft) if isinstance(aircraft, str) else aircraft)
+    except MISTAKES as error:
+        raise ModelError(f"model class {cls.__name__}: {_said(error)}") from error
+
+
+def _said(error: Exception) -> str:
+    """An error of somebody's Python text, with its place where that is known."""
+    trace = error.__traceback__
+    while trace is not None and trace.tb_next is not None:
+        trace = trace.tb_next
+    where = (
+        f" (line {error.lineno})" if isinstance(error, SyntaxError) else f" (line {trace.tb_lineno})" if trace else ""
+    )
+    return f"{type(error).__name__}: {error}{where if not isinstance(error, ImportError) else ''}"

@@ -190,9 +190,13 @@ def model_from_class(cls: type, aircraft: Aircraft | None = None) -> Model:
     )
 
 
+def takes_aircraft(cls: type) -> bool:
+    """Whether the constructor of a model class asks for the aircraft."""
+    return any(q.default is q.empty and q.kind in (0, 1) for q in inspect.signature(cls).parameters.values())
+
+
 def _instance(cls: type, aircraft: Aircraft | None) -> Any:
-    wanted = [q for q in inspect.signature(cls).parameters.values() if q.default is q.empty and q.kind in (0, 1)]
-    if not wanted:
+    if not takes_aircraft(cls):
         return cls()
     if aircraft is None:
         from estimation.aircraft import load_aircraft

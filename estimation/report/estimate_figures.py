@@ -9,7 +9,7 @@ from estimation.estimators.result import FlightFit, Result
 from estimation.report import published
 from estimation.report.estimate_tables import is_published
 from estimation.report.figures import COLOURS, MARKERS, MEASURED, Picture, broken_at_gaps, picture, styled
-from estimation.report.names import face, tex
+from estimation.report.names import axis_label, face, tex
 from estimation.validation import autocorrelation
 
 if TYPE_CHECKING:
@@ -80,11 +80,12 @@ def _scatter_panel(axis: Any, session: "Session", name: str) -> None:
     axis.grid(axis="x", visible=False)
 
 
-def history_figure(model: "Model", f: "FlightEstimates") -> Picture:
-    """Figure 9: measured and estimated histories with the controls below."""
+def history_figure(f: "FlightEstimates", of_paper: bool) -> Picture:
+    """Figure 9: measured and estimated histories with the controls below. of_paper: the caption says so."""
     from matplotlib.figure import Figure
 
-    fits = {m: r.flights[0] for m, r in f.results.items() if r.flights}
+    model = next(iter(f.results.values())).model  # without the outputs that this flight does not measure
+    fits = {m: r.flights[0] for m, r in f.results.items() if r.flights and r.model.output_names == model.output_names}
     first = next(iter(fits.values()))
     controls = [s for s in model.inputs if s.control and f.flight.measured(s.source)]
     rows = len(model.outputs) + (1 if controls else 0)
@@ -96,14 +97,15 @@ def history_figure(model: "Model", f: "FlightEstimates") -> Picture:
             factor, unit = face(signal.name, signal.unit)
             values = broken_at_gaps(f.flight.time, factor * f.flight[signal.source])
             axes[-1].plot(f.flight.time, values, style, color="0.25", lw=0.9, label=signal.description or signal.name)
-            axes[-1].set_ylabel(f"controls [{unit}]")
+            axes[-1].set_ylabel(f"controls [{unit}]" if unit else "controls")
         if controls:
             axes[-1].legend(loc="upper right", ncols=3)
         axes[-1].set_xlabel("time [s]")
         figure.align_ylabels()
     points = first.time.size * rows * (1 + len(fits))
-    return picture(figure, f"figure9_{f.flight.name}", f"{f.flight.name}: measured and estimated motion with the controls "
-                   "(Figure 9 of the paper). All methods' curves are simulated from their estimates.", points)  # fmt: skip
+    caption = f"{f.flight.name}: measured and estimated motion with the controls{' (Figure 9 of the paper)' if of_paper else ''}"
+    how = ". All methods' curves are simulated from their estimates." if len(fits) > 1 else "."
+    return picture(figure, f"figure9_{f.flight.name}", caption + how, points)
 
 
 def _channels(axes: Any, model: "Model", first: "FlightFit | Proof", curves: Mapping[str, Any]) -> None:
@@ -118,7 +120,7 @@ def _channels(axes: Any, model: "Model", first: "FlightFit | Proof", curves: Map
                 lw=1.0,
                 label=method,
             )
-        axes[i].set_ylabel(f"${tex(signal.name)}$ [{unit}]")
+        axes[i].set_ylabel(axis_label(signal.name, unit))
     axes[0].legend(loc="upper right", ncols=1 + len(curves))
 
 
@@ -137,7 +139,7 @@ def residual_figure(model: "Model", result: Result) -> Picture:
             residual = fit.residuals[:, i] if i < fit.residuals.shape[1] else np.array([np.nan])
             axes[i][0].plot(fit.time, broken_at_gaps(fit.time, factor * residual), color=colour, lw=0.8)
             axes[i][0].axhline(0, color="k", lw=0.5)
-            axes[i][0].set_ylabel(f"${tex(signal.name)}$ [{unit}]")
+            axes[i][0].set_ylabel(axis_label(signal.name, unit))
             known = residual[np.isfinite(residual)]
             if known.size > 8:
                 lags = min(known.size // 4, 100)
@@ -175,18 +177,21 @@ def correlation_figure(result: Result, whose: str) -> Picture:
     return picture(figure, "correlations", f"Correlation of the estimates, {whose}; numbers from 0.5.")
 
 
-def proof_figure(model: "Model", proofs: Sequence[tuple[str, "Proof"]]) -> Picture:
-    """Figure 10: flights predicted with parameters of another flight, frozen. proofs: (whose parameters, proof)."""
+def proof_figure(proofs: Sequence[tuple[str, "Proof"]], refitted: str, of_paper: bool) -> Picture:
+    """Figure 10: flights predicted with parameters of another flight, frozen. proofs: (whose parameters, proof);
+    refitted: what was not; of_paper: the caption says so."""
     from matplotlib.figure import Figure
 
+    rows = max(len(proof.outputs) for _, proof in proofs)
     with styled():
-        figure = Figure(figsize=(11.6, 1.25 * len(model.outputs) + 0.8), layout="constrained")
-        axes = figure.subplots(len(model.outputs), len(proofs), squeeze=False, sharex="col")
+        figure = Figure(figsize=(11.6, 1.25 * rows + 0.8), layout="constrained")
+        axes = figure.subplots(rows, len(proofs), squeeze=False, sharex="col")
         for j, (whose, proof) in enumerate(proofs):
             _channels(axes[:, j], proof.result.model, proof, {"predicted": proof.predicted})
             axes[0][j].set_title(f"{proof.name} predicted by {whose}")
             axes[-1][j].set_xlabel("time [s]")
         figure.align_ylabels()
-    points = sum(2 * p.time.size * len(model.outputs) for _, p in proofs)
-    return picture(figure, "figure10", "Proof of match: measured and predicted, parameters frozen at another flight's estimates, "
-                   "only initial states refitted (Figure 10 of the paper).", points)  # fmt: skip
+    points = sum(2 * p.time.size * rows for _, p in proofs)
+    caption = "Proof of match: measured and predicted, derivatives frozen at another flight's estimates, "
+    caption += f"{refitted} refitted{' (Figure 10 of the paper)' if of_paper else ''}."
+    return picture(figure, "figure10", caption, points)

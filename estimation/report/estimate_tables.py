@@ -20,6 +20,18 @@ def is_published(session: "Session") -> bool:
     return session.aircraft.name == "cdfp" and "CY_beta" in session.model.free_names
 
 
+def _believed(session: "Session") -> bool:
+    """Whether anything is believed of the parameters before flying."""
+    return any(p.reference is not None for p in session.model.parameters)
+
+
+def _head(session: "Session", methods: list[str], columns: tuple[str, ...]) -> tuple[list[tuple[str, int]], list[str]]:
+    """Groups and head of a table of parameters by methods."""
+    before, value = ([("before flying", 2)], ["value", "source"]) if _believed(session) else ([], [])
+    groups = [("", 1), *before, *((m, len(columns)) for m in methods)]
+    return groups, ["", *value, *(c for _ in methods for c in columns)]
+
+
 def estimate_table(session: "Session", flight: "FlightEstimates") -> Table:
     """Tables 3 and 4: one flight, all methods, wind tunnel and the published flight of the same number."""
     beside = published.counterpart(flight.flight.name) if is_published(session) else None
@@ -33,8 +45,7 @@ def estimate_table(session: "Session", flight: "FlightEstimates") -> Table:
             said = published.estimate(str(beside), other, name)
             row += ["", ""] if said is None else [number(said[0]), significant(said[1], 2)]
         rows.append(tuple(row))
-    groups = [("", 1), ("before flying", 2), *((m, 3) for m in methods)]
-    head = ["", "value", "source", *(h for _ in methods for h in ("estimate", "bound", "corrected"))]
+    groups, head = _head(session, methods, ("estimate", "bound", "corrected"))
     if beside:
         groups += [(f"{beside}, {m} (published)", 2) for m in ("ml", "ngn")]
         head += ["estimate", "bound"] * 2
@@ -54,10 +65,10 @@ def joint_table(session: "Session") -> Table | None:
         for method in methods:
             row += _three(session.joint[method].parameters.get(name))
         rows.append(tuple(row))
+    groups, head = _head(session, methods, ("estimate", "bound", "corrected"))
     return Table(
         "estimates_joint", f"Joint estimate over {len(session.flights)} flights",
-        ("", "value", "source", *(h for _ in methods for h in ("estimate", "bound", "corrected"))), tuple(rows),
-        (("", 1), ("before flying", 2), *((m, 3) for m in methods)),
+        tuple(head), tuple(rows), tuple(groups),
         note=BOUNDS + " Constant coefficients are each flight's own: their line is the mean over flights.",
     )  # fmt: skip
 
@@ -79,12 +90,16 @@ def mean_table(session: "Session") -> Table | None:
         for other in ("ml", "ngn") if ours else ():
             said = published.mean(other, name)
             row += ["", ""] if said is None else [number(said[0]), significant(said[1], 2)]
+        if session.truth:
+            row.append(number(session.truth[name]) if name in session.truth else "")
         rows.append(tuple(row))
-    groups = [("", 1), ("before flying", 2), *((m, 4) for m in methods)]
-    head = ["", "value", "source", *(h for _ in methods for h in ("mean", "scatter", "bound", "flights"))]
+    groups, head = _head(session, methods, ("mean", "scatter", "bound", "flights"))
     if ours:
         groups += [(f"{m} (published)", 2) for m in ("ml", "ngn")]
         head += ["mean", "scatter"] * 2
+    if session.truth:
+        groups.append(("simulated", 1))
+        head.append("truth")
     return Table(
         "table5_means", "Mean and scatter over the flights that can tell", tuple(head), tuple(rows), tuple(groups),
         note="scatter: sample standard deviation over flights; bound: root mean square of their corrected bounds. "
@@ -116,6 +131,8 @@ def _fit_cells(fit: object) -> list[str]:
 
 
 def _before(session: "Session", name: str) -> list[str]:
+    if not _believed(session):
+        return []
     parameter = session.model.parameter(name)
     if parameter.reference is None:
         return ["", ""]

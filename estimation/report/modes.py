@@ -136,7 +136,8 @@ def mode_table(entries: list[tuple[str, str, list[SpreadMode]]]) -> Table:
         "modes", "Natural modes at the flights' median speed and incidence",
         ("estimates of", "method", "mode", "natural frequency [rad/s]", "damping ratio", "period [s]", "eigenvalue [1/s]",
          "draws unstable"), tuple(rows), symbols=False,
-        note=f"± is half the middle 68 % over {DRAWS} draws from the corrected covariance of the derivatives.",
+        note=f"± is half the middle 68 % over {DRAWS} draws from the corrected covariance of the derivatives. Measured inputs "
+        "are held: a model that is driven by dynamic pressure or sideslip shows its own modes, not all those of the aircraft.",
     )  # fmt: skip
 
 

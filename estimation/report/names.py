@@ -58,6 +58,11 @@ def _by_html(by: str) -> Markup:
     return Markup("<i>{}</i>").format(_GREEK.get(by, by))
 
 
+def axis_label(name: str, unit: str) -> str:
+    """Label of a figure's axis: the symbol, and its unit where it has one."""
+    return f"${tex(name)}$ [{unit}]" if unit else f"${tex(name)}$"
+
+
 def face(name: str, unit: str) -> tuple[float, str]:
     """(factor, unit) in which a person reads a signal: degrees instead of radians."""
     return (57.29577951308232, unit.replace("rad", "deg")) if "rad" in unit else (1.0, unit)

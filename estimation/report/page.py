@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from estimation.histories import write_flights
+from estimation.laboratory import is_trim
 from estimation.report import published
 from estimation.report.advice import untold
 from estimation.report.estimate_figures import (
@@ -27,6 +29,7 @@ if TYPE_CHECKING:
 
 SHOWN = 8  # flights with figures of their own; tables hold all
 SEED = 1
+UNNAMED = "not stated"  # aircraft of a model of one's own on a flight that does not name one
 
 
 def write_estimate_report(session: "Session", folder: Path) -> Path:
@@ -47,37 +50,62 @@ def write_estimate_report(session: "Session", folder: Path) -> Path:
         whose = f"{used[0].flight.name}, {best.method}"
     return write_page(
         folder / "index.html", "estimate.html.j2",
-        title=f"Aerodynamic derivatives of {session.aircraft.name}",
-        lead=f"Model {session.model.name} ({session.model.title}); {len(flights)} flight{'s' if len(flights) > 1 else ''}: "
-        f"{', '.join(f.name for f in flights)}; methods: {', '.join(session.methods)}.",
+        title=f"Aerodynamic derivatives of {session.aircraft.name}" if session.aircraft.name != UNNAMED else "Derivatives",
+        lead=_lead(session),
         status=session.text, converged=session.converged, simulated=simulated(flights),
         comparison=published.COMPARISON if is_published(session) else "",
         tables=tables, each=each, scatter=scatter_figure(session) if used else None,
         doubts=[(m, html(n), s.text) for m, t in session.mean.items() for n, s in t.items() if s.text and not n.endswith("_0")],
-        histories=[history_figure(session.model, f) for f in used[:SHOWN]],
+        histories=[history_figure(f, is_published(session)) for f in used[:SHOWN]],
         residuals=[residual_figure(r.model, r) for f in used[:SHOWN] for r in list(f.results.values())[:1]],
         left_out=max(0, len(used) - SHOWN),
-        proof=proof_figure(session.model, proofs[:2]) if proofs else None,
+        proof=proof_figure(proofs[:2], refitted(session), is_published(session)) if proofs else None,
+        shown=[path.relative_to(folder).as_posix() for path in write_flights(session, folder / "flights", SHOWN)],
         correlation=correlation_figure(best, whose) if best is not None and best.names else None,
         collinear=[(html(a), html(b), f"{rho:+.3f}") for a, b, rho in (best.collinear if best is not None else ())],
         untold=[(html(u.parameter), u) for u in untold(session)],
         runs=[(f.flight.name, m, r.converged, r.text, r.iterations) for f in session.flights for m, r in f.results.items()]
         + [(f.flight.name, m, False, why, 0) for f in session.flights for m, why in f.failures.items()]
         + [("joint", m, r.converged, r.text, r.iterations) for m, r in session.joint.items()],
-        notes=list(dict.fromkeys((f.flight.name, n) for f in used for r in f.results.values() for n in r.flights[0].notes)),
+        notes=list(dict.fromkeys((f.flight.name, n) for f in used for n in f.notes)),
         model=session.model,
     )  # fmt: skip
 
 
+def _lead(session: "Session") -> str:
+    names = [f.flight.name for f in session.flights]
+    title = f" ({session.model.title})" if session.model.title else ""
+    return (
+        f"Model {session.model.name}{title}; {len(names)} flight{'s' if len(names) > 1 else ''}: {', '.join(names)}; "
+        f"methods: {', '.join(session.methods)}."
+    )
+
+
 def _proofs(session: "Session") -> list[tuple[str, "Proof"]]:
-    """Each flight predicted by the maximum-likelihood (or first) estimates of the flight before it, the first by the last."""
+    """Each flight predicted by each method's estimates of the flight before it, the first by the last.
+
+    Constant coefficients are refitted: trim and sensor offsets of a day say nothing of the derivatives.
+    """
     from estimation.proof import predict
 
-    usable = [(f, r) for f in session.flights for m, r in f.results.items() if m == session.methods[0] and r.converged]
-    if len(usable) < 2:
-        return []
-    pairs = zip(usable, [usable[-1], *usable[:-1]], strict=True)
-    return [(donor[0].flight.name, predict(donor[1].fitted_model, f.flight)) for (f, _), donor in list(pairs)[:SHOWN]]
+    trims = [n for n in session.model.free_names if is_trim(n)]
+
+    proofs: list[tuple[str, Proof]] = []
+    for method in session.methods:
+        usable = [(f, r) for f in session.flights for m, r in f.results.items() if m == method and r.converged]
+        if len(usable) < 2:
+            continue
+        by = f", {method}" if len(session.methods) > 1 else ""
+        pairs = zip(usable, [usable[-1], *usable[:-1]], strict=True)
+        proofs += [(donor[0].flight.name + by, predict(donor[1].fitted_model, f.flight, free=trims))
+                   for (f, _), donor in list(pairs)[:SHOWN]]  # fmt: skip
+    return proofs
+
+
+def refitted(session: "Session") -> str:
+    """What the proof of match does not freeze."""
+    trims = any(is_trim(n) for n in session.model.free_names)
+    return "initial states and constant coefficients (trim)" if trims else "initial states"
 
 
 def _proof_table(session: "Session", proofs: list[tuple[str, "Proof"]]) -> Table | None:
@@ -100,8 +128,8 @@ def _proof_table(session: "Session", proofs: list[tuple[str, "Proof"]]) -> Table
         "figure10_match", "Proof of match over flights",
         ("flight", "predicted by", *(h for _ in outputs for h in ("r²", "Theil"))),
         tuple(rows), (("", 2), *((o, 2) for o in outputs)), symbols=False,
-        note="A flight that could not tell a derivative predicts with what was believed before flying, or with a poor "
-        "number: its predictions of flights that use that control show it.",
+        note=f"Derivatives frozen, {refitted(session)} refitted. A flight that could not tell a derivative predicts with what "
+        "was believed before flying, or with a poor number: its predictions of flights that use that control show it.",
     )  # fmt: skip
 
 

@@ -61,9 +61,11 @@ def _plain(text: str) -> str:
 
 
 def number(value: float | None, digits: int = 4) -> str:
-    """Fixed decimals, empty for a value that is not there or not finite."""
+    """Fixed decimals, or two figures where those would show none; empty for a value that is not there or not finite."""
     if value is None or value - value != 0.0:
         return ""
+    if digits >= 4 and 0.0 < abs(value) < 20.0 * 10.0**-digits:
+        return f"{value:.2g}"
     text = f"{value:.{digits}f}"
     return text[1:] if text.startswith("-") and not text.strip("-0.") else text
 

@@ -12,10 +12,11 @@ from estimation.engine.data import prepare
 from estimation.errors import DataError
 from estimation.estimators.equation_error import equation_error
 from estimation.estimators.filter_error import filter_error
-from estimation.estimators.gauss_newton import Status
+from estimation.estimators.gauss_newton import LoopOptions, Status
 from estimation.estimators.output_error import OutputErrorOptions, output_error
 from estimation.estimators.result import Result
 from estimation.models import Parameter, load_model
+from estimation.models.base import Model, Signal
 from groundstation.flight import Flight
 from tests.estimation.truth import DEG, NOISE, STRONG, TRUE, Case, fly
 
@@ -48,7 +49,9 @@ def test_white_noise_bounds_are_right() -> None:
     for flight in flights:
         r = output_error(LATERAL, flight)
         z.append([(r.values[n] - TRUE[n]) / r.std[n] for n in STRONG])
-        assert np.median([r.std_coloured[n] / r.std[n] for n in STRONG]) < 1.25
+        # the corrected bound also holds what no sample tells of a control's timing: the derivatives of fast motion have a share
+        assert np.median([r.std_coloured[n] / r.std[n] for n in ("CY_beta", "Cn_beta", "Cn_r")]) < 1.25
+        assert np.median([r.std_coloured[n] / r.std[n] for n in STRONG]) < 1.6
     assert 0.75 < np.sqrt(np.mean(np.square(z))) < 1.3
 
 
@@ -79,13 +82,15 @@ def test_arrow_elimination_equals_the_dense_solution(made_flights: list[Flight])
     from estimation.engine.simulate import simulate_with_sensitivities
 
     model = LATERAL.with_local("Cn_0")
-    result = output_error(model, made_flights[:2])
+    result = output_error(model, made_flights[:2], options=OutputErrorOptions(substeps=4))
     shared = [n for n in model.free_names if n != "Cn_0"]
     blocks = []
     for i, flight in enumerate(made_flights[:2]):
         fit = result.flights[i]
         values = {**result.values, "Cn_0": fit.local["Cn_0"].estimate}
-        _, dy, dx0 = simulate_with_sensitivities(model, prepare(model, flight), values, fit.initial_states[0])
+        _, dy, dx0 = simulate_with_sensitivities(
+            model, prepare(model, flight), values, fit.initial_states[0], substeps=4
+        )
         own = np.concatenate([dy[:, :, [model.free_names.index("Cn_0")]], dx0], axis=2)
         wide = np.zeros((*dy.shape[:2], len(shared) + 10))
         wide[:, :, : len(shared)] = dy[:, :, [model.free_names.index(n) for n in shared]]
@@ -283,6 +288,63 @@ def test_own_longitudinal_model_equals_an_independent_solution() -> None:
 
 
 # ------------------------------------------------------------------------------------------- hard cases
+
+
+def short_period(**starts: float) -> Model:
+    """Two states, one of them running away at 0.77 1/s with the true values below."""
+    names = ("Z_alpha", "Z_de", "M_alpha", "M_q", "M_de")
+    return Model(
+        name="short-period",
+        states=(Signal("alpha", "rad", "angle of attack"), Signal("q", "rad/s", "pitch rate")),
+        inputs=(Signal("delta_e", "rad", "elevator", control=True),),
+        outputs=(
+            Signal("alpha", "rad", "angle of attack"),
+            Signal("q", "rad/s", "pitch rate"),
+            Signal("az", "m/s2", "acceleration"),
+        ),
+        parameters=tuple(Parameter(n, "1/s", start=starts.get(n, 0.0)) for n in names),
+        equations=(
+            "alpha_dot = q + Z_alpha*alpha + Z_de*delta_e",
+            "q_dot = M_alpha*alpha + M_q*q + M_de*delta_e",
+            "az = 16.0*(Z_alpha*alpha + Z_de*delta_e)",
+        ),
+    )
+
+
+RUNAWAY = {"Z_alpha": -1.2, "Z_de": -0.1, "M_alpha": 3.5, "M_q": -1.0, "M_de": -9.0}
+
+
+def runaway_flight(rng: np.random.Generator, seconds: float = 24.0) -> Flight:
+    """An unstable aircraft held by its pilot (elevator from alpha and q through a servo), every sensor noisy."""
+    h, fine = 0.05, 20
+    count = round(seconds / h) + 1
+    A = np.array([[-1.2, 1.0], [3.5, -1.0]])
+    x, e, rows = np.zeros(2), 0.0, []
+    for k in range((count - 1) * fine + 1):
+        t = k * h / fine
+        push = 0.04 * sum(s * (a <= t < a + 0.6) for a, s in ((1, 1), (1.6, -1), (6, -1), (6.6, 1), (13, 1), (18, -1)))
+        e += h / fine / 0.06 * (push + 0.9 * x[0] + 0.35 * x[1] - e)
+        if k % fine == 0:
+            rows.append([x[0], x[1], 16.0 * (-1.2 * x[0] - 0.1 * e), e])
+        x = x + h / fine * (A @ x + np.array([-0.1, -9.0]) * e)
+    noisy = np.array(rows) + np.array([0.005, 0.007, 0.1, 0.001]) * rng.normal(size=(count, 4))
+    columns = dict(zip(("alpha", "q", "az", "delta_e"), noisy.T, strict=True))
+    return Flight.build("runaway", np.arange(count) * h, columns)
+
+
+def test_an_unstable_aircraft_from_nothing_and_from_wrong_signs() -> None:
+    flight = runaway_flight(np.random.default_rng(11))
+    few = OutputErrorOptions(loop=LoopOptions(iterations=30))
+    found = [
+        output_error(short_period(**starts), flight, options=few)
+        for starts in ({}, {n: -v for n, v in RUNAWAY.items()})
+    ]
+    for result in found:
+        assert result.status is Status.CUT
+        for name, value in RUNAWAY.items():
+            e = result.parameters[name]
+            assert abs(e.estimate - value) < 4.0 * e.std_coloured
+            assert e.estimate == pytest.approx(found[0].values[name], abs=0.3 * e.std)
 
 
 def test_wrong_signs_at_start_end_in_the_right_answer(made_flights: list[Flight]) -> None:

@@ -200,5 +200,7 @@ def test_latex_table_escapes_and_aligns() -> None:
 
 
 def test_numbers() -> None:
-    assert number(-0.00001) == "0.0000"
+    assert number(-0.0) == "0.0000"
+    assert number(-0.00034) == "-0.00034"  # four decimals would show nothing of it
+    assert number(-0.00001, 3) == "0.000"
     assert number(math.nan) == number(None) == ""

@@ -1,0 +1,45 @@
+"""A second look at an answer: channels the model does not explain, controls of the wrong sign or unit."""
+
+import numpy as np
+
+from estimation.estimators.result import Result
+from estimation.estimators.uncertainty import companions
+from estimation.preprocess import noise_level
+
+UNEXPLAINED = 0.5  # r2 below which a channel is not explained
+AUDIBLE = 3.0  # residual in units of the channel's white noise from which that is no matter of noise
+FAR = 8.0  # times what was believed
+
+
+def doubts(result: Result) -> list[str]:
+    """Sentences on channels that the model does not explain, and derivatives far from what was believed."""
+    said = []
+    fit = result.flights[0]
+    for i, (name, f) in enumerate(fit.fit.items()):
+        measured = fit.measured[np.isfinite(fit.measured[:, i]), i]
+        if f.r2 < UNEXPLAINED and f.rms > AUDIBLE * noise_level(measured):
+            said.append(
+                f"{name} is not explained by the model (r2 {f.r2:.2f}): check its unit, sign and sensor, and the model"
+            )
+    for signal in result.model.inputs:
+        if signal.control:
+            said += _doubts_of_control(result, signal.source, signal.name)
+    return said
+
+
+def _doubts_of_control(result: Result, column: str, control: str) -> list[str]:
+    """Sentences where every derivative of a control has the wrong sign, or the wrong order of magnitude."""
+    ratios = {
+        e.name: e.estimate / e.reference
+        for e in result.parameters.values()
+        if e.identifiable and e.reference and control in companions(result.model, e.name)
+        and abs(e.estimate) > 5.0 * e.std_coloured
+    }  # fmt: skip
+    names = " and ".join(ratios)
+    if ratios and all(r < 0.0 for r in ratios.values()):
+        return [f"{names}: of the opposite sign of what was believed: check the sign of {column}"]
+    for far in (all(abs(r) > FAR for r in ratios.values()), all(abs(r) < 1.0 / FAR for r in ratios.values())):
+        if ratios and far:
+            times = ", ".join(f"{r:.2g}" for r in ratios.values())
+            return [f"{names}: {times} times what was believed: check the unit of {column}"]
+    return []

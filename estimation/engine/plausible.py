@@ -1,0 +1,116 @@
+"""Columns whose numbers cannot be what their name says: degrees for radians, a sign turned round, a sensor stuck.
+
+A fit takes such columns without complaint and gives wrong derivatives, so they are refused before one begins, or said.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from daq.contract.channels import COLUMN_BY_NAME
+from estimation.errors import DataError
+from estimation.models.base import Signal
+from estimation.preprocess import QUIET, noise_level
+from groundstation.flight import Array, Flight
+
+FOLDED = ("theta", "alpha", "beta", "delta_e", "delta_a", "delta_r", "cmd_e", "cmd_a", "cmd_r")
+"""Angles that never exceed a right angle."""
+
+TURNING = ("phi", "psi")
+"""Angles that may be counted through full turns."""
+
+RATES = {"p": "phi", "q": "theta"}
+"""Rate -> the angle whose derivative it is, as long as bank and pitch are moderate."""
+
+FASTEST = 20.0  # rad/s: 1100 deg/s
+LARGE = 0.7  # rad: an angle of flow or surface beyond 40 deg is rare
+RELATED = 0.7  # correlation from which a rate and the slope of its angle tell of each other's unit
+DEGREES = 57.29577951308232
+STUCK = 1.0  # s without any change in a noisy channel
+STUCK_SAMPLES = 20
+
+
+def refuse_impossible(flight: Flight, driving: Sequence[Signal], shown: Sequence[Signal], notes: list[str]) -> None:
+    """DataError for a column of another unit or sign; what is only unlikely goes to `notes`.
+
+    driving: inputs and states, by whose airspeed and density a model divides; shown: outputs, which may be of an aircraft
+    that still stands. Only columns that the model, too, takes in the unit of the flight format are judged: a model of
+    one's own may be in degrees.
+    """
+    divided = {s.source for s in driving}
+    stated = {
+        s.source for s in (*driving, *shown) if s.source in COLUMN_BY_NAME and s.unit == COLUMN_BY_NAME[s.source].unit
+    }
+    used = [c for c in COLUMN_BY_NAME if c in stated and flight.measured(c)]
+    for name in used:
+        values = flight[name][np.isfinite(flight[name])]
+        if COLUMN_BY_NAME[name].unit == "rad":
+            _angle(flight, name, values, notes)
+        elif name in ("p", "q", "r"):
+            _refuse_degrees(flight, name, float(np.quantile(np.abs(values), 0.99)), FASTEST, "rad/s")
+        elif name in ("V", "rho") and (values.min() <= 0.0 if name in divided else np.median(values) < 0.0):
+            _refuse_sign(flight, name, values)
+    for rate, angle in RATES.items():
+        if rate in used and angle in used:
+            _refuse_other_unit(flight, rate, angle)
+
+
+def _angle(flight: Flight, name: str, values: Array, notes: list[str]) -> None:
+    size = float(np.quantile(np.abs(values), 0.99))
+    if name in FOLDED:
+        _refuse_degrees(flight, name, size, 0.5 * np.pi, "rad")
+        if name != "theta" and size > LARGE:
+            notes.append(f"{name} reaches {size:.2g} rad ({size * DEGREES:.0f} deg): make sure that it is in radians")
+    elif name in TURNING and np.abs(np.diff(values)).max(initial=0.0) > 1.5 * 2.0 * np.pi:
+        _refuse_degrees(flight, name, size, 0.0, "rad")  # a jump by 360
+
+
+def _refuse_degrees(flight: Flight, name: str, size: float, most: float, unit: str) -> None:
+    if size > most:
+        raise DataError(
+            f"{flight.name}: {name} reaches {size:.3g}, which cannot be {unit}: it looks like degrees; "
+            "convert the file with 'sideslip import', or multiply by pi/180"
+        )
+
+
+def _refuse_sign(flight: Flight, name: str, values: Array) -> None:
+    at = flight.time[np.isfinite(flight[name])][values <= 0.0]
+    unit = COLUMN_BY_NAME[name].unit
+    raise DataError(
+        f"{flight.name}: {name} is {values.min():.3g} {unit} (zero or less at {at.size} samples, first at t = {at[0]:g} s); "
+        "turn its sign, or leave that time out with --segments"
+    )
+
+
+def _refuse_other_unit(flight: Flight, rate: str, angle: str) -> None:
+    """A rate that is 57 times the slope of its angle, or a 57th of it."""
+    dt = np.diff(flight.time)
+    same = np.diff(flight.segment) == 0
+    slope = np.diff(flight[angle]) / dt
+    mean = 0.5 * (flight[rate][1:] + flight[rate][:-1])
+    known = same & np.isfinite(slope) & np.isfinite(mean) & (np.abs(np.diff(flight[angle])) < 1.0 * np.pi)
+    if known.sum() < 2 * STUCK_SAMPLES:
+        return
+    a, b = slope[known] - slope[known].mean(), mean[known] - mean[known].mean()
+    if a.std() == 0.0 or b.std() == 0.0 or float(a @ b) < RELATED * float(np.linalg.norm(a) * np.linalg.norm(b)):
+        return
+    ratio = float(np.linalg.norm(b) / np.linalg.norm(a))
+    for wrong, right, factor in ((rate, angle, ratio), (angle, rate, 1.0 / ratio)):
+        if 0.5 * DEGREES < factor < 2.0 * DEGREES:
+            raise DataError(
+                f"{flight.name}: {wrong} is {factor:.0f} times too large beside {right}: one is in degrees, the other in "
+                "radians; convert the file with 'sideslip import'"
+            )
+
+
+def stuck(time: Array, values: Array) -> np.ndarray:  # type: ignore[type-arg]
+    """Samples at which a noisy channel shows one and the same number for more than a second; (N,) bool."""
+    result = np.zeros(values.size, bool)
+    same = np.concatenate([[False], np.diff(values) == 0.0, [False]])
+    edges = np.flatnonzero(np.diff(same.astype(int)))
+    for a, b in zip(edges[::2], edges[1::2], strict=True):  # values a .. b are equal
+        if b - a + 1 >= STUCK_SAMPLES and time[b] - time[a] >= STUCK:
+            result[a : b + 1] = True
+    alive = values[~result & np.isfinite(values)]
+    noisy = alive.size >= STUCK_SAMPLES and noise_level(alive) > QUIET * np.ptp(alive)
+    return result if noisy else np.zeros(values.size, bool)

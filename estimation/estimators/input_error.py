@@ -1,0 +1,173 @@
+"""What imperfect inputs do to the outputs, and through them to the estimates.
+
+Output error takes its inputs for truth. They are wrong in three ways, and none of them is a stationary noise that residuals
+would show: an airspeed 1 % high makes all forces 2 % too large, which matters exactly where the manoeuvres are.
+
+- Noise that de-noising left: draws from its posterior (`FlightData.errors`), of known size.
+- How a surface moved between two samples: an edge lies anywhere within its interval. The middle of every interval next to
+  an edge is displaced at random by `EDGE` of the bend there.
+- What all edges of a control have in common: it acts a little earlier or later than its samples say (`SHIFT`), or all its
+  edges are bent alike (`BEND`). This belongs to the aircraft and is the same in all its flights.
+
+What they really are is asked of the residuals. The factor on the variance of edges is found by the method of moments: what
+residuals and edge responses have in common, less what noise alone would give. The common errors have a prior of the size
+given here, and count with their second moment after the residuals were seen: a bound is of the estimates as they are, which
+took the inputs for truth.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from estimation.engine.data import Segment, draws_for
+from estimation.engine.kernel import Array
+from estimation.estimators.arrow import pseudo_inverse
+from estimation.estimators.coloured import Piece, Spectrum, white_products
+from estimation.estimators.likelihood import OutputErrorProblem
+from estimation.models.base import Model
+
+EDGE = 0.08  # of the bend (second difference), rms over servo lags of 0.4 to 2 samples and all phases of an edge
+SHIFT = 0.035  # of the time between samples; 2 ms at 20 Hz is hard to do better
+BEND = 0.0245  # of the bends at both ends of an interval: two thirds of what a servo that lags does on average
+MOST_EDGE = 2.0  # largest factor on the variance of edges
+MOST_COMMON = 2.0  # largest size of a common error that is believed
+LEAST_NOISE = (
+    0.05  # of an output's variance: no frequency of it is trusted more than this, however smooth a filter made it
+)
+SEED = 21
+
+
+@dataclass(frozen=True)
+class Disturbed:
+    """Changes of the outputs of one segment, columns in the order noise, edges, common. values: (N, ny, columns)."""
+
+    values: Array
+    noise: int
+    edges: int
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Inner products of the responses of one flight, from which the sizes of errors are found: rest (columns, columns) of
+    noise, edges, common and, last, the residual, in the metric in which the outputs' noise is white, less what any change of
+    parameters and initial states can make of them. The residual's products then scatter as `rest` itself says."""
+
+    rest: Array
+    noise: int
+    edges: int
+
+    def edge_excess(self) -> tuple[float, float]:
+        """(excess, scale): mean squared product of residuals with edges beyond chance, and its value were EDGE right."""
+        noise, edges = slice(0, self.noise), slice(self.noise, self.noise + self.edges)
+        if self.edges < 2:
+            return 0.0, 0.0
+        gram = self.rest[edges, edges]
+        chance = float(np.trace(gram)) + float(np.sum(self.rest[edges, noise] ** 2)) / max(self.noise, 1)
+        scale = float(np.sum(gram**2) - np.sum(np.diag(gram) ** 2)) / (self.edges - 1)
+        return float(np.sum(self.rest[edges, -1] ** 2)) - chance, scale
+
+    def common(self, edges: float) -> tuple[Array, Array, Array]:
+        """(information, product with the residual, covariance of that by chance). edges: factor on their variance."""
+        k, m = self.noise, self.edges
+        here = slice(k + m, -1)
+        information = self.rest[here, here]
+        by_noise, by_edges = self.rest[here, :k], self.rest[here, k : k + m]
+        chance = information + by_noise @ by_noise.T / max(k, 1) + edges / max(m, 1) * by_edges @ by_edges.T
+        return information, self.rest[here, -1], chance
+
+
+def evidence(pieces: list[Piece], responses: list[Array], spectrum: Spectrum, kinds: Disturbed) -> Evidence:
+    """Evidence of one flight. responses: (N ny, columns) of each piece in units of the noise."""
+    floor = LEAST_NOISE * np.eye(spectrum.shape[1])
+    inverse: Spectrum = np.asarray(np.linalg.inv(spectrum + floor), np.complex128)
+    total: Array | None = None
+    for piece, columns in zip(pieces, responses, strict=True):
+        gram = _without(white_products(piece, columns, inverse), piece.nuisance.shape[1])
+        total = gram if total is None else total + gram
+    assert total is not None
+    return Evidence(_without(total, pieces[0].jacobian.shape[1]), kinds.noise, kinds.edges)
+
+
+def _without(gram: Array, count: int) -> Array:
+    """Inner products of the columns after the first `count` with those projected out."""
+    lever = gram[count:, :count] @ pseudo_inverse(gram[:count, :count])[0] if count else np.zeros((len(gram), 0))
+    return np.asarray(gram[count:, count:] - lever @ gram[:count, count:])
+
+
+def disturbed(problem: OutputErrorProblem, unknowns: Array, index: int) -> list[Disturbed]:
+    """Responses of one flight, segment by segment."""
+    flight = problem.flights[index]
+    rng = np.random.default_rng([SEED, index])
+    result = []
+    for j, segment in enumerate(flight.segments):
+        noise = np.zeros((len(segment), segment.u.shape[1], 0))
+        if flight.errors is not None:
+            noise = flight.errors[segment.first : segment.first + len(segment)].astype(float)
+        edges = _edges(problem.model, segment, draws_for(flight.samples), rng)
+        common, common_mid = _common(problem.model, segment)
+        du = np.concatenate([noise, np.zeros_like(edges), common], axis=2)
+        du_mid = np.concatenate([_midway(noise), edges, common_mid], axis=2)
+        values = problem.response(unknowns, index, j, du, du_mid)
+        result.append(Disturbed(values, noise.shape[2], edges.shape[2]))
+    return result
+
+
+def _midway(values: Array) -> Array:
+    middle = values.copy()
+    middle[:-1] = 0.5 * (values[:-1] + values[1:])
+    return middle
+
+
+def _controls(model: Model) -> list[int]:
+    return [i for i, s in enumerate(model.inputs) if s.control]
+
+
+def _bends(u: Array) -> Array:
+    """(N,) second difference of a control at its samples."""
+    result = np.zeros(u.size)
+    result[1:-1] = np.diff(u, 2)
+    return result
+
+
+def _edges(model: Model, segment: Segment, draws: int, rng: np.random.Generator) -> Array:
+    """(N, nu, draws) displacements half-way through every interval; the area of an interval errs by half of that."""
+    result = np.zeros((*segment.u.shape, draws))
+    for i in _controls(model):
+        bend = np.append(np.abs(_bends(segment.u[:, i])), 0.0)
+        size = 2.0 * EDGE * np.maximum(bend[:-1], bend[1:])
+        result[:, i] = size[:, None] * rng.standard_normal((len(segment), draws))
+    return result
+
+
+def _common(model: Model, segment: Segment) -> tuple[Array, Array]:
+    """(N, nu, 2 controls) changes of the inputs, at the samples and half-way: each control SHIFT later, each bent by BEND."""
+    controls = _controls(model)
+    at = np.zeros((*segment.u.shape, 2 * len(controls)))
+    middle = np.zeros_like(at)
+    for k, i in enumerate(controls):
+        step = np.append(np.diff(segment.u[:, i]), 0.0)
+        bend = np.append(_bends(segment.u[:, i]), 0.0)
+        at[1:, i, 2 * k] = -0.5 * SHIFT * (step[1:] + step[:-1])
+        middle[:, i, 2 * k] = -SHIFT * step
+        middle[:, i, 2 * k + 1] = -2.0 * BEND * (bend[:-1] + bend[1:])
+    return at, middle
+
+
+def edge_size(told: Sequence[Evidence]) -> float:
+    """Factor on the variance of edges, from all flights of a fit; 0 where residuals show nothing of them."""
+    excess, scale = np.sum([t.edge_excess() for t in told], axis=0)
+    return float(np.clip(excess / scale, 0.0, MOST_EDGE)) if scale > 0.0 else 0.0
+
+
+def common_error(told: Sequence[Evidence], edges: float) -> Array:
+    """(common, common) second moment of the common errors, given that they are of size one and what the flights show."""
+    each = [t.common(edges) for t in told]
+    information, product, chance = (np.sum([e[i] for e in each], axis=0) for i in range(3))
+    prior = np.eye(product.size)
+    weight = information @ np.linalg.pinv(chance, hermitian=True)
+    spread = np.linalg.inv(weight @ information + prior)
+    found = spread @ weight @ product
+    if np.any(np.abs(found) > MOST_COMMON):  # no error of timing is that large: the residuals speak of something else
+        return prior
+    return np.asarray(np.outer(found, found) + 0.5 * (spread + spread.T))

@@ -1,0 +1,94 @@
+"""Whether a model makes sense: every name defined once, no circles, numbers that are numbers."""
+
+import math
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+from estimation.errors import ModelError
+from estimation.models.expressions import check_name, names_in, split_line
+from estimation.models.parts import TRANSFORM_KINDS
+
+if TYPE_CHECKING:
+    from estimation.models.base import Model
+
+
+def check_model(model: "Model") -> None:
+    """Raise ModelError naming the first thing that does not fit."""
+    where = f"model {model.name}"
+    symbols: dict[str, str] = {}
+    for kind, names in (
+        ("state", model.state_names), ("input", model.input_names), ("parameter", model.parameter_names),
+    ):  # fmt: skip
+        for name in names:
+            check_name(name, f"{where}: {kind}")
+            if name in symbols:
+                raise ModelError(f"{where}: {name!r} is both {symbols[name]} and {kind}")
+            symbols[name] = kind
+    if len(set(model.output_names)) < len(model.output_names):
+        twice = next(n for n in model.output_names if model.output_names.count(n) > 1)
+        raise ModelError(f"{where}: output {twice!r} stands there twice")
+    lines = [split_line(line) for line in model.equations]
+    defined: set[str] = set()
+    for symbol, _ in lines:
+        if symbol in defined or symbol in symbols:
+            raise ModelError(f"{where}: {symbol!r} is defined twice ({symbols.get(symbol, 'equation')} and equation)")
+        defined.add(symbol)
+    for state in model.state_names:
+        if f"{state}_dot" not in defined:
+            raise ModelError(f"{where}: state {state!r} has no line '{state}_dot = ...'")
+    known = defined | set(symbols) | set(model.constants)
+    for output in model.output_names:
+        if output not in known and f"{output}_measured" not in defined:
+            raise ModelError(f"{where}: output {output!r} has no line '{output} = ...'")
+    for symbol, expression in lines:
+        for name in sorted(names_in(expression) - known):
+            raise ModelError(f"{where}: {name!r} in the line of {symbol!r} is defined nowhere")
+    if not model.states or not model.outputs:
+        raise ModelError(f"{where}: at least one state and one output are needed")
+    _check_circles(model, dict(lines))
+    _check_parameters(model)
+    _check_transforms(model)
+
+
+def _check_circles(model: "Model", definitions: Mapping[str, str]) -> None:
+    done: set[str] = set()
+
+    def visit(symbol: str, path: tuple[str, ...]) -> None:
+        if symbol in path:
+            raise ModelError(f"model {model.name}: definitions run in a circle: {' -> '.join((*path, symbol))}")
+        if symbol in done or symbol not in definitions:
+            return
+        for name in sorted(names_in(definitions[symbol])):
+            visit(name, (*path, symbol))
+        done.add(symbol)
+
+    for symbol in definitions:
+        visit(symbol, ())
+
+
+def _check_parameters(model: "Model") -> None:
+    for p in model.parameters:
+        where = f"model {model.name}: parameter {p.name}"
+        if not p.lower <= p.start <= p.upper:
+            raise ModelError(f"{where}: start {p.start} lies outside its limits {p.lower} .. {p.upper}")
+        if not math.isfinite(p.start):
+            raise ModelError(f"{where}: start {p.start} is not a finite number")
+        if (p.prior_mean is None) != (p.prior_std is None) or (p.prior_std is not None and not p.prior_std > 0):
+            raise ModelError(f"{where}: a prior needs a mean and a standard deviation greater than zero")
+
+
+def _check_transforms(model: "Model") -> None:
+    for t in model.transforms:
+        where = f"model {model.name}: transform {t.kind} of {t.input}"
+        if t.kind not in TRANSFORM_KINDS:
+            raise ModelError(f"{where}: no such kind; known are {', '.join(TRANSFORM_KINDS)}")
+        if t.input not in model.input_names:
+            raise ModelError(f"{where}: the model has no such input")
+        if len(t.parameters) != TRANSFORM_KINDS[t.kind]:
+            raise ModelError(f"{where}: {TRANSFORM_KINDS[t.kind]} parameter(s) needed, {len(t.parameters)} given")
+        for name in t.parameters:
+            model.parameter(name)
+    for output, name in model.output_delays.items():
+        if output not in model.output_names:
+            raise ModelError(f"model {model.name}: delay on {output!r}, which is no output")
+        model.parameter(name)

@@ -1,0 +1,100 @@
+"""Parts of a model as plain data, as a TOML file holds them, and back."""
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any
+
+from estimation.errors import ModelError
+from estimation.models.parts import InputTransform, Parameter, Signal
+
+
+def without_defaults(item: Any) -> dict[str, Any]:
+    """A part as a table, keys at their default left out."""
+    cls = type(item)
+    default = cls("x", "x", ("x",)) if cls is InputTransform else cls("x")
+    data = {k: v for k, v in asdict(item).items() if k in ("name", "kind", "input") or v != getattr(default, k)}
+    return {k: list(v) if isinstance(v, tuple) else v for k, v in data.items()}
+
+
+def number(value: object, key: str) -> float:
+    """A number, or ModelError naming the key."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ModelError(f"{key} = {value!r} is not a number")
+    return float(value)
+
+
+def listed(data: Mapping[str, Any], key: str) -> list[Any]:
+    """The list under a key (empty where it is not there), or ModelError."""
+    value = data.get(key, [])
+    if not isinstance(value, list):
+        raise ModelError(f"{key} = {value!r} must be a list, like [{value!r}]")
+    return value
+
+
+def table(data: Mapping[str, Any], key: str) -> Mapping[str, Any]:
+    """The table under a key (empty where it is not there), or ModelError."""
+    value = data.get(key, {})
+    if not isinstance(value, Mapping):
+        raise ModelError(f"{key} = {value!r} must be a table of names and values")
+    return value
+
+
+def signal(key: str, data: object) -> Signal:
+    """A state, input or output from a table, or from its name alone."""
+    if isinstance(data, Mapping):
+        for name in sorted(set(data) & set(Signal.__dataclass_fields__)):
+            value = data[name]
+            kind = _KINDS.get(name, str)
+            if not isinstance(value, kind):
+                wanted = "true or false" if kind is bool else "text" if kind is str else "text or a number"
+                raise ModelError(f"{key} {data.get('name')!r}: {name} = {value!r} must be {wanted}")
+    return item(Signal, key, data)  # type: ignore[no-any-return]
+
+
+_KINDS: Mapping[str, Any] = {"control": bool, "servo": bool, "optional": bool, "start": (str, int, float)}
+
+
+def lines(value: object) -> tuple[str, ...]:
+    """Equation lines without comments and blanks, from a list or from one text."""
+    rows = value.splitlines() if isinstance(value, str) else value
+    if not isinstance(rows, list) or not all(isinstance(r, str) for r in rows):
+        raise ModelError("equations must be lines of text: 'name = expression'")
+    bare = (row.split("#", 1)[0].strip() for row in rows)
+    return tuple(row for row in bare if row)
+
+
+def item(cls: type[Any], key: str, data: object) -> Any:
+    """A part from a table, or from its name alone."""
+    if isinstance(data, str):
+        data = {"name": data}
+    if not isinstance(data, Mapping) or "name" not in data:
+        raise ModelError(f"{key}: each entry is a table with at least a name, not {data!r}")
+    if not isinstance(data["name"], str):
+        raise ModelError(f"{key}: name = {data['name']!r} must be text")
+    allowed = set(cls.__dataclass_fields__)
+    unknown = sorted(set(data) - allowed)
+    if unknown:
+        raise ModelError(f"{key} {data['name']!r}: unknown key {unknown[0]!r}; known are {', '.join(sorted(allowed))}")
+    return cls(**data)
+
+
+def parameter(data: object) -> Parameter:
+    """A parameter from a table, or from its name alone."""
+    if isinstance(data, Mapping):
+        texts = {"name", "unit", "reference_source", "description"}
+        flags = {"fixed", "local"}
+        for key, value in data.items():
+            if key in Parameter.__dataclass_fields__ and key not in texts | flags:
+                number(value, f"parameter {data.get('name')!r}: {key}")
+            if key in flags and not isinstance(value, bool):
+                raise ModelError(f"parameter {data.get('name')!r}: {key} = {value!r} must be true or false")
+    return item(Parameter, "parameters", data)  # type: ignore[no-any-return]
+
+
+def transform(data: object) -> InputTransform:
+    """An input transform from a table."""
+    if not isinstance(data, Mapping) or set(data) != {"kind", "input", "parameters"}:
+        raise ModelError(f"transforms: each entry has kind, input and parameters, not {data!r}")
+    if not isinstance(data["parameters"], list | tuple):
+        raise ModelError(f"transforms: parameters = {data['parameters']!r} must be a list of names")
+    return InputTransform(str(data["kind"]), str(data["input"]), tuple(str(p) for p in data["parameters"]))

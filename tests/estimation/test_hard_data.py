@@ -1,0 +1,208 @@
+"""Data that a stranger brings: wrong units and signs, stuck sensors, files that cannot be written, models that are none."""
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+from estimation import laboratory
+from estimation.aircraft import load_aircraft
+from estimation.commands.estimate import estimate, select_segments, separated
+from estimation.commands.outputs import check_outputs
+from estimation.engine.data import Preparation, prepare
+from estimation.engine.plausible import stuck
+from estimation.errors import DataError, EstimationError, ModelError
+from estimation.estimators.output_error import output_error
+from estimation.models import load_model
+from groundstation.flight import Flight, read_flight, write_flight
+
+LATERAL = load_model("lateral")
+Change = Callable[[Flight], dict[str, np.ndarray]]
+
+
+def run(*arguments: object) -> Result:
+    return CliRunner().invoke(estimate, [str(a) for a in arguments], standalone_mode=False)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda f: {"V": -f["V"]}, "V is -1"),
+        (lambda f: {"V": 0 * f["V"]}, "leave that time out with --segments"),
+        (lambda f: {"beta": np.degrees(f["beta"])}, "beta reaches"),
+        (lambda f: {"delta_a": np.degrees(f["delta_a"])}, "looks like degrees"),
+        (lambda f: {"p": np.degrees(f["p"])}, "p reaches"),
+        (lambda f: {"p": np.degrees(f["p"]) / 5.0, "phi": f["phi"] / 5.0}, "times too large beside phi"),
+        (lambda f: {"phi": np.degrees(f["phi"])}, "times too large beside p"),
+        (lambda f: {"rho": -f["rho"]}, "rho is -"),
+    ],
+)
+def test_another_unit_or_sign_is_refused_before_the_fit(made_flights: list[Flight], change: Change, said: str) -> None:
+    flight = made_flights[0]
+    with pytest.raises(DataError, match=said):
+        prepare(LATERAL, flight.with_columns(**change(flight)))
+
+
+def test_an_aircraft_that_still_stands_may_be_checked_but_not_divided_by(made_flights: list[Flight]) -> None:
+    from estimation.models.kinematic import compatibility_model
+
+    flight = made_flights[0]
+    still = np.zeros(len(flight))
+    rolling = flight.with_columns(V=np.where(flight.time < 3.0, 0.0, flight["V"]), ax=still, az=still - 9.8, psi=still)
+    prepare(compatibility_model(), rolling)
+    with pytest.raises(DataError, match="first at t = 0 s"):
+        prepare(LATERAL, rolling)
+
+
+def test_sound_flights_pass_and_own_units_are_not_judged(made_flights: list[Flight], tmp_path: Path) -> None:
+    assert not [n for n in prepare(LATERAL, made_flights[0]).notes if "radians" in n]
+    text = 'equations = ["p_dot = L_p*p + L_a*delta_a"]\nstates = ["p"]\noutputs = ["p"]\ninputs = ["delta_a"]\n'
+    (tmp_path / "degrees.toml").write_text(text + 'parameters = ["L_p", "L_a"]\n')
+    degrees = {n: np.degrees(made_flights[0][n]) for n in ("p", "delta_a")}
+    prepare(load_model(tmp_path / "degrees.toml"), made_flights[0].with_columns(**degrees))
+
+
+def test_a_stuck_sensor_is_left_out_and_the_answer_stays_right(made_flights: list[Flight]) -> None:
+    flight = made_flights[0]
+    p = np.where(flight.time > 20.0, flight["p"][400], flight["p"])
+    data = prepare(LATERAL, flight.with_columns(p=p))
+    assert any("p repeats one value for" in n for n in data.notes)
+    result, sound = output_error(LATERAL, data), output_error(LATERAL, flight)
+    for name in ("Cl_p", "Cl_da", "Cn_beta"):
+        assert abs(result.values[name] - sound.values[name]) < 3.0 * result.std_coloured[name]
+    quiet = np.zeros(400)  # a channel without noise may stand still
+    assert not stuck(np.arange(400) * 0.05, quiet).any()
+
+
+def test_a_channel_that_is_not_explained_is_named(made_flights: list[Flight]) -> None:
+    flight = made_flights[0].with_columns(r=-made_flights[0]["r"])
+    session = laboratory.estimate(LATERAL, [flight], load_aircraft())
+    assert any("is not explained by the model" in n for n in session.flights[0].notes)
+    turned = made_flights[0].with_columns(delta_a=-made_flights[0]["delta_a"])
+    session = laboratory.estimate(LATERAL, [turned], load_aircraft())
+    assert any("check the sign of delta_a" in n for n in session.flights[0].notes)
+    session = laboratory.estimate(LATERAL, [made_flights[0]], load_aircraft())
+    assert not any("check" in n for n in session.flights[0].notes)
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--figure", "f.xyz"], "no known kind of picture"),
+        (["--figure", "f"], "no known kind of picture"),
+        (["--save-model", "m.json"], "end the name in .toml"),
+        (["--json", "."], "that is a folder"),
+        (["--json", "flight.csv/x.json"], "is a file, not a folder"),
+        (["--report", "flight.csv"], "is a file, not a folder"),
+        (["--histories", "flight.csv/x"], "is a file, not a folder"),
+        (["--method", ""], "no method given"),
+        (["--model", ":"], "module:Class"),
+        (["--model", ".x:Y"], "module:Class"),
+        (["--model", "nowhere_at_all:Y"], "cannot import"),
+    ],
+)
+def test_options_are_looked_at_before_any_work(
+    options: list[str], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, made_flights: list[Flight]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(laboratory, "run_method", lambda *_, **__: pytest.fail("the fit had begun"))
+    write_flight(made_flights[0], "flight.csv")
+    result = run("flight.csv", *options)
+    assert isinstance(result.exception, EstimationError)
+    assert said in str(result.exception)
+    assert result.output == ""
+
+
+def test_outputs_that_can_be_written_leave_nothing_behind(tmp_path: Path) -> None:
+    check_outputs(json=tmp_path / "a" / "b.json", report=tmp_path / "report", figure=tmp_path / "f.PNG")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_segments_say_what_is_wrong_with_them(made_flights: list[Flight]) -> None:
+    for text, said in (("2:2.1", "only 3 samples"), ("2:12,10:20", "overlaps"), ("50:60", "it runs from")):
+        with pytest.raises(EstimationError, match=said):
+            select_segments(made_flights[0], text)
+
+
+def test_each_segment_becomes_a_flight(made_flights: list[Flight]) -> None:
+    flight = select_segments(made_flights[0], "1:14,15:29")
+    first, second = separated(flight)
+    assert (first.name, second.name) == (f"{flight.name}.1", f"{flight.name}.2")
+    assert len(first) + len(second) == len(flight)
+    assert separated(made_flights[0]) == [made_flights[0]]
+
+
+def test_raw_inputs_are_taken_as_measured(made_flights: list[Flight]) -> None:
+    data = prepare(LATERAL, made_flights[0], Preparation(denoise=False))
+    column = LATERAL.input_names.index("delta_a")
+    assert np.array_equal(data.segments[0].u[:, column], made_flights[0]["delta_a"])
+    assert data.noise["delta_a"][0] > 0.0
+    assert "measured inputs taken with their noise" in data.notes
+
+
+SMALL = {"states": "['p']", "outputs": "['p']", "inputs": "['delta_a']", "parameters": "['L_p']"}
+
+
+@pytest.mark.parametrize(
+    ("changes", "rate", "said"),
+    [
+        ({"states": "'p'"}, "L_p*p", "must be a list"),
+        ({"constants": "3"}, "L_p*p", "must be a table"),
+        ({"outputs": "['p', 'p']"}, "L_p*p", "stands there twice"),
+        ({"parameters": "[{name=3}]"}, "L_p*p", "must be text"),
+        ({"inputs": "[{name='delta_a', control='yes'}]"}, "L_p*p", "must be true or false"),
+        ({"transforms": "[{kind='delay', input='delta_a', parameters='T'}]"}, "L_p*p", "must be a list of names"),
+        ({}, "L_p*p + 1e999", "no number to calculate with"),
+        ({}, "L_p*p + 1/0", "cannot be calculated"),
+    ],
+)
+def test_model_files_with_mistakes_are_told_in_words(
+    changes: dict[str, str], rate: str, said: str, tmp_path: Path
+) -> None:
+    from estimation.engine.trace import trace
+
+    keys = {**SMALL, **changes, "equations": f"['p_dot = {rate}']"}
+    (tmp_path / "own.toml").write_text("".join(f"{k} = {v}\n" for k, v in keys.items()))
+    with pytest.raises(ModelError, match=said):
+        trace(load_model(tmp_path / "own.toml"))
+
+
+MISTAKES = {
+    "syntax": "class Roll:\n    states = {",
+    "name": "class Roll:\n    states = {'p': unit}\n",
+    "equations": (
+        "class Roll:\n    states = {'p': '1'}\n    measured = {'p': '1'}\n    parameters = {'a': '1'}\n"
+        "    def derivatives(self, x, u, p):\n        return [x.p[3]]\n"
+        "    def outputs(self, x, u, p, xdot):\n        return [x.p]\n"
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", MISTAKES)
+def test_mistakes_in_an_own_class_are_told_with_their_place(
+    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / f"own_{kind}.py").write_text(MISTAKES[kind])
+    with pytest.raises(ModelError, match=r"line \d+"):
+        load_model(f"own_{kind}:Roll")
+
+
+def test_flights_with_histories_open_in_the_viewer(made_flights: list[Flight], tmp_path: Path) -> None:
+    """The model's columns beside the measured ones, under the names that `sideslip view` draws."""
+    from groundstation.viewer.entities import model_groups
+
+    write_flight(made_flights[0], tmp_path / "flight.mcap")
+    result = run(tmp_path / "flight.mcap", "--histories", tmp_path / "shown")
+    assert result.exception is None
+    assert "sideslip view" in result.output
+    shown = read_flight(tmp_path / "shown" / "flight.mcap")
+    for name in LATERAL.output_names:
+        assert np.isfinite(shown[f"{name}_model"]).all()
+    assert np.std(shown["p_model"] - shown["p"]) < 0.02
+    drawn = {c for group in model_groups(shown.columns) for c in group.columns}
+    assert {"beta_model", "p_model", "r_model", "phi_model", "ay_model"} <= drawn
+    shutil.rmtree(tmp_path / "shown")
