@@ -30,6 +30,7 @@ from daq.sensors.config import AttitudeConfig
 SCALE = 32767
 
 Vector = Sequence[float]
+_DEGREES, _RADIANS = 180.0 / math.pi, math.pi / 180.0
 _FLIP = np.array((1.0, -1.0, -1.0))  # forward right down <-> forward left up, north east down <-> north west up
 
 
@@ -41,6 +42,11 @@ class AttitudeStatus(IntFlag):
     ACCELERATION_REJECTED = 4
     MAGNETIC_REJECTED = 8
     MAGNETOMETER_USED = 16
+
+
+_INITIALISING, _RATE_RECOVERY, _ACCELERATION_REJECTED, _MAGNETIC_REJECTED, _MAGNETOMETER_USED = (
+    int(flag) for flag in AttitudeStatus
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,9 +97,9 @@ class AttitudeFilter:
         self._bias_known = False
         self._air = AirPath()
         self._ground = GroundVelocity()
-        self._heading_known = (
-            False  # velocities over ground say nothing to an aircraft that does not know where north is
-        )
+        self._axes = np.eye(3)  # body to north-east-down, by the attitude held so far
+        # velocities over ground say nothing to an aircraft that does not know where north is
+        self._heading_known = False
 
     @property
     def gyro_bias(self) -> tuple[float, float, float]:
@@ -116,10 +122,10 @@ class AttitudeFilter:
         """
         force = np.array(accel, dtype=np.float64)
         step = self._step(time)
-        rate_deg = self._unbiased(time, np.degrees(np.array(gyro, dtype=np.float64)), self._at_rest(airspeed))
+        rate_deg = self._unbiased(time, np.array(gyro, dtype=np.float64) * _DEGREES, self._at_rest(airspeed))
         turn_rate = self._turn_rate(rate_deg, step)
         self._air.follow(airspeed if self._config.airspeed_correction else None, step)
-        down = self._air.plumb_line(force, np.radians(rate_deg))
+        down = self._air.plumb_line(force, rate_deg * _RADIANS)
         field = None if mag is None or not self._config.use_magnetometer else np.array(mag) - self._magnetic_offset
         if step is None or self._begun is None:
             self._begun = time
@@ -130,12 +136,14 @@ class AttitudeFilter:
             aided = self._heading_known and self._ground.known(time)
             self._set_gain(self._gain_at(time - self._begun, aided))
             if aided:
-                down = self._ground.plumb_line(self._axes(), self.VELOCITY_GAIN * self._gain)
+                down = self._ground.plumb_line(self._axes, self.VELOCITY_GAIN * self._gain)
             self._ahrs.set_sample_period(step)
             self._advance(turn_rate, down, field)
-        axes, antenna = self._axes(), np.cross(np.radians(rate_deg), self._config.antenna_m)
-        self._ground.advance(time, step or 0.0, axes, force, self.VELOCITY_GAIN * self._gain, axes @ antenna)
-        return Attitude(self._quaternion(), self._status(time, field is not None))
+        quaternion = self._quaternion()
+        self._axes = _axes_of(quaternion)
+        antenna = self._axes @ _cross(rate_deg * _RADIANS, self._config.antenna_m)
+        self._ground.advance(time, step or 0.0, self._axes, force, self.VELOCITY_GAIN * self._gain, antenna)
+        return Attitude(quaternion, self._status(time, field is not None))
 
     def _advance(self, rate_deg: np.ndarray, down: np.ndarray, field: np.ndarray | None) -> None:
         plumb_line = down / GRAVITY * _FLIP
@@ -181,17 +189,6 @@ class AttitudeFilter:
             )
         )
 
-    def _axes(self) -> np.ndarray:
-        """(3, 3) turning body vectors to north-east-down, by the attitude as it is."""
-        w, x, y, z = self._quaternion()
-        return np.array(
-            (
-                (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
-                (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
-                (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
-            )
-        )
-
     def _step(self, time: float) -> float | None:
         """Time since the last sample [s]; None, and a restart, when there was none recently."""
         last, self._time = self._time, time
@@ -233,7 +230,7 @@ class AttitudeFilter:
         elif self._last_gyro:
             mean = (5 * rate_deg + 8 * self._last_gyro[0] - self._last_gyro[1]) / 12
         self._last_gyro.appendleft(rate_deg)
-        half = math.radians(float(np.linalg.norm(mean))) * (step or 0.0) / 2
+        half = math.radians(math.hypot(*mean)) * (step or 0.0) / 2
         return np.asarray(mean * (math.tan(half) / half if 1e-6 < half < 0.5 else 1.0))
 
     def _at_rest(self, airspeed: float | None) -> bool:
@@ -249,18 +246,36 @@ class AttitudeFilter:
 
     def _status(self, time: float, magnetic: bool) -> AttitudeStatus:
         flags, inside = self._ahrs.get_flags(), self._ahrs.get_internal_states()
-        status = AttitudeStatus(0)
+        bits = 0  # plain integers: flags are objects, and cost more to add up than the filter's step
         if flags.startup or self._begun is None or time - self._begun < self.SETTLING_S:
-            status |= AttitudeStatus.INITIALISING
+            bits |= _INITIALISING
         if flags.overrange_recovery:
-            status |= AttitudeStatus.RATE_RECOVERY
+            bits |= _RATE_RECOVERY
         if inside.accelerometer_ignored:
-            status |= AttitudeStatus.ACCELERATION_REJECTED
+            bits |= _ACCELERATION_REJECTED
         if magnetic:
-            status |= AttitudeStatus.MAGNETOMETER_USED
+            bits |= _MAGNETOMETER_USED
             if inside.magnetometer_ignored:
-                status |= AttitudeStatus.MAGNETIC_REJECTED
-        return status
+                bits |= _MAGNETIC_REJECTED
+        return AttitudeStatus(bits)
+
+
+def _cross(a: Vector | np.ndarray, b: Vector) -> np.ndarray:
+    """The vector product (3,); `np.cross` costs more than all the rest of an update."""
+    (ax, ay, az), (bx, by, bz) = a, b
+    return np.array((ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx))
+
+
+def _axes_of(quaternion: tuple[float, float, float, float]) -> np.ndarray:
+    """(3, 3) turning body vectors to north-east-down."""
+    w, x, y, z = quaternion
+    return np.array(
+        (
+            (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+            (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+            (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+        )
+    )
 
 
 def _quaternion_of(axes: np.ndarray) -> np.ndarray:

@@ -15,6 +15,7 @@ Trans. Automatic Control 53 (2008) 1203; with velocity aiding: M.-D. Hua, "Attit
 using GPS/INS measurements", Control Engineering Practice 18 (2010) 723, of which this is the linear cascade.
 """
 
+from bisect import bisect_left
 from collections import deque
 from dataclasses import dataclass
 
@@ -94,7 +95,7 @@ class GroundVelocity:
     def _at(self, time: float) -> Array:
         """The integrated velocity (3,) at an earlier time, by straight lines."""
         times = [t for t, _ in self._history]
-        k = min(max(int(np.searchsorted(times, time)), 1), len(times) - 1)
+        k = min(max(bisect_left(times, time), 1), len(times) - 1)
         if k < 1:
             return self._history[0][1]
         (t0, v0), (t1, v1) = self._history[k - 1], self._history[k]
