@@ -32,22 +32,22 @@ def planted(scenario: Scenario) -> dict[str, Any]:
     return scenario.model_dump(exclude_defaults=True, mode="json").get("sensors", {})
 
 
-def paper_flights(scratch: Path) -> list[dict[str, Any]]:
-    """Fly the four and copy raw and calibrated recordings."""
+def paper_flights(scratch: Path, made: Path) -> list[dict[str, Any]]:
+    """Fly the four and copy raw and calibrated recordings to `made`."""
     rows = []
     for name in PAPER_FLIGHTS:
         scenario = load_scenario(name)
         flown = sideslip.fly_scenario(scenario, scratch / name, backfill=False)
         raw = sorted((scratch / name / "onboard").glob("*.mcap"))
         assert len(raw) == 1, raw
-        shutil.copyfile(raw[0], FOLDER / f"{name}_raw.mcap")
-        shutil.copyfile(flown.onboard, FOLDER / f"{name}.mcap")
+        shutil.copyfile(raw[0], made / f"{name}_raw.mcap")
+        shutil.copyfile(flown.onboard, made / f"{name}.mcap")
         rows.append(
             {
                 "name": name,
                 "raw": f"{name}_raw.mcap",
                 "flight": f"{name}.mcap",
-                "sha256": {f: digest(FOLDER / f) for f in (f"{name}_raw.mcap", f"{name}.mcap")},
+                "sha256": {f: digest(made / f) for f in (f"{name}_raw.mcap", f"{name}.mcap")},
                 "source": "simulated",
                 "made_by": f"sideslip fly {name}",
                 "seed": scenario.flight.seed,
@@ -58,14 +58,14 @@ def paper_flights(scratch: Path) -> list[dict[str, Any]]:
     return rows
 
 
-def gap_sets(scratch: Path, key: dict[str, Any]) -> list[dict[str, Any]]:
-    """Fly the sets of the key, and put the true derivatives into it; the manifest does not tell what the key tells."""
+def gap_sets(scratch: Path, made: Path, key: dict[str, Any]) -> list[dict[str, Any]]:
+    """Fly the sets of the key to `made`, and put the true derivatives into it; the manifest does not tell what the key tells."""
     rows = []
     for letter, entry in key.items():
         plan = Campaign(hidden=tuple((name, size) for name, size in entry["hidden"]), seed=entry["seed"]).scenarios()
         for number, (scenario, seed) in enumerate(plan):
             flown = sideslip.fly_scenario(scenario, scratch / f"{letter}{number}", seed=seed, backfill=False)
-            target = FOLDER / "gap" / f"{letter}_{number}.mcap"
+            target = made / "gap" / f"{letter}_{number}.mcap"
             shutil.copyfile(flown.onboard, target)
             rows.append({"name": f"gap/{letter}_{number}", "flight": f"gap/{target.name}", "sha256": digest(target),
                          "source": "simulated", "seed": seed})  # fmt: skip
@@ -75,14 +75,17 @@ def gap_sets(scratch: Path, key: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def main() -> None:
-    """Remove what is there and make it anew."""
+    """Make everything anew, and only then put it in the place of what is there."""
     key = json.loads(KEY.read_text(encoding="utf-8"))
-    for old in FOLDER.rglob("*.mcap"):
-        old.unlink()
     with tempfile.TemporaryDirectory() as folder:
-        scratch = Path(folder)
-        rows = paper_flights(scratch)
-        more = gap_sets(scratch, key)
+        scratch, made = Path(folder), Path(folder) / "made"
+        (made / "gap").mkdir(parents=True)
+        rows = paper_flights(scratch, made)
+        more = gap_sets(scratch, made, key)
+        for old in FOLDER.rglob("*.mcap"):
+            old.unlink()
+        for new in made.rglob("*.mcap"):
+            shutil.copyfile(new, FOLDER / new.relative_to(made))
     manifest = {
         "about": "Simulated flights through the simulated sensor bus, the real logger and calibration.",
         "made_by": "python -m tests.make_recordings",

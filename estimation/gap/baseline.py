@@ -1,7 +1,7 @@
 """One model's fit to the training flights with its noise, its nulls and its screen: one round of the workflow."""
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -9,17 +9,33 @@ from estimation.engine.kernel import Array
 from estimation.engine.simulate import Simulator
 from estimation.gap.bench import Bench, Record
 from estimation.gap.confirm import linear_gains
+from estimation.gap.edges import Edges, displaced, find_edges, freedom_of, loosened
 from estimation.gap.effects.base import Effect
 from estimation.gap.errors import GapError
 from estimation.gap.fitting import Fit, Local, Problem, fit
 from estimation.gap.nulls import InputErrors, NullFlyer, columns_of, fly_nulls
 from estimation.gap.screen import Screen, build_screen, hypotheses_for
-from estimation.gap.whitening import NoiseModel, Whitener, estimate_noise, force_states, shapes_of, whitener
+from estimation.gap.whitening import (
+    GYRO,
+    RATE_OF,
+    WANDERING,
+    WANDERING_S,
+    NoiseModel,
+    Shapes,
+    Whitener,
+    estimate_noise,
+    force_states,
+    linear_motion,
+    shapes_of,
+    whitener,
+)  # fmt: skip
 from estimation.models.base import Model
 from estimation.preprocess import noise_level
 
 LEAST_NOISE = 0.25  # of the variance that the sample-to-sample scatter of a channel shows
 PASSES = 3
+EDGE_TURNS = 2
+OWN_NOISE = 0.5  # of a rate's scatter: to begin with, half of its standard deviation is not shared with the attitude
 SAFETY = 1.25  # on the null threshold: nulls know nothing of what the baseline's own equations and sampling get a little wrong
 WORK = 1e7  # the same right-hand side serves every fit and null: compiling it repays
 
@@ -38,6 +54,22 @@ def channel_noise(records: Sequence[Record]) -> Array:
     return np.maximum(np.median(levels, axis=0), 1e-4 * np.maximum(span, 1e-9))
 
 
+def filtered_attitudes(records: Sequence[Record], outputs: Sequence[str], white: Array) -> tuple[str, ...]:
+    """Those attitudes among the outputs, of white noise `white` (ny,), that come from a filter which integrates the gyro.
+
+    From sample to sample they are smoother than one step of the gyro's own noise, which no independent measurement can be.
+    """
+    step = float(np.median(np.concatenate([np.diff(record.time) for record in records])))
+    found = []
+    for attitude, rate in RATE_OF.items():
+        if attitude in outputs:
+            given = [record.input_noise.get(rate, 0.0) for record in records]
+            noise = white[outputs.index(rate)] if rate in outputs else float(np.median(given))
+            if white[outputs.index(attitude)] <= noise * step:
+                found.append(attitude)
+    return tuple(found)
+
+
 def bank_error(records: Sequence[Record], outputs: Sequence[str], scatter: Array) -> Array:
     """`scatter` with the noise of the bank angle replaced by its slow error where the bank angle is a filter's.
 
@@ -45,12 +77,9 @@ def bank_error(records: Sequence[Record], outputs: Sequence[str], scatter: Array
     step of the gyro's own noise, which no independent measurement can be. What is wrong with it is then not seen in
     that smoothness but in how it parts from the integrated rates (without a constant and a drift) over the record.
     """
-    if not {"p", "r", "phi"} <= set(outputs):
+    if not {"p", "r"} <= set(outputs) or "phi" not in filtered_attitudes(records, outputs, scatter):
         return scatter
     p, r, phi = (outputs.index(n) for n in ("p", "r", "phi"))
-    step = float(np.median(np.concatenate([np.diff(record.time) for record in records])))
-    if scatter[phi] > scatter[p] * step:
-        return scatter
     errors = []
     for record in records:
         if not {"q", "theta"} <= set(record.inputs) or not np.isfinite(record.z[:, [p, r, phi]]).all():
@@ -93,15 +122,72 @@ def whiteners_for(
     noise: NoiseModel | None,
     residuals: Sequence[Array],
     scatter: Array,
+    begin: NoiseModel | None = None,
 ) -> tuple[NoiseModel, tuple[Whitener, ...]]:
-    """Noise model from `residuals` (or `noise` where given) and the whitener of every record."""
+    """Noise model from `residuals` (or `noise` where given) and the whitener of every record. begin: an earlier estimate."""
     simulator = Simulator.build(problem_model, (), substeps=1, hold="linear")
+    segments = [r.segment(problem_model, base) for r in records]
+    linear = [linear_motion(problem_model, simulator, s, values) for s in segments]
     shapes = [
-        shapes_of(problem_model, simulator, r.segment(problem_model, base), values, force_states(base)) for r in records
+        replace(shapes_of(problem_model, m, len(s), force_states(base)), louder=r.louder)
+        for m, s, r in zip(linear, segments, records, strict=True)
     ]
+    edges = [find_edges(problem_model, m, s) for m, s in zip(linear, segments, strict=True)]
     if noise is None:
-        noise = estimate_noise(residuals, shapes, scatter**2, LEAST_NOISE * scatter**2)
-    return noise, tuple(whitener(noise, s) for s in shapes)
+        noise = _estimated(residuals, shapes, edges, *_noise_parts(records, base.output_names, scatter), begin)
+    return noise, tuple(loosened(whitener(noise, s), e, noise.freedom) for s, e in zip(shapes, edges, strict=True))
+
+
+def _estimated(
+    residuals: Sequence[Array],
+    shapes: Sequence[Shapes],
+    edges: Sequence[Edges],
+    white: Array,
+    without: Collection[str],
+    known: Mapping[str, float],
+    begin: NoiseModel | None,
+) -> NoiseModel:
+    """Stationary noise and the freedom of the edges in turn: each from what the other leaves of the residuals."""
+    noise = begin if begin is not None and begin.freedom else None
+    freedom = dict(noise.freedom) if noise is not None else {}
+    left = list(residuals)
+    for turn in range(EDGE_TURNS + 1):
+        if turn > 0 or noise is None:
+            noise = estimate_noise(left, shapes, white**2, LEAST_NOISE * white**2, without, known, noise)
+        if turn == EDGE_TURNS:
+            break
+        told = [
+            displaced(whitener(noise, s), e, freedom, np.nan_to_num(r))
+            for s, e, r in zip(shapes, edges, residuals, strict=True)
+        ]
+        freedom = freedom_of(edges, told)
+        left = [r - e.response @ mean for r, e, (mean, _) in zip(residuals, edges, told, strict=True)]
+    assert noise is not None
+    return replace(noise, freedom=freedom)
+
+
+def _noise_parts(
+    records: Sequence[Record], outputs: Sequence[str], scatter: Array
+) -> tuple[Array, tuple[str, ...], dict[str, float]]:
+    """(ny,) white noise of the outputs to begin with, the parts these flights do not have, first guesses of some they have.
+
+    An attitude that is measured afresh in every sample does not wander; one that is a filter's shares most of its gyro's
+    noise. It keeps its slow error as white noise too: a filter is smoother than it is right, and what it makes of the motion
+    between two samples is not known to a hundredth of a degree.
+    """
+    white = channel_noise(records)
+    wandering = filtered_attitudes(records, outputs, white)
+    step = float(np.median(np.diff(records[0].time)))
+    own = scatter.copy()
+    for n in wandering:
+        if RATE_OF[n] in outputs:
+            own[outputs.index(RATE_OF[n])] *= OWN_NOISE
+    known = {}
+    for n in wandering:
+        known[WANDERING.format(n)] = scatter[outputs.index(n)] ** 2 / (step * WANDERING_S)
+        if RATE_OF[n] in outputs:
+            known[GYRO.format(n)] = (1.0 - OWN_NOISE**2) * scatter[outputs.index(RATE_OF[n])] ** 2
+    return own, tuple(part.format(n) for n in RATE_OF if n not in wandering for part in (WANDERING, GYRO)), known
 
 
 def fit_baseline(
@@ -130,7 +216,7 @@ def fit_baseline(
             _, whiteners = whiteners_for(model, bench.base, records, at, level, (), scatter)
         else:
             assert found is not None
-            level, whiteners = whiteners_for(model, bench.base, records, at, None, found.residuals, scatter)
+            level, whiteners = whiteners_for(model, bench.base, records, at, None, found.residuals, scatter, level)
         problem = Problem(model, bench.base, records, whiteners, WORK)
         found = fit(problem, values, own)
         if found.diverged:
@@ -193,7 +279,7 @@ def screen_round(
     hypotheses = hypotheses_for(baseline.clean, effects, bench.available)
     screen = build_screen(problem, baseline.fit, hypotheses, columns_of(flown))
     gains = linear_gains(screen, problem, 0)
-    null_gains = np.array([linear_gains(screen, problem, 1 + c) for c in range(nulls)])
+    null_gains = linear_gains(screen, problem, slice(1, 1 + nulls))
     inflation = null_inflation(screen, nulls)
     largest = np.sqrt(null_gains / inflation).max(axis=1) if screen.hypotheses else np.zeros(nulls)
     return Round(baseline, screen, gains, null_gains, inflation, SAFETY * upper_quantile(largest, level), tuple(flown))

@@ -14,7 +14,10 @@ from estimation.engine.kernel import Array
 from estimation.engine.simulate import Segment
 from estimation.gap.effects.base import Effect, Form
 from estimation.models.base import Model, Signal
+from estimation.preprocess import noise_level
 from groundstation.flight import Flight
+
+CLEARLY = 1.5  # times the usual standard deviation: a channel noisier than that has a noise of its own
 
 
 @dataclass(frozen=True)
@@ -33,6 +36,9 @@ class Record:
     z: Array
     x0: Array
     input_noise: Mapping[str, float]
+    louder: Array | None = (
+        None  # (ny,) variance of the outputs' white noise over the usual one, where this flight's is larger
+    )
 
     def __len__(self) -> int:
         return int(self.time.size)
@@ -107,9 +113,29 @@ def build_bench(base: Model, effects: Sequence[Effect], training: Sequence[Fligh
     return Bench(
         base=base,
         names=tuple(f.name for f in flights),
-        records=tuple(records),
+        records=_with_own_noise(records, len(training)),
         training=tuple(range(len(training))),
         holdout=tuple(range(len(training), len(flights))),
         available=frozenset(known | {s.name for s in usable}),
         notes=tuple(notes),
     )
+
+
+def _with_own_noise(records: Sequence[Record], training: int) -> tuple[Record, ...]:
+    """The records, marked where an output is clearly noisier than usual on the training flights.
+
+    A quieter one is left as usual: the scatter of few samples may look quiet by chance, and trusting it too much names effects.
+    """
+    levels = np.array([[_level(r.z[:, c]) for c in range(r.z.shape[1])] for r in records])
+    usual = np.median([row for row, r in zip(levels, records, strict=True) if r.flight < training], axis=0)
+    marked = []
+    for record, row in zip(records, levels, strict=True):
+        ratio = np.divide(row, usual, out=np.ones_like(row), where=usual > 0.0)
+        louder = np.where(ratio > CLEARLY, ratio, 1.0) ** 2
+        marked.append(replace(record, louder=louder) if (louder > 1.0).any() else record)
+    return tuple(marked)
+
+
+def _level(values: Array) -> float:
+    seen = values[np.isfinite(values)]
+    return noise_level(seen) if seen.size else 0.0

@@ -18,6 +18,9 @@ from estimation.gap.screen import Hypothesis, Screen, equivalent_z, extended
 from estimation.gap.whitening import Whitener
 from estimation.models.base import Model
 
+IN_SIGHT = 0.15  # of the best gain by linear theory
+FIRST_STEPS = 5  # from every start; the better end goes on
+ENOUGH = 0.02  # of the log-likelihood: rivals are weighed by whole units of it
 PRIOR_WIDTH = 1.5  # typical sizes: standard deviation of the prior of an effect's size
 
 
@@ -53,8 +56,12 @@ def fit_hypothesis(
         model = awakened(problem.model, hypothesis.form, start)
         trial = replace(problem, model=model)
         locals_ = [extended(local, base_fit.model, model) for local in base_fit.locals]
-        done.append((trial, fit(trial, {**model.starts(), **base_fit.values, **start}, locals_, iterations=iterations)))
-    return min(done, key=lambda pair: pair[1].cost if not pair[1].diverged else np.inf)
+        first = {**model.starts(), **base_fit.values, **start}
+        done.append((trial, fit(trial, first, locals_, iterations=FIRST_STEPS, enough=ENOUGH)))
+    trial, best = min(done, key=lambda pair: pair[1].cost if not pair[1].diverged else np.inf)
+    if best.converged or best.diverged:
+        return trial, best
+    return trial, fit(trial, best.values, best.locals, iterations=iterations - FIRST_STEPS, enough=ENOUGH)
 
 
 def _inside(hypothesis: Hypothesis, model: Model, guess: Mapping[str, float]) -> dict[str, float]:
@@ -70,8 +77,13 @@ def _inside(hypothesis: Hypothesis, model: Model, guess: Mapping[str, float]) ->
     return start
 
 
-def assess(problem: Problem, base_fit: Fit, hypothesis: Hypothesis, found: Fit, inflation: float) -> Candidate:
-    """Gain, score, evidence and admissibility of a fitted hypothesis."""
+def assess(
+    problem: Problem, base_fit: Fit, hypothesis: Hypothesis, found: Fit, inflation: float, own: float | None = None
+) -> Candidate:
+    """Gain, score, evidence and admissibility of a fitted hypothesis.
+
+    inflation: by which rivals' gains are divided alike for the evidence; own: the hypothesis' own, for its score.
+    """
     gain = 2.0 * (base_fit.cost - found.cost) if not found.diverged else 0.0
     std = found.std() if not found.diverged else {}
     evidence = 0.5 * gain / inflation - float(np.log(len(hypothesis.effect.forms)))  # forms share their effect's prior
@@ -100,7 +112,7 @@ def assess(problem: Problem, base_fit: Fit, hypothesis: Hypothesis, found: Fit, 
         hypothesis,
         found,
         gain,
-        equivalent_z(gain / inflation, len(hypothesis.form.parameters)),
+        equivalent_z(gain / (inflation if own is None else own), len(hypothesis.form.parameters)),
         evidence,
         estimates,
         size,
@@ -109,31 +121,40 @@ def assess(problem: Problem, base_fit: Fit, hypothesis: Hypothesis, found: Fit, 
 
 
 def leading(screen: Screen, gains: Array, count: int, near: float = 0.9) -> list[int]:
-    """Indices of the hypotheses worth a full fit: the `count` best by linear score and what is tied to the very best."""
-    order = list(np.argsort(-gains))
-    chosen = order[:count]
-    projected = screen.projected()
-    cosines = np.abs(projected.cosines())
-    best = screen.span(int(order[0]))
-    for h in order[count:]:
-        if cosines[np.ix_(best, screen.span(int(h)))].max() > near:
+    """Indices of the hypotheses worth a full fit: the `count` best by linear score and what is tied to the very best.
+
+    Of those linear in their unknowns, which a full fit hardly changes, only the ones within sight of the best.
+    """
+    order = [int(h) for h in np.argsort(-gains)]
+    least = IN_SIGHT * float(gains[order[0]])
+    chosen = [
+        h for i, h in enumerate(order[:count]) if i < 4 or screen.hypotheses[h].form.nonlinear or gains[h] > least
+    ]
+    cosines = np.abs(screen.projected().cosines())
+    best = screen.span(order[0])
+    for h in order[len(chosen) :]:
+        if h not in chosen and cosines[np.ix_(best, screen.span(h))].max() > near:
             chosen.append(h)
-    return [int(h) for h in chosen]
+    return chosen
 
 
-def linear_gains(screen: Screen, problem: Problem, column: int = 0, flights: Sequence[int] | None = None) -> Array:
-    """(hypotheses,) gains in twice the log-likelihood by linear theory; zero where the sign is physically impossible."""
+def linear_gains(
+    screen: Screen, problem: Problem, column: int | slice = 0, flights: Sequence[int] | None = None
+) -> Array:
+    """Gains in twice the log-likelihood by linear theory, (hypotheses,) for one residual column, (columns, hypotheses)
+    for a slice of them; zero where the sign is physically impossible."""
     projected = screen.projected(flights)
-    gains = np.zeros(len(screen.hypotheses))
+    chosen = column if isinstance(column, slice) else slice(column, column + 1)
+    gains = np.zeros((projected.b[:, chosen].shape[1], len(screen.hypotheses)))
     for h in range(len(screen.hypotheses)):
         span = screen.span(h)
-        gains[h] = projected.gain(span, column)
+        gains[:, h] = projected.gains(span, chosen)
         if len(span) == 1:
             p = screen.columns[span[0]].parameter
             none = p.null_value(problem.model)
-            if p.lower >= none - 0.25 * p.typical and projected.b[span[0], column] < 0:
-                gains[h] = 0.0
-    return gains
+            if p.lower >= none - 0.25 * p.typical:
+                gains[projected.b[span[0], chosen] < 0, h] = 0.0
+    return gains if isinstance(column, slice) else gains[0]
 
 
 def linear_guess(screen: Screen, problem: Problem, hypothesis: int) -> dict[str, float]:

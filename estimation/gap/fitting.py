@@ -230,8 +230,10 @@ def fit(
     locals_: Sequence[Local] | None = None,
     iterations: int = 25,
     frozen: bool = False,
+    enough: float = 1e-3,
 ) -> Fit:
-    """Minimise the whitened cost from `start`. frozen: hold the shared parameters and fit only what is local."""
+    """Minimise the whitened cost from `start`. frozen: hold the shared parameters and fit only what is local.
+    enough: of the cost; iterations end where a step promises less."""
     model = problem.model
     values = {**problem.starts(), **(start or {})}
     here = list(locals_ if locals_ is not None else problem.starting_locals())
@@ -248,7 +250,7 @@ def fit(
         if step is None:
             return Fit(model, names, values, tuple(here), tuple(residuals), cost, hessian, iteration, False, True)
         d_shared, d_local, hessian, decrease = step
-        if decrease < FLAT * 0.01 * max(cost, 1.0) or decrease < 1e-3:
+        if decrease < FLAT * 0.01 * max(cost, 1.0) or decrease < enough:
             converged = True
             break
         part = 1.0
@@ -263,7 +265,7 @@ def fit(
             break
         gained = cost - trial[0]
         values, here, (cost, residuals) = trial_values, trial_local, trial
-        if gained < FLAT * 0.01 * max(cost, 1.0):
+        if gained < max(FLAT * 0.01 * max(cost, 1.0), enough):
             converged = True
             break
     return Fit(model, names, values, tuple(here), tuple(residuals), cost, hessian, iteration + 1, converged, False)

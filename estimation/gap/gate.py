@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from estimation.engine.kernel import Array
-from estimation.gap.baseline import bank_error, channel_noise, fit_baseline, screen_round
+from estimation.gap.baseline import channel_noise, filtered_attitudes, fit_baseline, screen_round
 from estimation.gap.bench import build_bench
 from estimation.gap.dormant import with_dormant
 from estimation.gap.effects.base import Effect, Group
@@ -77,8 +77,10 @@ def kinematic_gate(flights: Sequence[Flight], effects: Sequence[Effect], nulls: 
         return Gate("undecided", "", 0.0, 0.0, f"not measured: {', '.join(lacking)}")
     instruments = tuple(e for e in effects if e.group is Group.SENSOR and not e.tied_to)
     bench = build_bench(KINEMATIC, instruments, flights, ())
-    scatter: Array = bank_error(bench.records, bench.base.output_names, channel_noise(bench.records))
-    clean = with_nuisance(KINEMATIC, dict(zip(KINEMATIC.output_names, scatter, strict=True)), 0.05)
+    scatter: Array = channel_noise(bench.records)
+    filtered = filtered_attitudes(bench.records, bench.base.output_names, scatter)
+    interval = float(np.median([np.median(np.diff(r.time)) for r in bench.records]))
+    clean = with_nuisance(KINEMATIC, dict(zip(KINEMATIC.output_names, scatter, strict=True)), interval, filtered)
     working = with_dormant(clean, instruments, bench.available, force_states(KINEMATIC))
     errors = [input_errors(r, clean, np.random.default_rng([seed, 49979687, i])) for i, r in enumerate(bench.records)]
     try:

@@ -29,8 +29,20 @@ def rms_over_noise(problem: Problem, found: Fit, scatter: Array) -> float:
     return float(np.sqrt(squares / max(count, 1.0)))
 
 
+def plain_residuals(problem: Problem, found: Fit, index: int, scatter: Array) -> Array:
+    """(N, ny) residuals of a record after its initial states and biases were fitted with plain weights."""
+    residual = found.residuals[index]
+    rows = _plain_rows(problem, found, index, np.nan_to_num(residual)[:, :, None], scatter)
+    return np.where(np.isfinite(residual), rows.reshape(residual.shape) * scatter, np.nan)
+
+
 def _plainly(problem: Problem, found: Fit, index: int, residuals: Array, scatter: Array) -> Array:
     """(m,) sums of squares over noise of residuals (N, ny, m) after the record's own unknowns were fitted to them."""
+    return np.sum(_plain_rows(problem, found, index, residuals, scatter) ** 2, axis=0)
+
+
+def _plain_rows(problem: Problem, found: Fit, index: int, residuals: Array, scatter: Array) -> Array:
+    """(N ny, m) residuals over noise after the record's own unknowns were fitted to them."""
     linear = problem.linearised(index, {**problem.starts(), **found.values}, found.locals[index])
     assert linear is not None, "a converged fit can be linearised"
     finite = np.isfinite(problem.coarse[index].z)
@@ -44,7 +56,7 @@ def _plainly(problem: Problem, found: Fit, index: int, residuals: Array, scatter
     scale = 1.0 / np.sqrt(np.maximum(np.sum(J**2, axis=0) + weights, 1e-300))
     A = (J.T @ J + np.diag(weights)) * scale[:, None] * scale[None, :] + 1e-10 * np.eye(J.shape[1])
     step = scale[:, None] * np.linalg.solve(A, scale[:, None] * (J.T @ rows))
-    return np.sum((rows - J @ step) ** 2, axis=0)
+    return rows - J @ step
 
 
 def on_holdout(baseline: Baseline, bench: Bench, noise: NoiseModel | None = None) -> tuple[Problem, Fit] | None:

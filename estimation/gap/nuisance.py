@@ -1,12 +1,14 @@
 """What every fit of the workflow carries along because no flight is free of it, and what it must not be named for.
 
-Instrument biases of each flight (about as large as the noise of the channel) and the time at which a surface really
-moves between two samples (a tenth of the sample interval): estimated with priors of that width, so that neither is
-mistaken for an effect.
+Instrument biases of each flight (about as large as the noise of the channel), the time at which a surface really moves
+between two samples (a tenth of the sample interval), and what an attitude filter makes of sampled rates (again a tenth of
+the interval, and the rounding of rolling edges by straight lines between samples, at most h^2/12 times the angular
+acceleration): estimated with priors of that width, so that none is mistaken for an effect.
 """
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
+from estimation.gap.whitening import RATE_OF
 from estimation.models.base import InputTransform, Model, Parameter
 
 BIAS_SHARE = 1.0  # of the noise of the channel
@@ -14,10 +16,13 @@ TIMING_SHARE = 0.1  # of the sample interval
 PRIOR_SHARE = 3.0  # of the standard deviation the aircraft file states, as a weak regularisation
 
 
-def with_nuisance(model: Model, noise: Mapping[str, float], sample_interval: float) -> Model:
+def with_nuisance(
+    model: Model, noise: Mapping[str, float], sample_interval: float, filtered: Collection[str] = ()
+) -> Model:
     """`model` with local biases on its outputs and small timing offsets on its controls, all with priors.
 
-    noise: output -> standard deviation of its noise.
+    noise: output -> standard deviation of its noise. filtered: attitudes among the outputs that are a filter's, which
+    get a small timing offset and the rounding of sampled rates.
     """
     biased = [n for n in model.output_names if noise.get(n, 0.0) > 0 and f"bias_{n}" not in model.parameter_names]
     made = model.with_biases(*biased)
@@ -29,6 +34,8 @@ def with_nuisance(model: Model, noise: Mapping[str, float], sample_interval: flo
                 parameters=[Parameter(name, "s", prior_mean=0.0, prior_std=TIMING_SHARE * sample_interval)],
                 transforms=[InputTransform("delay", signal.name, (name,))],
             )
+    for attitude in filtered:
+        made = _sampled(made, attitude, sample_interval)
     beliefs = {
         p.name: (p.reference, PRIOR_SHARE * p.reference_std)
         for p in made.parameters
@@ -37,6 +44,22 @@ def with_nuisance(model: Model, noise: Mapping[str, float], sample_interval: flo
     return made.with_prior(**beliefs)  # type: ignore[arg-type]
 
 
+def _sampled(model: Model, attitude: str, sample_interval: float) -> Model:
+    """`model` with an attitude as a filter that integrates sampled rates shows it."""
+    definitions = model.definitions
+    widths = {
+        f"timing_{attitude}": (f"{attitude}_dot", "s", TIMING_SHARE * sample_interval),
+        f"rounding_{attitude}": (f"{RATE_OF[attitude]}_dot", "s2", sample_interval**2 / 12.0),
+    }
+    for name, (slope, unit, width) in widths.items():
+        if slope in definitions and name not in model.parameter_names:
+            model = model.plus(
+                outputs={attitude: f"{attitude} + {name}*{slope}"},
+                parameters=[Parameter(name, unit, prior_mean=0.0, prior_std=width)],
+            )
+    return model
+
+
 def is_nuisance(name: str) -> bool:
     """Whether a parameter is one of those added here."""
-    return name.startswith(("bias_", "timing_", "edge_"))
+    return name.startswith(("bias_", "timing_", "rounding_", "edge_"))

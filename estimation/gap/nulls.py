@@ -15,11 +15,11 @@ from estimation.engine.kernel import Array
 from estimation.gap.bench import Record
 from estimation.gap.dormant import DISTURBANCE
 from estimation.gap.fitting import Fit, Problem
-from estimation.gap.whitening import NoiseModel
+from estimation.gap.whitening import GYRO, RATE_OF, WANDERING, WANDERING_S, NoiseModel
 from estimation.models.base import Model
 from estimation.preprocess import denoise_many
 
-EDGE_FREEDOM = 0.35  # of the change over an interval: how a surface really moved between two samples is not recorded
+EDGE_FREEDOM = 0.2  # of the change over an interval, where the flights do not tell how far a surface strays in between
 BANK = 6  # de-noised realisations kept per input; a null draws one of them and its sign
 
 
@@ -82,7 +82,11 @@ class NullFlyer:
         motion = problem.simulator.run(replace(driven, u=shaken), {**self.fit.values, **local.parameters}, local.x0)
         if not motion.finite:
             return None
-        noise = np.sqrt(self.noise.measurement) * rng.standard_normal(coarse.z.shape)
+        louder = problem.records[index].louder
+        noise = np.sqrt(self.noise.measurement * (1.0 if louder is None else louder)) * rng.standard_normal(
+            coarse.z.shape
+        )
+        self._wander(noise, coarse.time, rng)
         seen = coarse.u + self.errors[index].draw(problem.model.input_names, len(coarse), rng)
         modelled = problem.residual(index, self.fit.values, local, inputs=seen)
         if modelled is None:
@@ -91,12 +95,27 @@ class NullFlyer:
         residual[~np.isfinite(coarse.z)] = np.nan
         return residual
 
+    def _wander(self, noise: Array, time: Array, rng: np.random.Generator) -> None:
+        """Add what filtered attitudes do to the noise of the outputs (N, ny): gyro noise and its integral, slow wandering."""
+        outputs, process = self.problem.model.output_names, self.noise.process
+        h = float(np.median(np.diff(time)))
+        for c, name in enumerate(outputs):
+            strength = process.get(WANDERING.format(name), 0.0)
+            if strength > 0.0:  # density strength h on the rate
+                noise[:, c] += _forgetting(np.sqrt(strength) * rng.standard_normal(time.size), h, rng)
+            strength = process.get(GYRO.format(name), 0.0)
+            if strength > 0.0:
+                white = np.sqrt(strength) * rng.standard_normal(time.size)
+                noise[:, outputs.index(RATE_OF[name])] += white
+                noise[:, c] += _forgetting(0.5 * (white + np.concatenate([white[:1], white[:-1]])), h, rng)
+
     def _loosen_edges(self, u: Array, rng: np.random.Generator) -> None:
         """Move the controls' mid-interval values (odd rows of (2N - 1, nu)) at random between their neighbours."""
         for j, signal in enumerate(self.problem.model.inputs):
             if signal.control:
                 step = u[2::2, j] - u[:-2:2, j]
-                u[1::2, j] += EDGE_FREEDOM * rng.uniform(-1.0, 1.0, size=step.size) * step
+                freedom = self.noise.freedom.get(signal.name, EDGE_FREEDOM)
+                u[1::2, j] += freedom * rng.standard_normal(step.size) * step
 
     def _disturb(self, u: Array, time: Array, rng: np.random.Generator) -> None:
         """Add disturbances of the rates with the spectra of the noise model to the inputs (2N - 1, nu)."""
@@ -116,6 +135,15 @@ def _slow(white: Array, h: float, tau: float) -> Array:
     """First-order low-pass of time constant tau [s], started in its steady state of no motion."""
     a = np.exp(-h / tau)
     return np.asarray(lfilter([1 - a], [1, -a], white))
+
+
+def _forgetting(rate: Array, h: float, rng: np.random.Generator) -> Array:
+    """A sampled rate (N,) integrated over steps h [s] with the forgetting of an attitude filter, begun in its steady state."""
+    keep = float(np.exp(-h / WANDERING_S))
+    begin = float(np.std(rate)) * h / np.sqrt(1.0 - keep**2) * rng.standard_normal()
+    drive = h * rate
+    drive[0] = begin
+    return np.asarray(lfilter([1.0], [1.0, -keep], drive))
 
 
 def fly_nulls(

@@ -1,13 +1,13 @@
 """The gap report: one self-contained HTML page that tells the story to a flight-test engineer."""
 
-import base64
-import io
+import re
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jinja2 import Environment
 
+from estimation.gap.places import places, png
 from estimation.gap.result import GapResult, Histories
 
 PAGE = Path(__file__).with_name("report.html.j2")
@@ -25,10 +25,14 @@ def write_gap_report(result: GapResult, folder: Path) -> Path:
         cells = (f"{g.before:.3f}", f"{g.after:.3f}", f"{g.floor:.3f}", f"{g.closed:.0%}")
         return Markup("".join(f'<td class="n">{c}</td>' for c in cells))
 
+    def typeset(equation: str) -> Markup:
+        """C_nβ and the like with their subscripts lowered."""
+        return Markup(re.sub(r"_([^\s_()|*+−=,;/]+)", r"<sub>\1</sub>", str(Markup.escape(equation))))
+
     page = Environment(autoescape=True).from_string(PAGE.read_text(encoding="utf-8")).render(
-        r=result, title=TITLES[result.verdict.value], gap=gap, gate=result.details["kinematic_gate"],
+        r=result, title=TITLES[result.verdict.value], gap=gap, typeset=typeset, gate=result.details["kinematic_gate"],
         pictures=[(f"{h.flight}{' (held out)' if h.holdout else ''}", _history(h, result.outputs)) for h in result.histories],
-        bars=_bars(result), cannot=result.details["cannot_tell"],
+        bars=_bars(result), places=places(result) if result.views else "", cannot=result.details["cannot_tell"],
     )  # fmt: skip
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / "index.html"
@@ -57,7 +61,7 @@ def _history(h: Histories, outputs: tuple[str, ...]) -> str:
     axes[0][1].set_title("residuals", fontsize=9)
     for axis in axes[-1]:
         axis.set_xlabel("time [s]")
-    return _png(figure)
+    return png(figure)
 
 
 def _bars(result: GapResult) -> str:
@@ -74,10 +78,4 @@ def _bars(result: GapResult) -> str:
     axis.axvline(result.threshold, color="#c8553d", lw=1, label=f"null threshold {result.threshold:.2f}")
     axis.set_xlabel("score in units of its scatter on the nulls")
     axis.legend(fontsize=8)
-    return _png(figure)
-
-
-def _png(figure: Any) -> str:
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=90)
-    return base64.b64encode(buffer.getvalue()).decode()
+    return png(figure)

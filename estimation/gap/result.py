@@ -1,6 +1,6 @@
 """What the gap workflow answers, as data: it becomes the JSON file, the page and the lines on the terminal."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any
@@ -30,8 +30,8 @@ class Gap:
         """1 - (after^2 - floor^2)/(before^2 - floor^2), in 0..1."""
         excess = self.before**2 - self.floor**2
         left = max(self.after**2 - self.floor**2, 0.0)
-        if excess <= 0.0:  # nothing above the floor to close: judged by whether anything is left
-            return 1.0 if left == 0.0 else 0.0
+        if excess <= 0.0:  # nothing above the floor to close: judged by whether anything is left, if anything was done
+            return 1.0 if left == 0.0 and self.after != self.before else 0.0
         return min(max(1.0 - left / excess, 0.0), 1.0)
 
     def to_json(self) -> dict[str, float]:
@@ -107,6 +107,7 @@ class Step:
     gap: Gap
     holdout: Gap | None
     migrated: Mapping[str, Migration]
+    absorbed: float | None = None  # share of the signature that the base's own parameters can take over
     equation: str = ""
     practical: str = ""
     text: str = ""
@@ -121,6 +122,7 @@ class Step:
             "score": _round(self.score, 3), "threshold": _round(self.threshold, 3), "where": self.where.to_json(),
             "gap": self.gap.to_json(), "holdout": None if self.holdout is None else self.holdout.to_json(),
             "migrated": {n: m.to_json() for n, m in self.migrated.items()},
+            "absorbed": None if self.absorbed is None else _round(self.absorbed, 3),
             "equation": self.equation, "practical": self.practical, "text": self.text,
         }  # fmt: skip
 
@@ -154,6 +156,34 @@ class Histories:
 
 
 @dataclass(frozen=True)
+class View:
+    """The disagreement at one stage.
+
+    gap: rms of residual over noise; channels: the same of each output; times: (flight, from, to [s], gap) in windows;
+    regime: signal -> bins; equations: rms of what is missing in each coefficient (rates where the model names none);
+    missing: per record, equation -> (N,) course of it.
+    """
+
+    stage: str
+    gap: float
+    channels: Mapping[str, float]
+    times: tuple[tuple[str, float, float, float], ...]
+    regime: Mapping[str, Sequence[Mapping[str, float]]]
+    equations: Mapping[str, float]
+    missing: tuple[Mapping[str, Array], ...]
+
+    def to_json(self) -> dict[str, Any]:
+        return {
+            "stage": self.stage,
+            "gap": round(self.gap, 4),
+            "channels": {n: round(v, 4) for n, v in self.channels.items()},
+            "times": [[n, round(a, 3), round(b, 3), round(g, 4)] for n, a, b, g in self.times],
+            "regime": {n: list(rows) for n, rows in self.regime.items()},
+            "equations": {n: float(f"{v:.3g}") for n, v in self.equations.items()},
+        }
+
+
+@dataclass(frozen=True)
 class GapResult:
     verdict: Verdict
     text: str
@@ -170,6 +200,7 @@ class GapResult:
     notes: tuple[str, ...] = ()
     outputs: tuple[str, ...] = ()
     histories: tuple[Histories, ...] = ()
+    views: tuple[View, ...] = ()
     details: Mapping[str, Any] = field(default_factory=dict)
 
     def to_json(self) -> dict[str, Any]:

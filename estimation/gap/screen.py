@@ -125,14 +125,18 @@ class Projected:
         """(k,) signed scores of single columns: unit variance where the noise model is right and nothing is hidden."""
         return self.b[:, column] / np.sqrt(np.maximum(np.diag(self.B), 1e-300))
 
-    def gain(self, subset: Sequence[int], column: int = 0, ridge: float = 1e-9) -> float:
+    def gain(self, subset: Sequence[int], column: int = 0) -> float:
         """Twice the log-likelihood that a set of columns gains."""
+        return float(self.gains(subset, slice(column, column + 1))[0])
+
+    def gains(self, subset: Sequence[int], columns: slice, ridge: float = 1e-9) -> Array:
+        """(residual columns,) twice the log-likelihood that a set of columns gains on each of them."""
         index = list(subset)
         B = self.B[np.ix_(index, index)]
         scale = 1 / np.sqrt(np.maximum(np.diag(B), 1e-300))
-        c = scale * self.b[index, column]
+        c = scale[:, None] * self.b[index, columns]
         M = B * scale[:, None] * scale[None, :] + ridge * np.eye(len(index))
-        return float(c @ np.linalg.solve(M, c))
+        return np.asarray(np.sum(c * np.linalg.solve(M, c), axis=0))
 
     def cosines(self) -> Array:
         """(k, k) cosines between the signatures of the columns."""

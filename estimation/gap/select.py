@@ -8,13 +8,14 @@ import numpy as np
 from estimation.engine.kernel import Array
 from estimation.gap.baseline import Round, whiteners_for
 from estimation.gap.bench import Bench
-from estimation.gap.confirm import Candidate, assess, fit_hypothesis, leading, linear_guess
+from estimation.gap.confirm import ENOUGH, Candidate, assess, fit_hypothesis, leading, linear_guess
 from estimation.gap.fitting import fit
 from estimation.gap.result import Rejected
 
 FULL_FITS = 10
 KEEP = 6  # best candidates that are compared again with the noise of the best
 SET_WEIGHT = 0.95
+UNSAMPLED = 0.25  # of the sample interval: a surface that is late by less is not told from one that was sampled so
 IMMATERIAL = 0.15  # of the usual size: smaller is found but not called an effect
 
 
@@ -41,14 +42,16 @@ def choose(round_: Round, bench: Bench) -> Choice:
     problem, base_fit, screen = round_.baseline.problem, round_.baseline.fit, round_.screen
     if not screen.hypotheses:
         return Choice((), {}, ())
-    inflation = comparable(round_)
+    inflation, own = comparable(round_), alone(round_)
     first = []
     for h in leading(screen, promise(round_), FULL_FITS):
         hypothesis = screen.hypotheses[h]
         _trial, found = fit_hypothesis(problem, base_fit, hypothesis, linear_guess(screen, problem, h))
-        first.append(assess(problem, base_fit, hypothesis, found, inflation[hypothesis.key]))
-    sound = sorted((c for c in map(_material, first) if not c.why_not), key=lambda c: -c.evidence)
-    rejected = [Rejected(c.hypothesis.label, c.why_not) for c in map(_material, first) if c.why_not]
+        first.append(assess(problem, base_fit, hypothesis, found, inflation[hypothesis.key], own[hypothesis.key]))
+    interval = float(np.median([np.median(np.diff(s.time)) for s in problem.coarse]))
+    judged = [_material(c, interval) for c in first]
+    sound = sorted((c for c in judged if not c.why_not), key=lambda c: -c.evidence)
+    rejected = [Rejected(c.hypothesis.label, c.why_not) for c in judged if c.why_not]
     if not sound or sound[0].score < 2.0:
         return Choice(tuple(sound), _weights(sound), tuple(rejected))
     again = _compared_again(round_, bench, sound[:KEEP], inflation)
@@ -63,7 +66,10 @@ def promise(round_: Round) -> Array:
         projected.gain(screen.span(h)) if hypothesis.form.nonlinear else round_.gains[h]
         for h, hypothesis in enumerate(screen.hypotheses)
     ])  # fmt: skip
-    return either / round_.inflation
+    # nor does the scatter of a small step on the nulls count against them
+    nonlinear = np.array([h.form.nonlinear for h in screen.hypotheses])
+    shared = float(np.median(round_.inflation))
+    return either / np.where(nonlinear, np.minimum(round_.inflation, shared), round_.inflation)
 
 
 def comparable(round_: Round) -> dict[tuple[str, str], float]:
@@ -80,12 +86,26 @@ def comparable(round_: Round) -> dict[tuple[str, str], float]:
     }
 
 
-def _material(candidate: Candidate) -> Candidate:
-    """The candidate, rejected where its estimate is far below the size at which the effect matters."""
+def alone(round_: Round) -> dict[tuple[str, str], float]:
+    """Inflation by which a hypothesis' gain is divided when it is held against the null threshold: its own. Delays, lags and
+    plays, for which the nulls know only the small step, take the one that rivals share where that is larger."""
+    shared = comparable(round_)
+    return {
+        h.key: max(1.0, shared[h.key]) if h.form.nonlinear else float(own)
+        for h, own in zip(round_.screen.hypotheses, round_.inflation, strict=True)
+    }
+
+
+def _material(candidate: Candidate, interval: float) -> Candidate:
+    """The candidate, rejected where its estimate is far below the size at which the effect matters, or where a surface would
+    be late by so little of the sample `interval` [s] that nobody sampled it finely enough to tell."""
     if candidate.why_not:
         return candidate
     if candidate.size < IMMATERIAL:
         return replace(candidate, why_not=f"fits {candidate.size:.0%} of its usual size: too small to matter")
+    late = [t.parameters[0] for t in candidate.hypothesis.form.transforms if t.kind in ("delay", "lag")]
+    if late and all(abs(candidate.estimates[n][0]) < UNSAMPLED * interval for n in late):
+        return replace(candidate, why_not=f"is less than {UNSAMPLED:.0%} of a sample interval: sampling does the same")
     return candidate
 
 
@@ -102,13 +122,14 @@ def _compared_again(
         None,
         best.fit.residuals,
         round_.baseline.scatter,
+        round_.baseline.noise,
     )
     sharper = replace(problem, whiteners=whiteners)
     base_fit = fit(sharper, round_.baseline.fit.values, round_.baseline.fit.locals, iterations=8)
     result = []
     for candidate in sound:
         trial = replace(sharper, model=candidate.fit.model)
-        found = fit(trial, candidate.fit.values, candidate.fit.locals, iterations=8)
+        found = fit(trial, candidate.fit.values, candidate.fit.locals, iterations=8, enough=ENOUGH)
         fresh = assess(sharper, base_fit, candidate.hypothesis, found, inflation[candidate.hypothesis.key])
         result.append(replace(fresh, score=candidate.score, gain=candidate.gain))
     return tuple(sorted((c for c in result if not c.why_not), key=lambda c: -c.evidence))

@@ -5,14 +5,16 @@ Their spectral matrix is written as a sum of parts of known shape and unknown st
 
     S(f) = R + sum_j v_j g_j(f) g_j(f)^H,
 
-R diagonal (sensor noise), g_j the linearised response of all outputs to process noise on one force equation or to
-sample noise on one control. All strengths are estimated by maximum likelihood in the frequency domain (Whittle 1953);
-nothing is assumed of the sensors or the weather. Multiplying by S(f)^(-1/2) makes residuals white and keeps them aligned
-in time and channel.
+R diagonal (sensor noise), g_j the linearised response of all outputs to process noise on one force equation or to sample
+noise on one control. Where an attitude is itself the output of a filter, two more: gyro noise, which the rate shows and
+the attitude integrates, and the slow wandering of the attitude alone. All strengths are estimated by maximum likelihood in
+the frequency domain (Whittle 1953); nothing is assumed of the sensors or the weather. Multiplying by S(f)^(-1/2) makes
+residuals white and keeps them aligned in time and channel.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +27,10 @@ from estimation.models.expressions import names_in
 Complex = NDArray[np.complex128]
 
 ITERATIONS = 60
+FOLLOWING = 20  # steps from an earlier estimate
+RATE_OF = {"phi": "p", "theta": "q", "psi": "r"}  # attitude -> the rate a filter integrates to it
+WANDERING, GYRO = "output:{}", "gyro:{}"  # names of the parts of a filtered attitude
+WANDERING_S = 3.0  # correlation time of a filter's error: the inverse of the weight it gives to plumb line and compass
 FLOOR = 1e-7  # smallest share of the total a part keeps, so that the spectral matrix stays regular
 
 
@@ -34,20 +40,36 @@ class NoiseModel:
 
     measurement: (ny,) variances of the outputs' own noise. process: part name -> variance intensity; names are
     `<state>` (white noise on the rate of a state), `<state>:<seconds>` (the derivative of coloured noise with that
-    correlation time, as gusts have it) and `<control>` (noise of one sample).
+    correlation time, as gusts have it), `<control>` (noise of one sample) and `output:<attitude>` (white noise on the rate
+    of an error of correlation time WANDERING_S on that output alone) and `gyro:<attitude>` (noise of one sample on its rate,
+    integrated with the same forgetting). freedom: control -> how far it strays half-way
+    between two samples, in steps (see `estimation.gap.edges`).
     """
 
     measurement: Array
     process: Mapping[str, float]
+    freedom: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class Shapes:
-    """Responses g_j of one record: name -> (frequencies, ny) complex, with the sample interval and count."""
+    """Responses g_j of one record: name -> (frequencies, ny) complex, with the sample interval and count. louder: (ny,) variance
+    of the outputs' own noise over the usual one, or None."""
 
     parts: Mapping[str, Complex]
     count: int
     step: float
+    louder: Array | None = None
+
+
+@dataclass(frozen=True)
+class Slack:
+    """What the whitener is to forgive: orthonormal directions as white rows (rows, m) and as white series (N ny, m), and the
+    share (m,) of each that is taken away."""
+
+    rows: Array
+    series: Array
+    share: Array
 
 
 @dataclass(frozen=True)
@@ -56,6 +78,7 @@ class Whitener:
 
     root: Complex
     count: int
+    slack: Slack | None = None
 
     def rows(self, columns: Array) -> Array:
         """(N, ny, k) or (N, ny) -> (rows, k): whitened, as real rows of unit variance."""
@@ -67,12 +90,19 @@ class Whitener:
             scale[-1] = np.sqrt(1.0 / self.count)
         spectrum *= scale[:, None, None]
         n = spectrum.shape[0] * spectrum.shape[1]
-        return np.concatenate([spectrum.real.reshape(n, -1), spectrum.imag.reshape(n, -1)])
+        rows = np.concatenate([spectrum.real.reshape(n, -1), spectrum.imag.reshape(n, -1)])
+        if self.slack is not None:
+            rows -= self.slack.rows @ (self.slack.share[:, None] * (self.slack.rows.T @ rows))
+        return rows
 
     def series(self, residual: Array) -> Array:
         """(N, ny) residuals -> (N, ny) white series, aligned in time and channel."""
         spectrum = np.fft.rfft(np.nan_to_num(residual), axis=0)[:, :, None]
-        return np.fft.irfft((self.root @ spectrum)[:, :, 0], n=self.count, axis=0)
+        series = np.fft.irfft((self.root @ spectrum)[:, :, 0], n=self.count, axis=0)
+        if self.slack is not None:
+            forgiven = self.slack.series @ (self.slack.share * (self.slack.series.T @ series.ravel()))
+            series -= forgiven.reshape(series.shape)
+        return series
 
 
 def force_states(model: Model) -> tuple[str, ...]:
@@ -89,16 +119,24 @@ def force_states(model: Model) -> tuple[str, ...]:
     return tuple(s for s in model.state_names if reach(f"{s}_dot", set()) & parameters)
 
 
-def shapes_of(
-    model: Model,
-    simulator: Simulator,
-    segment: Segment,
-    values: Mapping[str, float],
-    states: Sequence[str] | None = None,
-) -> Shapes:
-    """Linearised responses at the mean inputs of a record and small motion. states: where process noise may enter."""
+@dataclass(frozen=True)
+class Linear:
+    """Small motion of one record about its mean inputs: x' = A x + B u, y = C x + D u over `controls`, dt [s] between samples;
+    scale: (ny,) rms of the measured outputs."""
+
+    A: Array
+    B: Array
+    C: Array
+    D: Array
+    controls: tuple[str, ...]
+    dt: float
+    scale: Array
+
+
+def linear_motion(model: Model, simulator: Simulator, segment: Segment, values: Mapping[str, float]) -> Linear:
+    """Linearise a model at the mean inputs of a record and small motion."""
     p = simulator.vector(values)
-    nx, ny = len(model.states), len(model.outputs)
+    nx = len(model.states)
     u0 = segment.u.mean(axis=0)
     controls = [i for i, s in enumerate(model.inputs) if s.control]
     step = 1e-4
@@ -110,25 +148,43 @@ def shapes_of(
         points_u[1 + 2 * nx + 2 * j, i] += step
         points_u[2 + 2 * nx + 2 * j, i] -= step
     f, _, y, _ = simulator.kernel.evaluate(points_x, points_u, p)
-    A = (f[1 : 1 + nx] - f[1 + nx : 1 + 2 * nx]).T / (2 * step)
-    C = (y[1 : 1 + nx] - y[1 + nx : 1 + 2 * nx]).T / (2 * step)
-    dt = float(np.median(np.diff(segment.time)))
-    count = len(segment)
-    s = 2j * np.pi * np.fft.rfftfreq(count, dt)
-    s[0] = 2j * np.pi * 0.25 / (count * dt)  # a record knows no lower frequency than a part of its own
-    resolvent = np.linalg.inv(s[:, None, None] * np.eye(nx) - A)
-    reply = C @ resolvent  # (frequencies, ny, nx)
+    slope = lambda v, a: (v[a::2][: len(controls)] - v[a + 1 :: 2][: len(controls)]).T / (2 * step)  # noqa: E731
+    first = 1 + 2 * nx
+    return Linear(
+        A=(f[1 : 1 + nx] - f[1 + nx : first]).T / (2 * step),
+        B=slope(f, first),
+        C=(y[1 : 1 + nx] - y[1 + nx : first]).T / (2 * step),
+        D=slope(y, first),
+        controls=tuple(model.inputs[i].name for i in controls),
+        dt=float(np.median(np.diff(segment.time))),
+        scale=np.maximum(np.sqrt(np.nanmean(segment.z**2, axis=0)), 1e-9),
+    )
+
+
+def shapes_of(model: Model, linear: Linear, count: int, states: Sequence[str] | None = None) -> Shapes:
+    """Responses of a record of `count` samples to noise. states: where process noise may enter."""
+    nx, ny = len(model.states), len(model.outputs)
+    s = 2j * np.pi * np.fft.rfftfreq(count, linear.dt)
+    s[0] = 2j * np.pi * 0.25 / (count * linear.dt)  # a record knows no lower frequency than a part of its own
+    resolvent = np.linalg.inv(s[:, None, None] * np.eye(nx) - linear.A)
+    reply = linear.C @ resolvent  # (frequencies, ny, nx)
     parts: dict[str, Complex] = {}
     for name in force_states(model) if states is None else states:
         i = model.state_names.index(name)
         parts[name] = reply[:, :, i]
         for tau in (1.0,):
             parts[f"{name}:{tau:g}"] = reply[:, :, i] * (s / (s + 1 / tau))[:, None]
-    for j, i in enumerate(controls):
-        a, b = 1 + 2 * nx + 2 * j, 2 + 2 * nx + 2 * j
-        B, D = (f[a] - f[b]) / (2 * step), (y[a] - y[b]) / (2 * step)
-        parts[model.inputs[i].name] = reply @ B + D
-    return Shapes({k: v.reshape(-1, ny) for k, v in parts.items()}, count, dt)
+    for j, name in enumerate(linear.controls):
+        parts[name] = np.asarray(reply @ linear.B[:, j] + linear.D[:, j], complex)
+    for i, name in enumerate(model.output_names):
+        if name in RATE_OF:
+            before = np.exp(-s * linear.dt)  # one sample ago: a filter adds up sampled rates by straight lines
+            summed = (linear.dt / (1.0 - np.exp(-linear.dt / WANDERING_S) * before))[:, None] * np.eye(ny)[i]
+            parts[WANDERING.format(name)] = summed
+            if RATE_OF[name] in model.output_names:
+                own = np.eye(ny)[model.output_names.index(RATE_OF[name])]
+                parts[GYRO.format(name)] = own + 0.5 * (1.0 + before)[:, None] * summed
+    return Shapes({k: v.reshape(-1, ny) for k, v in parts.items()}, count, linear.dt)
 
 
 def spectral_matrix(noise: NoiseModel, shapes: Shapes) -> Complex:
@@ -137,7 +193,7 @@ def spectral_matrix(noise: NoiseModel, shapes: Shapes) -> Complex:
     S = np.zeros(
         (next(iter(shapes.parts.values())).shape[0] if shapes.parts else shapes.count // 2 + 1, ny, ny), complex
     )
-    S += np.diag(noise.measurement)
+    S += np.diag(noise.measurement if shapes.louder is None else noise.measurement * shapes.louder)
     for name, strength in noise.process.items():
         g = shapes.parts[name]
         S += strength * g[:, :, None] * g[:, None, :].conj()
@@ -151,35 +207,48 @@ def whitener(noise: NoiseModel, shapes: Shapes) -> Whitener:
     return Whitener(root, shapes.count)
 
 
-def estimate_noise(residuals: Sequence[Array], shapes: Sequence[Shapes], start: Array, floor: Array) -> NoiseModel:
+def estimate_noise(
+    residuals: Sequence[Array],
+    shapes: Sequence[Shapes],
+    start: Array,
+    floor: Array,
+    without: Collection[str] = (),
+    known: Mapping[str, float] = MappingProxyType({}),
+    begin: NoiseModel | None = None,
+) -> NoiseModel:
     """Maximum-likelihood strengths of all parts from output residuals.
 
     residuals: per record (N, ny), NaN where not measured. start: (ny,) first guess of the measurement variances;
-    floor: (ny,) smallest ones allowed. Multiplicative minorise-maximise steps (monotone in likelihood).
+    floor: (ny,) smallest ones allowed. without: parts that are none. known: first guesses of strengths. begin: an earlier
+    estimate to go on from. Multiplicative minorise-maximise steps (monotone in likelihood).
     """
-    names = list(shapes[0].parts)
+    names = [n for n in shapes[0].parts if n not in without]
     ny = start.size
     spectra = [np.fft.rfft(np.nan_to_num(r), axis=0) / np.sqrt(r.shape[0]) for r in residuals]
     weights = [np.concatenate([[0.5], np.ones(s.shape[0] - 1)]) for s in spectra]
-    R = start.copy()
     # each part begins with the strength at which it alone would double the measurement noise
-    power = {
-        n: np.mean([np.mean(np.sum(np.abs(sh.parts[n]) ** 2 / start, axis=1)) for sh in shapes]) / ny for n in names
-    }
-    names = [n for n in names if power[n] > 0.0]
-    v = {n: 0.3 / power[n] for n in names}
-    for _ in range(ITERATIONS):
+    power = np.array(
+        [np.mean([np.mean(np.sum(np.abs(sh.parts[n]) ** 2 / start, axis=1)) for sh in shapes]) / ny for n in names]
+    )
+    names, power = [n for n, p in zip(names, power, strict=True) if p > 0.0], power[power > 0.0]
+    R, v, turns = start.copy(), 0.3 / power, ITERATIONS
+    v = np.array([known.get(n, x) for n, x in zip(names, v, strict=True)])
+    if begin is not None and all(n in begin.process for n in names):
+        R, v, turns = begin.measurement.copy(), np.array([begin.process[n] for n in names]), FOLLOWING
+    blocks = [np.stack([sh.parts[n] for n in names], axis=2) if names else None for sh in shapes]
+    for _ in range(turns):
         up_R, down_R = np.zeros(ny), np.zeros(ny)
-        up, down = dict.fromkeys(names, 0.0), dict.fromkeys(names, 0.0)
-        for spectrum, shape, w in zip(spectra, shapes, weights, strict=True):
-            inverse = np.linalg.inv(spectral_matrix(NoiseModel(R, v), shape))
+        up, down = np.zeros(len(names)), np.zeros(len(names))
+        at = NoiseModel(R, dict(zip(names, v, strict=True)))
+        for spectrum, shape, w, g in zip(spectra, shapes, weights, blocks, strict=True):
+            inverse = np.linalg.inv(spectral_matrix(at, shape))
             a = (inverse @ spectrum[:, :, None])[:, :, 0]
-            up_R += w @ (np.abs(a) ** 2)
-            down_R += w @ np.einsum("fii->fi", inverse).real
-            for n in names:
-                g = shape.parts[n]
-                up[n] += float(w @ np.abs(np.sum(g.conj() * a, axis=1)) ** 2)
-                down[n] += float(w @ np.einsum("fi,fij,fj->f", g.conj(), inverse, g).real)
+            own = 1.0 if shape.louder is None else shape.louder
+            up_R += own * (w @ (np.abs(a) ** 2))
+            down_R += own * (w @ np.einsum("fii->fi", inverse).real)
+            if g is not None:
+                up += w @ np.abs(np.einsum("fik,fi->fk", g.conj(), a)) ** 2
+                down += w @ np.sum(g.conj() * (inverse @ g), axis=1).real
         R = np.maximum(R * np.sqrt(up_R / down_R), floor)
-        v = {n: max(v[n] * np.sqrt(up[n] / down[n]), FLOOR / power[n]) for n in names}
-    return NoiseModel(R, v)
+        v = np.maximum(v * np.sqrt(up / down), FLOOR / power)
+    return NoiseModel(R, dict(zip(names, (float(x) for x in v), strict=True)))

@@ -42,8 +42,9 @@ def conclude(
     cannot: Sequence[Effect],
     tied: Sequence[Effect],
     holdout: bool,
+    odd: Sequence[str] = (),
 ) -> str:
-    """The paragraph of the verdict."""
+    """The paragraph of the verdict. odd: training flights that do not repeat the others."""
     parts = []
     if verdict is Verdict.NO_GAP:
         parts.append(
@@ -66,6 +67,11 @@ def conclude(
         parts.append(
             "No held-out flight was given, so the better model is not confirmed on data it has not seen: "
             "fly one more of the same kind."
+        )
+    if odd:
+        parts.append(
+            f"{' and '.join(odd)} {'does' if len(odd) == 1 else 'do'} not repeat the other training flights even with this "
+            "model: look at that flight (weather, instruments, configuration) before relying on the joint fit."
         )
     if cannot:
         names = ", ".join(e.name for e in cannot[:8]) + (f" and {len(cannot) - 8} more" if len(cannot) > 8 else "")

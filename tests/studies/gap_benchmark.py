@@ -1,8 +1,10 @@
 """Scores of the gap workflow on flights of the second truth, with hidden effects it is not told of.
 
-Run: python -m tests.studies.gap_benchmark [--quick] [--kind K] [--start N] [--count N] [--size S] [--gust DEG] [--nulls N]
+Run: python -m tests.studies.gap_benchmark [--kind nulls|effects|unknown|pairs|all] [--start N] [--count N] [--size S]
+    [--gust DEG] [--nulls N]
 Results are appended to a JSON-lines file as they come, so that a study can be stopped, continued and summed up
-(`--summary`). Scores: detected, exact (first name), in class, truth in the reported set, mean set size, false alarms,
+(`--summary`, `--confusion PICTURE`).
+Scores: detected, exact (first name), in class, truth in the reported set, mean set size, false alarms,
 unknown recall, pairs complete, held-out gap closed, calibration of the stated confidence; Wilson intervals.
 """
 
@@ -219,6 +221,51 @@ def _scores(kind: str, part: Sequence[dict[str, Any]]) -> list[tuple[str, str]]:
     ]
 
 
+def calibration(rows: Sequence[dict[str, Any]], edges: Sequence[float] = (0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 1.01)) -> str:
+    """Stated weight of every member of every first set against how often that member was the truth, as Markdown."""
+    pairs = [
+        (weight, name == r["truth"][0])
+        for r in rows
+        if r["kind"] == "effects" and r["steps"]
+        for name, weight in r["steps"][0]["set"].items()
+    ]
+    lines = ["| stated weight | members | mean stated | was the truth |", "|---|---|---|---|"]
+    for low, high in zip(edges[:-1], edges[1:], strict=True):
+        inside = [(w, hit) for w, hit in pairs if low <= w < high]
+        if inside:
+            mean = np.mean([w for w, _ in inside])
+            hits = wilson(sum(hit for _, hit in inside), len(inside))
+            lines.append(f"| {low:g} to {min(high, 1):g} | {len(inside)} | {mean:.2f} | {hits} |")
+    return "\n".join(lines)
+
+
+def confusion(rows: Sequence[dict[str, Any]], path: Path) -> None:
+    """Picture: weight given to each name (columns) by what was hidden (rows), mean over all flights with one effect."""
+    from matplotlib.figure import Figure
+
+    single = [r for r in rows if r["kind"] == "effects"]
+    hidden = [n for n in truth.TYPICAL if any(r["label"] == n for r in single)]
+    named = [*hidden, *sorted({n for r in single for s in r["steps"][:1] for n in s["set"]} - set(hidden)), "nothing"]
+    table = np.zeros((len(hidden), len(named)))
+    for k, name in enumerate(hidden):
+        mine = [r for r in single if r["label"] == name]
+        for r in mine:
+            given = r["steps"][0]["set"] if r["steps"] else {}
+            given = given or ({r["steps"][0]["effect"]: 1.0} if r["steps"] else {"nothing": 1.0})
+            for other, weight in given.items():
+                table[k, named.index(other) if other in named else -1] += weight / len(mine)
+    figure = Figure(figsize=(11, 9.5), layout="constrained")
+    axis = figure.subplots()
+    picture = axis.imshow(table, cmap="Blues", vmin=0.0, vmax=1.0)
+    axis.set_xticks(range(len(named)), named, rotation=90, fontsize=7)
+    axis.set_yticks(range(len(hidden)), hidden, fontsize=7)
+    axis.set_xlabel("weight given to")
+    axis.set_ylabel("hidden")
+    figure.colorbar(picture, ax=axis, shrink=0.6)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=100)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("--kind", default="all")
@@ -231,6 +278,7 @@ def main() -> None:
     parser.add_argument("--only", nargs="*", default=[])
     parser.add_argument("--out", type=Path, default=Path("build/gap_benchmark.jsonl"))
     parser.add_argument("--summary", action="store_true")
+    parser.add_argument("--confusion", type=Path, help="write the confusion picture here")
     a = parser.parse_args()
     if not a.summary:
         kinds = ("nulls", "effects", "unknown", "pairs") if a.kind == "all" else (a.kind,)
@@ -238,6 +286,10 @@ def main() -> None:
             count = 10 * a.count if kind == "nulls" and a.kind == "all" else a.count
             run(kind, a.size, a.start, count, a.gust, a.manoeuvres, a.nulls, a.out, a.only)
     print(summary(a.out))
+    rows = [json.loads(line) for line in a.out.read_text(encoding="utf-8").splitlines()]
+    print(calibration(rows))
+    if a.confusion:
+        confusion(rows, a.confusion)
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ from estimation.gap.effects import catalogue
 from estimation.gap.errors import GapError
 from estimation.gap.gate import kinematic_gate
 from estimation.gap.report import write_gap_report
-from estimation.gap.result import Verdict
+from estimation.gap.result import GapResult, Verdict
 from estimation.gap.run import analyse
 from estimation.gap.workflow import Options, run_gap
 from estimation.models.load import load_model, read_model
@@ -57,7 +57,24 @@ def test_adverse_yaw_is_named_added_and_written_down(flown: dict[str, list[Fligh
     assert lineage["parent"]["digest"] != lineage["child"]["digest"]
     page = write_gap_report(result, tmp_path / "report").read_text(encoding="utf-8")
     assert step["effect"] in page
-    assert page.count("<img") == 4
+    assert page.count("<img") == 5
+    assert "C<sub>nδa</sub>" in page
+    _lives_where_it_arises(result)
+
+
+def _lives_where_it_arises(result: GapResult) -> None:
+    """Frozen at the prior the gap is larger than after the refit, and there larger than with the effect named."""
+    stages = {v.stage: v for v in result.views}
+    frozen, refit, named = (stages[n] for n in ("prior parameters frozen", "after the refit", "with the named effects"))
+    assert frozen.gap > 2.0 * refit.gap
+    assert refit.gap > named.gap
+    assert refit.equations["Cn"] > 1.2 * named.equations["Cn"]
+    assert set(refit.channels) == {"beta", "p", "r", "phi", "ay"}
+    assert len(refit.times) == 24
+    assert {"V", "alpha", "beta", "p", "delta_a"} <= set(refit.regime)
+    assert refit.missing[0]["Cn"].shape == (481,)
+    assert result.steps[0].absorbed is not None
+    assert 0.5 < result.steps[0].absorbed < 1.0
 
 
 def test_nothing_hidden_gives_no_gap_and_the_same_answer_again(flown: dict[str, list[Flight]]) -> None:

@@ -1,0 +1,107 @@
+"""How far a surface strays between two samples: responses, marginalisation and the estimate of the freedom."""
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from estimation.engine.simulate import Segment, Simulator
+from estimation.gap.bench import build_bench
+from estimation.gap.edges import Edges, displaced, find_edges, freedom_of, loosened
+from estimation.gap.fitting import fine_grid
+from estimation.gap.whitening import Linear, NoiseModel, Shapes, linear_motion, shapes_of, whitener
+from estimation.models.base import Model, Parameter, Signal
+from groundstation.flight import Flight
+
+DT = 0.05
+N = 200
+ROLL = Model(
+    name="roll",
+    states=(Signal("p", "rad/s"),),
+    inputs=(Signal("delta_a", "rad", control=True),),
+    outputs=(Signal("p", "rad/s"),),
+    parameters=(Parameter("L_p", start=-6.0), Parameter("L_a", start=40.0)),
+    equations=("p_dot = L_p*p + L_a*delta_a",),
+)
+
+
+def _segment() -> Segment:
+    time = np.arange(N, dtype=np.float64) * DT
+    u = 0.1 * ((time > 2.0) & (time < 3.0)) - 0.1 * ((time > 6.0) & (time < 6.6))
+    return Segment(0, time, u[:, None], np.ones((N, 1)), np.zeros(1))
+
+
+def _linear() -> tuple[Linear, Shapes, Segment]:
+    segment = _segment()
+    simulator = Simulator.build(ROLL, (), compile_="never", substeps=1, hold="linear")
+    linear = linear_motion(ROLL, simulator, segment, ROLL.starts())
+    return linear, shapes_of(ROLL, linear, N), segment
+
+
+def test_the_linear_motion_is_the_model_s() -> None:
+    linear, _, _ = _linear()
+    assert linear.A[0, 0] == pytest.approx(-6.0, rel=1e-6)
+    assert linear.B[0, 0] == pytest.approx(40.0, rel=1e-6)
+    assert linear.C[0, 0] == pytest.approx(1.0, rel=1e-6)
+
+
+def test_the_edges_are_found_and_their_response_is_that_of_the_moved_middle() -> None:
+    linear, _, segment = _linear()
+    edges = find_edges(ROLL, linear, segment)
+    assert sorted(edges.interval) == [40, 59, 120, 131]
+    simulator = Simulator.build(ROLL, (), compile_="never", substeps=4, hold="linear")
+    grid = fine_grid(segment).segment
+    which = int(np.flatnonzero(edges.interval == 59)[0])
+    moved = grid.u.copy()
+    moved[2 * 59 + 1, 0] += edges.step[which]
+    still = simulator.run(grid, ROLL.starts(), np.zeros(1)).y
+    other = simulator.run(Segment(0, grid.time, moved, grid.z, grid.x0), ROLL.starts(), np.zeros(1)).y
+    np.testing.assert_allclose(edges.response[:, :, which], (other - still)[::2], atol=2e-4)
+
+
+def test_loosening_equals_the_full_covariance() -> None:
+    linear, shapes, segment = _linear()
+    edges = find_edges(ROLL, linear, segment)
+    plain = whitener(NoiseModel(np.array([1e-4]), {}), shapes)
+    loose = loosened(plain, edges, {"delta_a": 0.3})
+    residual = np.random.default_rng(0).normal(0, 0.01, (N, 1)) + 0.4 * edges.response[:, :, 1]
+    E = (edges.response * 0.3).reshape(N, -1)
+    covariance = 1e-4 * np.eye(N) + E @ E.T
+    expected = residual[:, 0] @ np.linalg.solve(covariance, residual[:, 0])
+    assert np.sum(loose.rows(residual) ** 2) == pytest.approx(expected, rel=1e-6)
+    assert np.sum(loose.series(residual) ** 2) == pytest.approx(expected, rel=1e-6)
+
+
+def test_the_freedom_is_estimated_from_the_flights() -> None:
+    linear, shapes, segment = _linear()
+    one = find_edges(ROLL, linear, segment)
+    many = Edges(one.control * 12, np.tile(one.interval, 12), np.tile(one.step, 12), one.response)
+    plain = whitener(NoiseModel(np.array([1e-6]), {}), shapes)
+    rng, told, freedom = np.random.default_rng(1), [], {"delta_a": 0.2}
+    moves = 0.35 * rng.standard_normal((12, len(one.control)))
+    for _ in range(5):
+        told = [displaced(plain, one, freedom, one.response @ m + 1e-3 * rng.standard_normal((N, 1))) for m in moves]
+        freedom = freedom_of([one] * 12, told)
+    assert len(many.control) == 48
+    assert freedom["delta_a"] == pytest.approx(np.sqrt(np.mean(moves**2)), rel=0.1)
+
+
+def test_a_motion_that_runs_away_has_no_endless_response() -> None:
+    wild = Linear(np.array([[400.0]]), np.array([[1.0]]), np.eye(1), np.zeros((1, 1)), ("delta_a",), DT, np.ones(1))
+    assert expm(wild.A * DT)[0, 0] > 1e8
+    assert np.isfinite(find_edges(ROLL, wild, _segment()).response).all()
+
+
+def test_a_noisier_flight_is_marked_and_a_quieter_one_left_as_usual() -> None:
+    rng = np.random.default_rng(3)
+    time, still = np.arange(400, dtype=np.float64) * DT, np.zeros(400)
+    flights = [
+        Flight.build(f"f{i}", time, {"delta_a": still, "p": level * rng.standard_normal(400)})
+        for i, level in enumerate((0.01, 0.01, 0.03, 0.002))
+    ]
+    bench = build_bench(ROLL, (), flights[:3], flights[3:])
+    marks = [r.louder for r in bench.records]
+    assert marks[0] is None
+    assert marks[1] is None
+    assert marks[2] is not None
+    assert marks[2][0] == pytest.approx(9.0, rel=0.3)
+    assert marks[3] is None

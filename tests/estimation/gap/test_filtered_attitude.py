@@ -1,0 +1,110 @@
+"""Flights whose bank angle is an onboard filter's: recognised, its noise described alike in whitener and nulls."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from estimation.engine.kernel import Array
+from estimation.engine.transforms import apply_transforms
+from estimation.gap.baseline import filtered_attitudes
+from estimation.gap.bench import Record
+from estimation.gap.nuisance import is_nuisance, with_nuisance
+from estimation.gap.nulls import NullFlyer
+from estimation.gap.whitening import GYRO, WANDERING, Linear, NoiseModel, estimate_noise, shapes_of, whitener
+from estimation.models.base import InputTransform
+from estimation.models.load import load_model
+
+OUTPUTS = ("beta", "p", "r", "phi", "ay")
+STEP = 0.05
+
+
+def record(filtered: bool, seed: int = 1, count: int = 600) -> Record:
+    """Gyro noise alone; the bank angle integrates it, or is measured afresh."""
+    rng = np.random.default_rng(seed)
+    p = 0.007 * rng.standard_normal(count)
+    bank = np.cumsum(p) * STEP if filtered else 0.002 * rng.standard_normal(count)
+    still = 0.004 * rng.standard_normal(count)
+    z = np.column_stack([still, p, still, bank, 10 * still])
+    return Record(0, 0, STEP * np.arange(count), {}, z, np.zeros(4), {})
+
+
+@pytest.mark.parametrize("filtered", [True, False])
+def test_filter_is_told_from_a_measurement(filtered: bool) -> None:
+    white = np.array([0.004, 0.007, 0.004, 1e-4 if filtered else 0.002, 0.05])
+    assert filtered_attitudes([record(filtered)], OUTPUTS, white) == (("phi",) if filtered else ())
+
+
+def test_rate_may_be_an_input() -> None:
+    one = replace(record(True), input_noise={"p": 0.007})
+    assert filtered_attitudes([one], ("beta", "phi"), np.array([0.004, 1e-4])) == ("phi",)
+    assert filtered_attitudes([one], ("beta", "phi"), np.array([0.004, 2e-3])) == ()
+
+
+def linear() -> Linear:
+    """An aircraft that hardly moves: what is seen is the instruments' own."""
+    return Linear(A=-np.eye(4), B=np.zeros((4, 0)), C=np.zeros((5, 4)), D=np.zeros((5, 0)), controls=(), dt=STEP,
+                  scale=np.ones(5))  # fmt: skip
+
+
+class _Outputs:
+    """As much of a problem as the drawing of instrument noise asks for."""
+
+    model = load_model("lateral")
+
+
+def drawn(noise: NoiseModel, count: int, seed: int) -> Array:
+    flyer = NullFlyer(_Outputs(), None, noise, (), {})  # type: ignore[arg-type]
+    rng = np.random.default_rng(seed)
+    made = np.sqrt(noise.measurement) * rng.standard_normal((count, 5))
+    flyer._wander(made, STEP * np.arange(count), rng)
+    return made
+
+
+NOISE = NoiseModel(
+    np.array([0.004, 0.003, 0.005, 5e-4, 0.05]) ** 2, {GYRO.format("phi"): 0.006**2, WANDERING.format("phi"): 0.004**2}
+)
+
+
+def test_nulls_are_drawn_with_the_spectrum_that_the_whitener_takes_out() -> None:
+    """White, of unit variance, in all channels and in all bands of frequency."""
+    shapes = shapes_of(_Outputs.model, linear(), 1200, ("p",))
+    quiet = replace(shapes, parts={n: shapes.parts[n] for n in NOISE.process})
+    power = []
+    for seed in range(12):
+        white = whitener(NOISE, quiet).series(drawn(NOISE, 1200, seed))
+        power.append(np.abs(np.fft.rfft(white, axis=0)) ** 2 / 1200)
+    bands = np.mean(power, axis=0)[1:].reshape(-1, 100, 5).mean(axis=1)
+    assert bands == pytest.approx(np.ones_like(bands), abs=0.12)
+
+
+def test_strengths_are_found_again() -> None:
+    shapes = shapes_of(_Outputs.model, linear(), 1200, ())
+    names = {n: shapes.parts[n] for n in NOISE.process}
+    records = [drawn(NOISE, 1200, 100 + seed) for seed in range(4)]
+    known = {n: 0.3 * v for n, v in NOISE.process.items()}
+    found = estimate_noise(
+        records, [replace(shapes, parts=names)] * 4, 2.0 * NOISE.measurement, 0.01 * NOISE.measurement, known=known
+    )
+    assert np.sqrt(found.measurement) == pytest.approx(np.sqrt(NOISE.measurement), rel=0.15)
+    assert found.process[GYRO.format("phi")] ** 0.5 == pytest.approx(0.006, rel=0.15)
+    assert found.process[WANDERING.format("phi")] ** 0.5 == pytest.approx(0.004, rel=0.3)
+
+
+def test_only_a_filtered_attitude_gets_timing_and_rounding() -> None:
+    noise = dict.fromkeys(OUTPUTS, 0.01)
+    plain, filtered = (with_nuisance(load_model("lateral"), noise, STEP, names) for names in ((), ("phi",)))
+    more = set(filtered.parameter_names) - set(plain.parameter_names)
+    assert more == {"timing_phi", "rounding_phi"}
+    assert all(is_nuisance(n) for n in more)
+    assert filtered.parameter("rounding_phi").prior_std == pytest.approx(STEP**2 / 12)
+
+
+def test_opposite_delays_of_a_surface_cancel_exactly() -> None:
+    """Done one after the other they would blur its edges, and a delay would be found where there is none."""
+    time = STEP * np.arange(40)
+    u = np.where(time > 1.0, 0.2, 0.0)[:, None]
+    both = (InputTransform("delay", "delta_r", ("a",)), InputTransform("delay", "delta_r", ("b",)))
+    assert apply_transforms(both, ("delta_r",), time, u, {"a": 0.02, "b": -0.02}) == pytest.approx(u)
+    late = apply_transforms(both, ("delta_r",), time, u, {"a": 0.02, "b": 0.03})
+    assert late[1:] == pytest.approx(u[:-1])
