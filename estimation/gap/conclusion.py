@@ -44,7 +44,8 @@ def conclude_trail(setting: Setting, trail: Trail, gate: Gate) -> GapResult:
     unknown = trail.unknown
     if steps_close(trail, shut):
         unknown = False
-    if unknown and steps and not shut and closed_by(steps[-1:], steps[-1].gap.after) < NAMED_CLOSED:
+    few = bool(steps) and closed_by(steps[-1:], steps[-1].gap.after) < NAMED_CLOSED
+    if unknown and few and not shut and not outweighs(steps[-1].score, trail.omnibus.score):
         dropped = steps.pop()
         trail = replace(
             trail,
@@ -109,6 +110,15 @@ def conclude_trail(setting: Setting, trail: Trail, gate: Gate) -> GapResult:
             "nulls": options.nulls, "seed": options.seed,
         },
     )  # fmt: skip
+
+
+def outweighs(named: float, rest: float) -> bool:
+    """Whether a named effect holds most of what is significant, whatever the plain gap says.
+
+    named, rest: scores of the effect and of the strongest nameless term after it, both on whitened residuals. The plain
+    gap also counts slow errors of an attitude filter and the gusts of the day, beside which a certain effect can look small.
+    """
+    return named**2 >= NAMED_CLOSED * (named**2 + rest**2)
 
 
 def steps_close(trail: Trail, shut: bool) -> bool:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from estimation.gap.admissible import sample_notes
+from estimation.gap.conclusion import outweighs
 from estimation.gap.rerun_report import write_gap_recording
 from estimation.gap.result import GapResult
 from estimation.gap.workflow import Options, run_gap
@@ -56,3 +57,10 @@ def test_stale_clipped_and_missing_channels_are_told() -> None:
     assert "f: beta repeats its last value in 66%" in said
     assert "f: r is missing in 5%" in said
     assert "phi" not in said
+
+
+def test_a_certain_effect_is_not_dropped_for_a_small_nameless_rest() -> None:
+    """Seven tenths of the significance, in energy: 17 outweighs 6, and not 12."""
+    assert outweighs(17.3, 6.0)
+    assert not outweighs(17.3, 12.0)
+    assert not outweighs(5.0, 50.0)
