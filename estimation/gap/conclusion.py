@@ -19,6 +19,7 @@ from estimation.gap.where import views
 from estimation.gap.words import conclude, describe_step
 
 NAMED_CLOSED = 0.7  # of the gap: below, the rest is larger than noise
+NAMED_OUTWEIGHS = 0.8  # of the significance, in energy: above, a name stands whatever the plain gap says
 BLIND_SHARE = 0.12  # of the effects asked about: more that could not have been seen, and the answer is "cannot tell"
 
 
@@ -118,7 +119,7 @@ def outweighs(named: float, rest: float) -> bool:
     named, rest: scores of the effect and of the strongest nameless term after it, both on whitened residuals. The plain
     gap also counts slow errors of an attitude filter and the gusts of the day, beside which a certain effect can look small.
     """
-    return named**2 >= NAMED_CLOSED * (named**2 + rest**2)
+    return named**2 >= NAMED_OUTWEIGHS * (named**2 + rest**2)
 
 
 def steps_close(trail: Trail, shut: bool) -> bool:

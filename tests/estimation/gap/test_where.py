@@ -60,7 +60,7 @@ def test_stale_clipped_and_missing_channels_are_told() -> None:
 
 
 def test_a_certain_effect_is_not_dropped_for_a_small_nameless_rest() -> None:
-    """Seven tenths of the significance, in energy: 17 outweighs 6, and not 12."""
+    """Four fifths of the significance, in energy: 17 outweighs 6, and not 12."""
     assert outweighs(17.3, 6.0)
     assert not outweighs(17.3, 12.0)
     assert not outweighs(5.0, 50.0)
