@@ -60,10 +60,6 @@ class Desk:
         """Where in its flight the aircraft is."""
         return self._landing.phase
 
-    def alarms_in_force(self) -> list[tuple[str, AlarmState, str]]:
-        """Active and latched alarms."""
-        return [(name, state, level) for name, state, level in self._alarms.in_force()]
-
     def acknowledge(self) -> None:
         """Clear latched alarms."""
         self._announce(self._alarms.acknowledge(self.time))

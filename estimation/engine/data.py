@@ -293,7 +293,7 @@ def _leave_out_stuck(flight: Flight, source: str, values: Array, notes: list[str
     values[still] = np.nan
 
 
-def _say_stuck(flight: Flight, source: str, still: np.ndarray, notes: list[str], what: str) -> None:  # type: ignore[type-arg]
+def _say_stuck(flight: Flight, source: str, still: NDArray[np.bool_], notes: list[str], what: str) -> None:
     if still.any():
         at = flight.time[still]
         notes.append(f"{source} repeats one value for {int(still.sum())} samples from t = {at[0]:g} s on: {what}")

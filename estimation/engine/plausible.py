@@ -6,6 +6,7 @@ A fit takes such columns without complaint and gives wrong derivatives, so they 
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from daq.contract.channels import COLUMN_BY_NAME
 from estimation.errors import DataError
@@ -103,7 +104,7 @@ def _refuse_other_unit(flight: Flight, rate: str, angle: str) -> None:
             )
 
 
-def stuck(time: Array, values: Array) -> np.ndarray:  # type: ignore[type-arg]
+def stuck(time: Array, values: Array) -> NDArray[np.bool_]:
     """Samples at which a noisy channel shows one and the same number for more than a second; (N,) bool."""
     result = np.zeros(values.size, bool)
     same = np.concatenate([[False], np.diff(values) == 0.0, [False]])

@@ -309,9 +309,3 @@ def simulate_with_sensitivities(
         assert motion.dy is not None
         dy[s] = motion.dy[: motion.reached]
     return y, dy[:, :, :n], dy[:, :, n:]
-
-
-def with_outputs(data: FlightData, outputs: Array) -> FlightData:
-    """The same flight with other measured outputs (samples, ny): how a simulated realisation is fitted again."""
-    segments = tuple(replace(s, z=np.ascontiguousarray(outputs[s.first : s.first + len(s)])) for s in data.segments)
-    return replace(data, segments=segments)

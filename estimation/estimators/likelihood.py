@@ -10,7 +10,7 @@ from typing import Literal
 
 import numpy as np
 
-from estimation.engine.data import FlightData, Segment
+from estimation.engine.data import FlightData
 from estimation.engine.kernel import Array, Motion
 from estimation.engine.simulate import Simulator
 from estimation.estimators.arrow import FlightBlocks, SegmentBlocks, pseudo_inverse
@@ -312,8 +312,3 @@ def whiten_all(dy: Array, residual: Array, R: Array) -> tuple[Array, Array]:
         L = np.linalg.cholesky(R[np.ix_(index, index)])
         J[np.ix_(rows, index)] = np.linalg.solve(L, dy[np.ix_(rows, index)])
     return J.reshape(count * ny, n), w.ravel()
-
-
-def segment_of(flight: FlightData, index: int) -> Segment:
-    """The segment number `index` of a flight."""
-    return flight.segments[index]

@@ -15,7 +15,6 @@ from estimation.engine.kernel import Array
 from estimation.gap.dormant import awakened
 from estimation.gap.fitting import Fit, Problem, fit
 from estimation.gap.screen import Hypothesis, Screen, equivalent_z, extended
-from estimation.gap.whitening import Whitener
 from estimation.models.base import Model
 
 IN_SIGHT = 0.15  # of the best gain by linear theory
@@ -167,8 +166,3 @@ def linear_guess(screen: Screen, problem: Problem, hypothesis: int) -> dict[str,
         screen.columns[c].parameter.name: screen.columns[c].parameter.null_value(problem.model) + float(e)
         for c, e in zip(span, eta, strict=True)
     }
-
-
-def with_whiteners(problem: Problem, whiteners: tuple[Whitener, ...]) -> Problem:
-    """The same problem with other whiteners."""
-    return replace(problem, whiteners=whiteners)

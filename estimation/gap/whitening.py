@@ -148,13 +148,16 @@ def linear_motion(model: Model, simulator: Simulator, segment: Segment, values: 
         points_u[1 + 2 * nx + 2 * j, i] += step
         points_u[2 + 2 * nx + 2 * j, i] -= step
     f, _, y, _ = simulator.kernel.evaluate(points_x, points_u, p)
-    slope = lambda v, a: (v[a::2][: len(controls)] - v[a + 1 :: 2][: len(controls)]).T / (2 * step)  # noqa: E731
     first = 1 + 2 * nx
+
+    def by_controls(values: Array) -> Array:
+        return np.asarray((values[first::2] - values[first + 1 :: 2]).T / (2 * step))
+
     return Linear(
         A=(f[1 : 1 + nx] - f[1 + nx : first]).T / (2 * step),
-        B=slope(f, first),
+        B=by_controls(f),
         C=(y[1 : 1 + nx] - y[1 + nx : first]).T / (2 * step),
-        D=slope(y, first),
+        D=by_controls(y),
         controls=tuple(model.inputs[i].name for i in controls),
         dt=float(np.median(np.diff(segment.time))),
         scale=np.maximum(np.sqrt(np.nanmean(segment.z**2, axis=0)), 1e-9),
