@@ -3,7 +3,10 @@
 A servo's edge falls anywhere within an interval. Which way the surface went through the middle of that interval moves
 the aircraft as much as many a hidden effect does, and no stationary spectrum describes it. The middle of every interval
 in which a control moves much is given a prior displacement in proportion to the step; the proportion is estimated from
-the flights. All of it is marginalised over by a correction of low rank behind the whitener.
+the flights. An output that shows a control at once (side acceleration the rudder) jumps with it, and what a sample next to
+the jump shows depends on the milliseconds between the two, on the instrument's filter and on how samples were brought to
+one time base: it too is given a displacement in proportion to its jump. All of it is marginalised over by a correction of
+low rank behind the whitener.
 """
 
 from collections.abc import Mapping, Sequence
@@ -16,31 +19,36 @@ from estimation.engine.kernel import Array
 from estimation.engine.simulate import Segment
 from estimation.gap.whitening import Linear, Slack, Whitener
 from estimation.models.base import Model
+from estimation.models.expressions import names_in
 
 MOST = 48  # edges per record; the rest are small
 LEAST_STEP = 4.0  # times the sample-to-sample scatter of a control: smaller steps are no edges
 START = 0.2  # of the step
 LIMITS = (0.03, 0.6)
+JUMP_START = 0.1  # of the jump of an output
+JUMP_LIMITS = (0.005, 0.6)
 RUNAWAY = 1e6  # a motion that grows so far is no small motion any more
 
 
 @dataclass(frozen=True)
 class Edges:
-    """The edges of one record. control: (m,) name of each; interval: (m,) index of the sample before; step: (m,) [rad];
-    response: (N, ny, m) change of the outputs when the middle moves by one step."""
+    """What edges leave open in one record. name: (m,) the control whose middle of an interval is meant, or the output that
+    jumps with it and of which one sample is meant; at: (m,) index of the sample before the middle, or of that sample;
+    step: (m,) [rad] or [unit of the output]; response: (N, ny, m) change of the outputs by a displacement of one step."""
 
-    control: tuple[str, ...]
-    interval: Array
+    name: tuple[str, ...]
+    at: Array
     step: Array
     response: Array
+    jumping: frozenset[str] = frozenset()
 
     def spread(self, freedom: Mapping[str, float]) -> Array:
         """(m,) prior standard deviations in steps."""
-        return np.array([freedom.get(c, START) for c in self.control])
+        return np.array([freedom.get(n, JUMP_START if n in self.jumping else START) for n in self.name])
 
 
 def find_edges(model: Model, linear: Linear, segment: Segment) -> Edges:
-    """The largest steps of all controls in a record and what a displacement half-way does to the outputs."""
+    """The largest steps of all controls in a record and what a displacement half-way, or of a jump, does to the outputs."""
     found: list[tuple[float, str, int, float]] = []
     for j, signal in enumerate(model.inputs):
         if not signal.control or signal.name not in linear.controls:
@@ -51,15 +59,50 @@ def find_edges(model: Model, linear: Linear, segment: Segment) -> Edges:
         for k in np.flatnonzero(np.abs(step) > LEAST_STEP * scatter):
             found.append((power * abs(float(step[k])), signal.name, int(k), float(step[k])))
     found = sorted(sorted(found, reverse=True)[:MOST], key=lambda e: (e[1], e[2]))
-    names = tuple(e[1] for e in found)
-    interval = np.array([e[2] for e in found], dtype=int)
-    step = np.array([e[3] for e in found])
-    N = len(segment)
-    replies = {c: _reply(linear, linear.controls.index(c), N) for c in set(names)}
-    response = np.zeros((N, linear.C.shape[0], len(found)))
-    for i, (c, k, s) in enumerate(zip(names, interval, step, strict=True)):
-        response[k + 1 :, :, i] = s * replies[c][: N - k - 1]
-    return Edges(names, interval, step, response)
+    N, ny = len(segment), linear.C.shape[0]
+    replies = {c: _reply(linear, linear.controls.index(c), N) for c in {e[1] for e in found}}
+    places = [(control, k, step) for _, control, k, step in found]
+    outputs = jumping_outputs(model)
+    for output in outputs:
+        jumps = sample_jumps(linear.D[model.output_names.index(output)], linear.controls, places, N)
+        places += [(output, int(k), float(jumps[k])) for k in np.flatnonzero(jumps)]
+    response = np.zeros((N, ny, len(places)))
+    for m, (name, at, size) in enumerate(places):
+        if name in replies:
+            response[at + 1 :, :, m] = size * replies[name][: N - at - 1]
+        else:
+            response[at, model.output_names.index(name), m] = size
+    instants = np.array([at for _, at, _ in places], dtype=int)
+    sizes = np.array([size for _, _, size in places], dtype=float)
+    return Edges(tuple(name for name, _, _ in places), instants, sizes, response, frozenset(outputs))
+
+
+def jumping_outputs(model: Model) -> tuple[str, ...]:
+    """Outputs that a control reaches in the same instant, and not by way of a state (side acceleration: C_Y delta_r)."""
+    controls = {s.name for s in model.inputs if s.control}
+
+    def reaches(symbol: str, seen: set[str]) -> bool:
+        if symbol in controls:
+            return True
+        if symbol in seen or symbol not in model.definitions or symbol in model.state_names:
+            return False
+        return any(reaches(name, seen | {symbol}) for name in names_in(model.definitions[symbol]))
+
+    return tuple(n for n in model.output_names if reaches(n, set()))
+
+
+def sample_jumps(through: Array, controls: Sequence[str], steps: Sequence[tuple[str, int, float]], count: int) -> Array:
+    """(count,) size of the jumps of an output next to every sample.
+
+    through: (controls,) its change by each control. steps: (control, sample before, size) of each edge, others are ignored.
+    """
+    jumps = np.zeros(count)
+    for control, k, step in steps:
+        if control not in controls:
+            continue
+        size = through[controls.index(control)] * step
+        jumps[k : k + 2] = np.hypot(jumps[k : k + 2], size)
+    return jumps
 
 
 def _reply(linear: Linear, control: int, count: int) -> Array:
@@ -78,7 +121,7 @@ def _reply(linear: Linear, control: int, count: int) -> Array:
 
 def loosened(whitener: Whitener, edges: Edges, freedom: Mapping[str, float]) -> Whitener:
     """`whitener` that also marginalises over the edges."""
-    if not edges.control:
+    if not edges.name:
         return whitener
     block = edges.response * edges.spread(freedom)
     rows = whitener.rows(block)
@@ -101,9 +144,12 @@ def displaced(whitener: Whitener, edges: Edges, freedom: Mapping[str, float], re
 
 
 def freedom_of(edges: Sequence[Edges], told: Sequence[tuple[Array, Array]]) -> dict[str, float]:
-    """Typical displacement of every control in steps, from what all records tell."""
+    """Typical displacement of every control and of every jumping output in steps, from what all records tell."""
     squares: dict[str, list[float]] = {}
+    jumping = frozenset[str]().union(*(e.jumping for e in edges))
     for e, (mean, variance) in zip(edges, told, strict=True):
-        for c, m, v in zip(e.control, mean, variance, strict=True):
+        for c, m, v in zip(e.name, mean, variance, strict=True):
             squares.setdefault(c, []).append(float(m * m + v))
-    return {c: float(np.clip(np.sqrt(np.mean(s)), *LIMITS)) for c, s in squares.items()}
+    return {
+        n: float(np.clip(np.sqrt(np.mean(s)), *(JUMP_LIMITS if n in jumping else LIMITS))) for n, s in squares.items()
+    }

@@ -1,9 +1,12 @@
 """What every fit of the workflow carries along because no flight is free of it, and what it must not be named for.
 
 Instrument biases of each flight (about as large as the noise of the channel), the time at which a surface really moves
-between two samples (a tenth of the sample interval), and what an attitude filter makes of sampled rates (again a tenth of
+between two samples (a tenth of the sample interval), what an attitude filter makes of sampled rates (again a tenth of
 the interval, and the rounding of rolling edges by straight lines between samples, at most h^2/12 times the angular
-acceleration): estimated with priors of that width, so that none is mistaken for an effect.
+acceleration), and what its plumb line makes of slipping: it takes the side acceleration of a changing sideslip for
+gravity, an error in bank that follows sideslip (V/(g T) of it where nothing is done against that, T the filter's memory;
+a few hundredths with airspeed or GPS velocity). All estimated with priors of that width, so that none is mistaken for an
+effect.
 """
 
 from collections.abc import Collection, Mapping
@@ -13,6 +16,7 @@ from estimation.models.base import InputTransform, Model, Parameter
 
 BIAS_SHARE = 1.0  # of the noise of the channel
 TIMING_SHARE = 0.1  # of the sample interval
+PLUMB_SHARE = 0.02  # of sideslip, seen as bank by an attitude filter
 PRIOR_SHARE = 3.0  # of the standard deviation the aircraft file states, as a weak regularisation
 
 
@@ -45,16 +49,18 @@ def with_nuisance(
 
 
 def _sampled(model: Model, attitude: str, sample_interval: float) -> Model:
-    """`model` with an attitude as a filter that integrates sampled rates shows it."""
-    definitions = model.definitions
+    """`model` with an attitude as a filter that integrates sampled rates and has a plumb line shows it."""
+    known = {*model.definitions, *model.state_names}
     widths = {
         f"timing_{attitude}": (f"{attitude}_dot", "s", TIMING_SHARE * sample_interval),
         f"rounding_{attitude}": (f"{RATE_OF[attitude]}_dot", "s2", sample_interval**2 / 12.0),
     }
-    for name, (slope, unit, width) in widths.items():
-        if slope in definitions and name not in model.parameter_names:
+    if attitude == "phi":
+        widths["plumb_phi"] = ("beta", "1", PLUMB_SHARE)
+    for name, (follows, unit, width) in widths.items():
+        if follows in known and name not in model.parameter_names:
             model = model.plus(
-                outputs={attitude: f"{attitude} + {name}*{slope}"},
+                outputs={attitude: f"{attitude} + {name}*{follows}"},
                 parameters=[Parameter(name, unit, prior_mean=0.0, prior_std=width)],
             )
     return model
@@ -62,4 +68,4 @@ def _sampled(model: Model, attitude: str, sample_interval: float) -> Model:
 
 def is_nuisance(name: str) -> bool:
     """Whether a parameter is one of those added here."""
-    return name.startswith(("bias_", "timing_", "rounding_", "edge_"))
+    return name.startswith(("bias_", "timing_", "rounding_", "plumb_", "edge_"))

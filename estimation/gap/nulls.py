@@ -14,8 +14,9 @@ from scipy.signal import lfilter
 from estimation.engine.kernel import Array
 from estimation.gap.bench import Record
 from estimation.gap.dormant import DISTURBANCE
+from estimation.gap.edges import find_edges
 from estimation.gap.fitting import Fit, Problem
-from estimation.gap.whitening import GYRO, RATE_OF, WANDERING, WANDERING_S, NoiseModel
+from estimation.gap.whitening import GYRO, RATE_OF, WANDERING, WANDERING_S, NoiseModel, linear_motion
 from estimation.models.base import Model
 from estimation.preprocess import denoise_many
 
@@ -55,13 +56,14 @@ def input_errors(record: Record, model: Model, rng: np.random.Generator) -> Inpu
 
 @dataclass(frozen=True)
 class NullFlyer:
-    """Flies nulls of one fitted model. errors: of each record's inputs. states: whose rates are disturbed, and the input
-    column through which they are."""
+    """Flies nulls of one fitted model. errors: of each record's inputs. jumps: per record (N, ny, m), what a sample next to a
+    jump may be off, one standard deviation each. states: whose rates are disturbed, and the input column that does it."""
 
     problem: Problem
     fit: Fit
     noise: NoiseModel
     errors: tuple[InputErrors, ...]
+    jumps: tuple[Array, ...]
     states: Mapping[str, int]
 
     @classmethod
@@ -69,7 +71,14 @@ class NullFlyer:
         names = problem.model.input_names
         disturbed = {n.partition(":")[0] for n in noise.process}
         states = {s: names.index(DISTURBANCE.format(s)) for s in sorted(disturbed) if DISTURBANCE.format(s) in names}
-        return cls(problem, fit, noise, tuple(errors), states)
+        jumps = []
+        for segment in problem.coarse:
+            edges = find_edges(
+                problem.model, linear_motion(problem.model, problem.simulator, segment, fit.values), segment
+            )
+            own = [i for i, n in enumerate(edges.name) if n in edges.jumping]
+            jumps.append(edges.response[:, :, own] * edges.spread(noise.freedom)[own])
+        return cls(problem, fit, noise, tuple(errors), tuple(jumps), states)
 
     def fly(self, index: int, rng: np.random.Generator) -> Array | None:
         """(N, ny) residual of one null of one record at the fitted parameters; None where it diverges."""
@@ -87,6 +96,7 @@ class NullFlyer:
             coarse.z.shape
         )
         self._wander(noise, coarse.time, rng)
+        noise += self.jumps[index] @ rng.standard_normal(self.jumps[index].shape[2])
         seen = coarse.u + self.errors[index].draw(problem.model.input_names, len(coarse), rng)
         modelled = problem.residual(index, self.fit.values, local, inputs=seen)
         if modelled is None:

@@ -13,10 +13,9 @@ import numpy as np
 from estimation.engine.kernel import Array
 from estimation.gap.baseline import Round
 from estimation.gap.dormant import DISTURBANCE
+from estimation.gap.edges import jumping_outputs
 from estimation.gap.fitting import Fit, Problem, prior_terms
 from estimation.gap.screen import reduce_record
-from estimation.models.base import Model
-from estimation.models.expressions import names_in
 
 SHAPES = {"linear": "{}", "odd": "{0}|{0}|", "even": "{}^2", "rate": "d{}/dt"}
 WINDOW = 1.0  # s
@@ -188,24 +187,10 @@ def _times(problem: Problem, white: Sequence[Array], nulls: int) -> tuple[list[S
     return signals, largest
 
 
-def _jumping(model: Model) -> set[str]:
-    """Controls, and the outputs that show them at once and not by way of a state (side acceleration: C_Y delta_r)."""
-    controls = {s.name for s in model.inputs if s.control}
-
-    def reaches(symbol: str, seen: set[str]) -> bool:
-        if symbol in controls:
-            return True
-        if symbol in seen or symbol not in model.definitions or symbol in model.state_names:
-            return False
-        return any(reaches(name, seen | {symbol}) for name in names_in(model.definitions[symbol]))
-
-    return controls | {n for n in model.output_names if reaches(n, set())}
-
-
 def _activity(problem: Problem, found: Fit, white: Sequence[Array], nulls: int) -> tuple[list[Signal], Array]:
     """Does the energy of a channel follow the size or the rate of some signal?"""
     total: dict[tuple[int, str], Array] = {}
-    jumping = _jumping(problem.model)
+    jumping = {s.name for s in problem.model.inputs if s.control} | set(jumping_outputs(problem.model))
     for i, series in enumerate(white):
         for (name, shape), values in _regressors(problem, found, i).items():
             # fast surfaces between two samples leave scatter of their own, and so does what jumps with them: rates of

@@ -1,12 +1,14 @@
 """How far a surface strays between two samples: responses, marginalisation and the estimate of the freedom."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.linalg import expm
 
 from estimation.engine.simulate import Segment, Simulator
 from estimation.gap.bench import build_bench
-from estimation.gap.edges import Edges, displaced, find_edges, freedom_of, loosened
+from estimation.gap.edges import Edges, displaced, find_edges, freedom_of, jumping_outputs, loosened
 from estimation.gap.fitting import fine_grid
 from estimation.gap.whitening import Linear, NoiseModel, Shapes, linear_motion, shapes_of, whitener
 from estimation.models.base import Model, Parameter, Signal
@@ -47,10 +49,10 @@ def test_the_linear_motion_is_the_model_s() -> None:
 def test_the_edges_are_found_and_their_response_is_that_of_the_moved_middle() -> None:
     linear, _, segment = _linear()
     edges = find_edges(ROLL, linear, segment)
-    assert sorted(edges.interval) == [40, 59, 120, 131]
+    assert sorted(edges.at) == [40, 59, 120, 131]
     simulator = Simulator.build(ROLL, (), compile_="never", substeps=4, hold="linear")
     grid = fine_grid(segment).segment
-    which = int(np.flatnonzero(edges.interval == 59)[0])
+    which = int(np.flatnonzero(edges.at == 59)[0])
     moved = grid.u.copy()
     moved[2 * 59 + 1, 0] += edges.step[which]
     still = simulator.run(grid, ROLL.starts(), np.zeros(1)).y
@@ -74,15 +76,65 @@ def test_loosening_equals_the_full_covariance() -> None:
 def test_the_freedom_is_estimated_from_the_flights() -> None:
     linear, shapes, segment = _linear()
     one = find_edges(ROLL, linear, segment)
-    many = Edges(one.control * 12, np.tile(one.interval, 12), np.tile(one.step, 12), one.response)
+    many = Edges(one.name * 12, np.tile(one.at, 12), np.tile(one.step, 12), one.response)
     plain = whitener(NoiseModel(np.array([1e-6]), {}), shapes)
     rng, told, freedom = np.random.default_rng(1), [], {"delta_a": 0.2}
-    moves = 0.35 * rng.standard_normal((12, len(one.control)))
+    moves = 0.35 * rng.standard_normal((12, len(one.name)))
     for _ in range(5):
         told = [displaced(plain, one, freedom, one.response @ m + 1e-3 * rng.standard_normal((N, 1))) for m in moves]
         freedom = freedom_of([one] * 12, told)
-    assert len(many.control) == 48
+    assert len(many.name) == 48
     assert freedom["delta_a"] == pytest.approx(np.sqrt(np.mean(moves**2)), rel=0.1)
+
+
+FEELING = replace(
+    ROLL,
+    outputs=(*ROLL.outputs, Signal("ay", "m/s2")),
+    parameters=(*ROLL.parameters, Parameter("Y_a", start=5.0)),
+    equations=(*ROLL.equations, "ay = Y_a*delta_a + 0.1*p"),
+)
+
+
+def _feeling() -> tuple[Linear, Shapes, Segment]:
+    segment = replace(_segment(), z=np.ones((N, 2)))
+    simulator = Simulator.build(FEELING, (), compile_="never", substeps=1, hold="linear")
+    linear = linear_motion(FEELING, simulator, segment, FEELING.starts())
+    return linear, shapes_of(FEELING, linear, N), segment
+
+
+def test_an_output_that_shows_the_control_at_once_may_be_off_next_to_its_jumps_only() -> None:
+    assert jumping_outputs(ROLL) == ()
+    assert jumping_outputs(FEELING) == ("ay",)
+    linear, _, segment = _feeling()
+    edges = find_edges(FEELING, linear, segment)
+    own = [m for m, name in enumerate(edges.name) if name == "ay"]
+    assert sorted(edges.at[own]) == [40, 41, 59, 60, 120, 121, 131, 132]
+    np.testing.assert_allclose(edges.step[own], 5.0 * 0.1, rtol=1e-6)
+    for m in own:
+        seen = np.zeros((N, 2))
+        seen[edges.at[m], 1] = edges.step[m]
+        np.testing.assert_array_equal(edges.response[:, :, m], seen)
+    assert [name for name in edges.name if name != "ay"] == ["delta_a"] * 4
+
+
+@pytest.mark.parametrize("off", [0.02, 0.2])
+def test_how_far_jumps_are_off_is_estimated_from_the_flights(off: float) -> None:
+    """By repeated estimates, as the baseline does it; surfaces stay where they are."""
+    linear, shapes, segment = _feeling()
+    one = find_edges(FEELING, linear, segment)
+    own = np.array([name == "ay" for name in one.name])
+    level = np.array([1e-3, 2e-3])
+    plain = whitener(NoiseModel(level**2, {}), shapes)
+    rng, freedom = np.random.default_rng(2), {"delta_a": 0.1, "ay": 0.1}
+    flights = []
+    for _ in range(20):
+        moved = one.response @ np.where(own, off * rng.standard_normal(own.size), 0.1 * rng.standard_normal(own.size))
+        flights.append(moved + level * rng.standard_normal((N, 2)))
+    for _ in range(12):
+        told = [displaced(plain, one, freedom, flight) for flight in flights]
+        freedom = freedom_of([one] * len(flights), told)
+    assert freedom["ay"] == pytest.approx(off, rel=0.2)
+    assert freedom["delta_a"] == pytest.approx(0.1, rel=0.2)
 
 
 def test_a_motion_that_runs_away_has_no_endless_response() -> None:

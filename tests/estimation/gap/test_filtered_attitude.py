@@ -54,7 +54,7 @@ class _Outputs:
 
 
 def drawn(noise: NoiseModel, count: int, seed: int) -> Array:
-    flyer = NullFlyer(_Outputs(), None, noise, (), {})  # type: ignore[arg-type]
+    flyer = NullFlyer(_Outputs(), None, noise, (), (), {})  # type: ignore[arg-type]
     rng = np.random.default_rng(seed)
     made = np.sqrt(noise.measurement) * rng.standard_normal((count, 5))
     flyer._wander(made, STEP * np.arange(count), rng)
@@ -91,11 +91,11 @@ def test_strengths_are_found_again() -> None:
     assert found.process[WANDERING.format("phi")] ** 0.5 == pytest.approx(0.004, rel=0.3)
 
 
-def test_only_a_filtered_attitude_gets_timing_and_rounding() -> None:
+def test_only_a_filtered_attitude_gets_timing_rounding_and_plumb_line() -> None:
     noise = dict.fromkeys(OUTPUTS, 0.01)
     plain, filtered = (with_nuisance(load_model("lateral"), noise, STEP, names) for names in ((), ("phi",)))
     more = set(filtered.parameter_names) - set(plain.parameter_names)
-    assert more == {"timing_phi", "rounding_phi"}
+    assert more == {"timing_phi", "rounding_phi", "plumb_phi"}
     assert all(is_nuisance(n) for n in more)
     assert filtered.parameter("rounding_phi").prior_std == pytest.approx(STEP**2 / 12)
 
