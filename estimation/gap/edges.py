@@ -3,10 +3,11 @@
 A servo's edge falls anywhere within an interval. Which way the surface went through the middle of that interval moves
 the aircraft as much as many a hidden effect does, and no stationary spectrum describes it. The middle of every interval
 in which a control moves much is given a prior displacement in proportion to the step; the proportion is estimated from
-the flights. An output that shows a control at once (side acceleration the rudder) jumps with it, and what a sample next to
-the jump shows depends on the milliseconds between the two, on the instrument's filter and on how samples were brought to
-one time base: it too is given a displacement in proportion to its jump. All of it is marginalised over by a correction of
-low rank behind the whitener.
+the flights. An output that shows a control at once (side acceleration the rudder) jumps with it, one whose rate does
+(rolling with the ailerons) has a kink there, and what a sample next to it shows depends on the milliseconds between the two,
+on the instrument's filter and on how samples were brought to one time base: it too is given a displacement in proportion
+to the jump, or to what the kink makes in one interval. All of it is marginalised over by a correction of low rank behind
+the whitener.
 """
 
 from collections.abc import Mapping, Sequence
@@ -25,6 +26,7 @@ MOST = 48  # edges per record; the rest are small
 LEAST_STEP = 4.0  # times the sample-to-sample scatter of a control: smaller steps are no edges
 START = 0.2  # of the step
 LIMITS = (0.03, 0.6)
+LEAST_JUMP = 0.05  # of the rms of an output: smaller jumps and kinks are none
 JUMP_START = 0.1  # of the jump of an output
 JUMP_LIMITS = (0.005, 0.6)
 RUNAWAY = 1e6  # a motion that grows so far is no small motion any more
@@ -33,7 +35,7 @@ RUNAWAY = 1e6  # a motion that grows so far is no small motion any more
 @dataclass(frozen=True)
 class Edges:
     """What edges leave open in one record. name: (m,) the control whose middle of an interval is meant, or the output that
-    jumps with it and of which one sample is meant; at: (m,) index of the sample before the middle, or of that sample;
+    jumps or bends with it and of which one sample is meant; at: (m,) index of the sample before the middle, or of that sample;
     step: (m,) [rad] or [unit of the output]; response: (N, ny, m) change of the outputs by a displacement of one step."""
 
     name: tuple[str, ...]
@@ -62,10 +64,15 @@ def find_edges(model: Model, linear: Linear, segment: Segment) -> Edges:
     N, ny = len(segment), linear.C.shape[0]
     replies = {c: _reply(linear, linear.controls.index(c), N) for c in {e[1] for e in found}}
     places = [(control, k, step) for _, control, k, step in found]
-    outputs = jumping_outputs(model)
-    for output in outputs:
-        jumps = sample_jumps(linear.D[model.output_names.index(output)], linear.controls, places, N)
-        places += [(output, int(k), float(jumps[k])) for k in np.flatnonzero(jumps)]
+    sharp = np.abs(linear.D) + linear.dt * np.abs(
+        linear.C @ linear.B
+    )  # by unit step: the jump, the kink over one interval
+    outputs = []
+    for i, output in enumerate(model.output_names):
+        jumps = sample_jumps(sharp[i], linear.controls, places, N)
+        if jumps.max() > LEAST_JUMP * linear.scale[i]:
+            outputs.append(output)
+            places += [(output, int(k), float(jumps[k])) for k in np.flatnonzero(jumps)]
     response = np.zeros((N, ny, len(places)))
     for m, (name, at, size) in enumerate(places):
         if name in replies:

@@ -29,7 +29,7 @@ ROLL = Model(
 def _segment() -> Segment:
     time = np.arange(N, dtype=np.float64) * DT
     u = 0.1 * ((time > 2.0) & (time < 3.0)) - 0.1 * ((time > 6.0) & (time < 6.6))
-    return Segment(0, time, u[:, None], np.ones((N, 1)), np.zeros(1))
+    return Segment(0, time, u[:, None], np.full((N, 1), 10.0), np.zeros(1))  # a motion in which kinks are small
 
 
 def _linear() -> tuple[Linear, Shapes, Segment]:
@@ -91,7 +91,7 @@ FEELING = replace(
     ROLL,
     outputs=(*ROLL.outputs, Signal("ay", "m/s2")),
     parameters=(*ROLL.parameters, Parameter("Y_a", start=5.0)),
-    equations=(*ROLL.equations, "ay = Y_a*delta_a + 0.1*p"),
+    equations=("p_dot = L_p*p + 0.1*L_a*delta_a", "ay = Y_a*delta_a + 0.1*p"),
 )
 
 
@@ -109,12 +109,21 @@ def test_an_output_that_shows_the_control_at_once_may_be_off_next_to_its_jumps_o
     edges = find_edges(FEELING, linear, segment)
     own = [m for m, name in enumerate(edges.name) if name == "ay"]
     assert sorted(edges.at[own]) == [40, 41, 59, 60, 120, 121, 131, 132]
-    np.testing.assert_allclose(edges.step[own], 5.0 * 0.1, rtol=1e-6)
+    np.testing.assert_allclose(edges.step[own], 5.0 * 0.1 + DT * 0.1 * 4.0 * 0.1, rtol=1e-6)  # jump and kink
     for m in own:
         seen = np.zeros((N, 2))
         seen[edges.at[m], 1] = edges.step[m]
         np.testing.assert_array_equal(edges.response[:, :, m], seen)
     assert [name for name in edges.name if name != "ay"] == ["delta_a"] * 4
+
+
+def test_a_rate_may_be_off_next_to_its_kinks() -> None:
+    linear, _, segment = _linear()
+    edges = find_edges(ROLL, replace(linear, scale=np.ones(1)), segment)
+    own = [m for m, name in enumerate(edges.name) if name == "p"]
+    assert sorted(edges.at[own]) == [40, 41, 59, 60, 120, 121, 131, 132]
+    np.testing.assert_allclose(edges.step[own], DT * 40.0 * 0.1, rtol=1e-6)
+    assert "p" not in find_edges(ROLL, linear, segment).name
 
 
 @pytest.mark.parametrize("off", [0.02, 0.2])

@@ -1,5 +1,6 @@
 """The gap report in rerun, read back: every series with its values and units, and the words beside them."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 from estimation.gap.rerun_report import CLOCK, drawable, write_gap_recording
 from estimation.gap.result import Gap, GapResult, Histories, Step, Verdict, View, Weighed, Where
 from estimation.models.load import load_model
+from tests.groundstation.viewer.vulkan import need_vulkan
 
 Array = NDArray[np.float64]
 
@@ -113,8 +115,6 @@ def test_verdict_place_and_scores_are_in_words(answered: GapResult, tmp_path: Pa
 
 
 def test_flights_of_one_name_stay_apart(answered: GapResult, rng: np.random.Generator, tmp_path: Path) -> None:
-    from dataclasses import replace
-
     twins = (history("my flight.v2", False, rng), history("my flight.v2", False, rng))
     read = Recording(write_gap_recording(replace(answered, histories=twins), tmp_path / "gap.rrd"))
     found = [values for entity, (_, values) in sorted(read.values.items()) if entity.endswith("v2/ay/after")]
@@ -127,3 +127,35 @@ def test_letters_that_the_viewer_cannot_draw_are_replaced() -> None:
     """Its font has no box drawing and no Chinese, and its native window ends at the first such letter."""
     assert drawable("β̇ = −r, ±2° → δ² ≠ ½\n| a |") == "β̇ = −r, ±2° → δ² ≠ ½\n| a |"
     assert drawable("飛行 █ δ ∓ h") == "?? ? δ ? h"
+
+
+@pytest.mark.viewer
+@pytest.mark.timeout(120)
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_the_viewer_shows_every_view_and_lives(answered: GapResult, tmp_path: Path) -> None:
+    from rerun.experimental import ViewerClient
+
+    from groundstation.viewer.live import free_port
+    from groundstation.viewer.window import rerun_binary
+
+    need_vulkan()
+    rrd = write_gap_recording(replace(answered, text="δ ∓ h, 飛行"), tmp_path / "gap.rrd")
+    viewer = ViewerClient.spawn(
+        headless=True, port=free_port(), executable_path=rerun_binary(), hide_welcome_screen=True
+    )
+    try:
+        viewer.open(str(rrd))
+        for _ in range(40):
+            state = viewer.get_state()
+            if state.recordings and state.views and not state.loading:
+                break
+            viewer.take_screenshot()
+        viewer.take_screenshot()
+        state = viewer.get_state()
+    finally:
+        viewer.quit()
+    units = {"beta": "deg", "p": "deg/s", "r": "deg/s", "phi": "deg", "ay": "m/s2"}
+    expected = {"Verdict", "Where", "Scores of all hypotheses"}
+    expected |= {f"{n}{word} [{u}]" for n, u in units.items() for word in ("", " residual")}
+    assert {v.name for v in state.views} == expected
+    assert {v.name: v.reports for v in state.views if v.reports} == {}
