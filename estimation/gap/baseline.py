@@ -13,6 +13,7 @@ from estimation.gap.edges import Edges, displaced, find_edges, freedom_of, loose
 from estimation.gap.effects.base import Effect
 from estimation.gap.errors import GapError
 from estimation.gap.fitting import Fit, Local, Problem, fit
+from estimation.gap.nuisance import is_nuisance
 from estimation.gap.nulls import InputErrors, NullFlyer, columns_of, fly_nulls
 from estimation.gap.screen import Screen, build_screen, hypotheses_for
 from estimation.gap.whitening import (
@@ -34,6 +35,7 @@ from estimation.preprocess import noise_level
 
 LEAST_NOISE = 0.25  # of the variance that the sample-to-sample scatter of a channel shows
 PASSES = 3
+SPARE_PASSES = 3  # more of them where the fit has not come to rest
 EDGE_TURNS = 2
 OWN_NOISE = 0.5  # of a rate's scatter: to begin with, half of its standard deviation is not shared with the attitude
 SAFETY = 1.25  # on the null threshold: nulls know nothing of what the baseline's own equations and sampling get a little wrong
@@ -210,7 +212,9 @@ def fit_baseline(
     own = None if locals_ is None else list(locals_)
     found: Fit | None = None
     level = noise or NoiseModel(scatter**2, {})
-    for turn in range(passes + 1):
+    for turn in range(passes + 1 + SPARE_PASSES):
+        if turn > passes and (found is None or found.converged):
+            break
         at = {**model.starts(), **values}
         if turn == 0:
             _, whiteners = whiteners_for(model, bench.base, records, at, level, (), scatter)
@@ -218,7 +222,7 @@ def fit_baseline(
             assert found is not None
             level, whiteners = whiteners_for(model, bench.base, records, at, None, found.residuals, scatter, level)
         problem = Problem(model, bench.base, records, whiteners, WORK)
-        found = fit(problem, values, own)
+        found = _careful(problem, values, own, afar=turn if start is None else passes)
         if found.diverged:
             raise GapError(
                 f"model {model.name} runs away on {_culprit(problem, found, bench)}: the baseline itself is wrong for these "
@@ -227,6 +231,15 @@ def fit_baseline(
         values, own = dict(found.values), list(found.locals)
     assert found is not None
     return Baseline(problem, found, level, scatter, clean)
+
+
+def _careful(problem: Problem, values: Mapping[str, float], own: Sequence[Local] | None, afar: int) -> Fit:
+    """A fit from afar (pass 0: white noise; pass 1: its own noise for the first time) without, then with what is only
+    nuisance: far from the optimum a displacement in time is bent to serve for everything else, and does not come back."""
+    if afar > 1:
+        return fit(problem, values, own)
+    first = fit(problem, values, own, held=[n for n in problem.free if is_nuisance(n)])
+    return first if first.diverged or afar == 0 else fit(problem, first.values, first.locals)
 
 
 def _culprit(problem: Problem, found: Fit, bench: Bench) -> str:

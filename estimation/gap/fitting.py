@@ -5,7 +5,7 @@ has arrow structure and is reduced record by record (Schur complement), so cost 
 Gauss-Newton with step halving. The reduced system of each record is kept: the screen and the nulls need nothing else.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -231,9 +231,10 @@ def fit(
     iterations: int = 25,
     frozen: bool = False,
     enough: float = 1e-3,
+    held: Collection[str] = (),
 ) -> Fit:
     """Minimise the whitened cost from `start`. frozen: hold the shared parameters and fit only what is local.
-    enough: of the cost; iterations end where a step promises less."""
+    enough: of the cost; iterations end where a step promises less. held: shared parameters that stay where they are."""
     model = problem.model
     values = {**problem.starts(), **(start or {})}
     here = list(locals_ if locals_ is not None else problem.starting_locals())
@@ -246,7 +247,7 @@ def fit(
     hessian = np.zeros((n, n))
     converged = False
     for iteration in range(iterations):
-        step = _step(problem, values, here, n)
+        step = _step(problem, values, here, n, [i for i, name in enumerate(names) if name in held])
         if step is None:
             return Fit(model, names, values, tuple(here), tuple(residuals), cost, hessian, iteration, False, True)
         d_shared, d_local, hessian, decrease = step
@@ -286,9 +287,9 @@ def _moved(problem: Problem, local: Local, step: Array) -> Local:
 
 
 def _step(
-    problem: Problem, values: Mapping[str, float], locals_: Sequence[Local], n: int
+    problem: Problem, values: Mapping[str, float], locals_: Sequence[Local], n: int, held: Sequence[int] = ()
 ) -> tuple[Array, list[Array], Array, float] | None:
-    """Gauss-Newton step: shared, per record, reduced Hessian, predicted decrease of the cost."""
+    """Gauss-Newton step: shared, per record, reduced Hessian, predicted decrease of the cost. held: shared ones with no step."""
     shared = len(problem.free)
     weight, distance = prior_terms(problem, problem.free[:n], values)
     H, g = np.diag(weight), distance.copy()
@@ -310,16 +311,21 @@ def _step(
         g += Jt.T @ r - Htl @ inverse @ gl
         kept.append((inverse, Htl, gl))
         gain += 0.5 * float(gl @ inverse @ gl)
-    d_shared = _solve(H, g)
+    d_shared = _solve(H, g, held)
     gain += 0.5 * float(d_shared @ g)
     d_locals = [inverse @ (gl - Htl.T @ d_shared) for inverse, Htl, gl in kept]
     return d_shared, d_locals, H, gain
 
 
-def _solve(H: Array, g: Array) -> Array:
-    """H^-1 g with unit scaling; directions the data say nothing about are left alone."""
+def _solve(H: Array, g: Array, held: Sequence[int] = ()) -> Array:
+    """H^-1 g with unit scaling; directions the data say nothing about are left alone, as are those of `held`."""
     if g.size == 0:
         return g
+    if len(held):
+        free = np.setdiff1d(np.arange(g.size), held)
+        step = np.zeros_like(g)
+        step[free] = _solve(H[np.ix_(free, free)], g[free])
+        return step
     diagonal = np.diag(H)
     scale = 1.0 / np.sqrt(np.maximum(diagonal, 1e-24 * max(float(diagonal.max()), 1e-200)))
     values, vectors = np.linalg.eigh(H * scale[:, None] * scale[None, :])
