@@ -17,7 +17,6 @@ like a mean of all there was, and says `INITIALISING` until that has settled.
 
 import math
 from collections import deque
-from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntFlag
 
@@ -26,12 +25,13 @@ import numpy as np
 
 from daq.plumb_line import GRAVITY, AirPath, GroundVelocity, VelocityFix
 from daq.sensors.config import AttitudeConfig
+from daq.vectors import UNTURNED, ZERO, Axes, Vector, cross, plus, times, turned
 
 SCALE = 32767
 
-Vector = Sequence[float]
+Quaternion = tuple[float, float, float, float]
 _DEGREES, _RADIANS = 180.0 / math.pi, math.pi / 180.0
-_FLIP = np.array((1.0, -1.0, -1.0))  # forward right down <-> forward left up, north east down <-> north west up
+_COMPONENTS = ("quaternion_w", "quaternion_x", "quaternion_y", "quaternion_z")
 
 
 class AttitudeStatus(IntFlag):
@@ -44,6 +44,7 @@ class AttitudeStatus(IntFlag):
     MAGNETOMETER_USED = 16
 
 
+_STATUSES = tuple(AttitudeStatus(bits) for bits in range(32))  # flags are objects, and slow to make
 _INITIALISING, _RATE_RECOVERY, _ACCELERATION_REJECTED, _MAGNETIC_REJECTED, _MAGNETOMETER_USED = (
     int(flag) for flag in AttitudeStatus
 )
@@ -53,18 +54,19 @@ _INITIALISING, _RATE_RECOVERY, _ACCELERATION_REJECTED, _MAGNETIC_REJECTED, _MAGN
 class Attitude:
     """Quaternion (w, x, y, z), north-east-down to body, and the filter's flags."""
 
-    quaternion: tuple[float, float, float, float]
+    quaternion: Quaternion
     status: AttitudeStatus
 
     @property
     def initialising(self) -> bool:
         """Whether the filter is still finding its level."""
-        return bool(self.status & (AttitudeStatus.INITIALISING | AttitudeStatus.RATE_RECOVERY))
+        return int(self.status) & (_INITIALISING | _RATE_RECOVERY) != 0
 
     def counts(self) -> dict[str, int]:
         """The recorded channels: components times 32767, and the status byte."""
-        scaled = {f"quaternion_{c}": round(SCALE * v) for c, v in zip("wxyz", self.quaternion, strict=True)}
-        return {**scaled, "attitude_status": int(self.status)}
+        counts = {name: round(SCALE * v) for name, v in zip(_COMPONENTS, self.quaternion, strict=True)}
+        counts["attitude_status"] = int(self.status)
+        return counts
 
 
 class AttitudeFilter:
@@ -86,26 +88,27 @@ class AttitudeFilter:
         self._gain = 0.0
         self._set_gain(self.FIRST_GAIN)
         self._begun: float | None = None
+        self._settled = self._aided = False
         self._bias = imufusion.Bias()
         self._bias.set_settings(imufusion.BiasSettings(rate_hz, config.standstill_dps, config.standstill_s))
-        self._magnetic_offset = np.array(config.hard_iron_ut) * 1e-6
+        self._offset = ZERO  # the bias as it is now [deg/s]
+        self._hard_iron = times(1e-6, config.hard_iron_ut)
         half = math.radians(config.declination_deg) / 2
         self._declination = (math.cos(half), math.sin(half))
         self._time: float | None = None
-        self._last_gyro: deque[np.ndarray] = deque(maxlen=2)  # newest first
-        self._standing: list[tuple[float, np.ndarray]] = []
+        self._last_gyro: deque[Vector] = deque(maxlen=2)  # newest first
+        self._standing: list[tuple[float, Vector]] = []
         self._bias_known = False
         self._air = AirPath()
         self._ground = GroundVelocity()
-        self._axes = np.eye(3)  # body to north-east-down, by the attitude held so far
+        self._axes = UNTURNED  # body to north-east-down, by the attitude held so far
         # velocities over ground say nothing to an aircraft that does not know where north is
         self._heading_known = False
 
     @property
-    def gyro_bias(self) -> tuple[float, float, float]:
+    def gyro_bias(self) -> Vector:
         """Gyro bias found while standing still [rad/s]."""
-        x, y, z = np.radians(self._bias.get_offset())
-        return float(x), float(y), float(z)
+        return times(_RADIANS, self._offset)
 
     def update(
         self,
@@ -120,47 +123,53 @@ class AttitudeFilter:
 
         fix: a GPS velocity that has come in since the last sample, at the time at which the IMU showed its instant.
         """
-        force = np.array(accel, dtype=np.float64)
         step = self._step(time)
-        rate_deg = self._unbiased(time, np.array(gyro, dtype=np.float64) * _DEGREES, self._at_rest(airspeed))
+        rate_deg = self._unbiased(time, times(_DEGREES, gyro), self._at_rest(airspeed))
+        rate = times(_RADIANS, rate_deg)
         turn_rate = self._turn_rate(rate_deg, step)
         self._air.follow(airspeed if self._config.airspeed_correction else None, step)
-        down = self._air.plumb_line(force, rate_deg * _RADIANS)
-        field = None if mag is None or not self._config.use_magnetometer else np.array(mag) - self._magnetic_offset
+        field = None if mag is None or not self._config.use_magnetometer else plus(mag, self._hard_iron, -1.0)
         if step is None or self._begun is None:
-            self._begun = time
-            self._align(down, field)
+            self._begun, self._settled = time, False
+            self._align(self._air.plumb_line(accel, rate), field)
         else:
-            self._ground.hear(fix)
+            if fix is not None or self._ground.waits:
+                self._ground.hear(fix)
             self._heading_known |= field is not None
             aided = self._heading_known and self._ground.known(time)
-            self._set_gain(self._gain_at(time - self._begun, aided))
+            if aided is not self._aided or not self._settled:
+                self._aided = aided
+                self._settled = time - self._begun >= self.SETTLING_S
+                self._set_gain(self._gain_at(time - self._begun, aided))
             if aided:
                 down = self._ground.plumb_line(self._axes, self.VELOCITY_GAIN * self._gain)
+            else:
+                down = self._air.plumb_line(accel, rate)
             self._ahrs.set_sample_period(step)
             self._advance(turn_rate, down, field)
         quaternion = self._quaternion()
         self._axes = _axes_of(quaternion)
-        antenna = self._axes @ _cross(rate_deg * _RADIANS, self._config.antenna_m)
-        self._ground.advance(time, step or 0.0, self._axes, force, self.VELOCITY_GAIN * self._gain, antenna)
+        antenna = turned(self._axes, cross(rate, self._config.antenna_m))
+        self._ground.advance(time, step or 0.0, self._axes, accel, self.VELOCITY_GAIN * self._gain, antenna)
         return Attitude(quaternion, self._status(time, field is not None))
 
-    def _advance(self, rate_deg: np.ndarray, down: np.ndarray, field: np.ndarray | None) -> None:
-        plumb_line = down / GRAVITY * _FLIP
+    def _advance(self, rate_deg: Vector, down: Vector, field: Vector | None) -> None:
+        plumb_line = times(1.0 / GRAVITY, down)
         if field is None:
-            self._ahrs.update_no_magnetometer(rate_deg * _FLIP, plumb_line)
+            self._ahrs.update_no_magnetometer(*np.array((_flip(rate_deg), _flip(plumb_line))))
         else:
-            self._ahrs.update(rate_deg * _FLIP, plumb_line, field * 1e6 * _FLIP)
+            self._ahrs.update(*np.array((_flip(rate_deg), _flip(plumb_line), _flip(times(1e6, field)))))
 
-    def _align(self, down: np.ndarray, field: np.ndarray | None) -> None:
+    def _align(self, plumb_line: Vector, magnetic: Vector | None) -> None:
         """Begin where plumb line and compass point (Black 1964, "TRIAD"); without a compass, at heading zero."""
         self._ahrs.restart()
         self._ahrs.skip_startup()
         self._set_gain(self.FIRST_GAIN)
         self._ground.restart()
-        self._heading_known = field is not None
+        self._heading_known = magnetic is not None
+        down = np.array(plumb_line)
         z = -down / max(float(np.linalg.norm(down)), 1e-9)
-        ahead = np.array((1.0, 0.0, 0.0)) if field is None else field
+        ahead = np.array((1.0, 0.0, 0.0) if magnetic is None else magnetic)
         y = np.cross(z, ahead)
         if np.linalg.norm(y) < 1e-9:
             return
@@ -196,26 +205,31 @@ class AttitudeFilter:
             return None
         return time - last
 
-    def _unbiased(self, time: float, rate_deg: np.ndarray, at_rest: bool) -> np.ndarray:
+    def _unbiased(self, time: float, rate_deg: Vector, at_rest: bool) -> Vector:
         """Rates less the bias [deg/s]. The first standstill sets the bias to its mean; later ones trim it slowly."""
         if not at_rest:
             self._standing.clear()
-            return rate_deg - np.asarray(self._bias.get_offset(), dtype=np.float64)
-        unbiased = np.asarray(self._bias.update(rate_deg), dtype=np.float64)
+            return plus(rate_deg, self._offset, -1.0)
+        x, y, z = self._bias.update(np.array(rate_deg)).tolist()
+        self._note_offset()
         if self._bias_known:
-            return unbiased
-        if np.any(np.abs(unbiased) > self._config.standstill_dps):
+            return x, y, z
+        if max(abs(x), abs(y), abs(z)) > self._config.standstill_dps:
             self._standing.clear()
         self._standing.append((time, rate_deg))
         if time - self._standing[0][0] >= self._config.standstill_s:
-            mean = np.mean([rate for _, rate in self._standing], axis=0)
-            self._bias.set_offset(mean)
+            self._bias.set_offset(np.mean([rate for _, rate in self._standing], axis=0))
+            self._note_offset()
             self._bias_known = True
             self._standing.clear()
-            return rate_deg - mean
-        return unbiased
+            return plus(rate_deg, self._offset, -1.0)
+        return x, y, z
 
-    def _turn_rate(self, rate_deg: np.ndarray, step: float | None) -> np.ndarray:
+    def _note_offset(self) -> None:
+        x, y, z = self._bias.get_offset().tolist()
+        self._offset = x, y, z
+
+    def _turn_rate(self, rate_deg: Vector, step: float | None) -> Vector:
         """Rate that, held over the last step, turns the filter as far as the sampled rates did [deg/s].
 
         Mean by the implicit Adams rule, (5 w_k + 8 w_k-1 - w_k-2)/12, until there are three samples by the trapezoidal one
@@ -226,19 +240,19 @@ class AttitudeFilter:
             self._last_gyro.clear()
         mean = rate_deg
         if len(self._last_gyro) == 1:
-            mean = (rate_deg + self._last_gyro[0]) / 2
+            mean = times(1 / 2, plus(rate_deg, self._last_gyro[0]))
         elif self._last_gyro:
-            mean = (5 * rate_deg + 8 * self._last_gyro[0] - self._last_gyro[1]) / 12
+            mean = times(5 / 12, plus(plus(rate_deg, self._last_gyro[0], 8 / 5), self._last_gyro[1], -1 / 5))
         self._last_gyro.appendleft(rate_deg)
         half = math.radians(math.hypot(*mean)) * (step or 0.0) / 2
-        return np.asarray(mean * (math.tan(half) / half if 1e-6 < half < 0.5 else 1.0))
+        return times(math.tan(half) / half, mean) if 1e-6 < half < 0.5 else mean
 
     def _at_rest(self, airspeed: float | None) -> bool:
         """Whether the aircraft may stand still; a trimmed flight is as quiet to the gyro as the ground is."""
         return airspeed is None or airspeed < self.SLOWEST_FLIGHT
 
-    def _quaternion(self) -> tuple[float, float, float, float]:
-        w, x, left, up = (float(v) for v in self._ahrs.get_quaternion())
+    def _quaternion(self) -> Quaternion:
+        w, x, left, up = self._ahrs.get_quaternion().tolist()
         y, z = -left, -up
         c, s = self._declination  # turn about the vertical, from magnetic to true north
         q = (c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w)
@@ -246,7 +260,7 @@ class AttitudeFilter:
 
     def _status(self, time: float, magnetic: bool) -> AttitudeStatus:
         flags, inside = self._ahrs.get_flags(), self._ahrs.get_internal_states()
-        bits = 0  # plain integers: flags are objects, and cost more to add up than the filter's step
+        bits = 0
         if flags.startup or self._begun is None or time - self._begun < self.SETTLING_S:
             bits |= _INITIALISING
         if flags.overrange_recovery:
@@ -257,24 +271,21 @@ class AttitudeFilter:
             bits |= _MAGNETOMETER_USED
             if inside.magnetometer_ignored:
                 bits |= _MAGNETIC_REJECTED
-        return AttitudeStatus(bits)
+        return _STATUSES[bits]
 
 
-def _cross(a: Vector | np.ndarray, b: Vector) -> np.ndarray:
-    """The vector product (3,); `np.cross` costs more than all the rest of an update."""
-    (ax, ay, az), (bx, by, bz) = a, b
-    return np.array((ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx))
+def _flip(a: Vector) -> Vector:
+    """Forward right down <-> forward left up, north east down <-> north west up."""
+    return a[0], -a[1], -a[2]
 
 
-def _axes_of(quaternion: tuple[float, float, float, float]) -> np.ndarray:
-    """(3, 3) turning body vectors to north-east-down."""
+def _axes_of(quaternion: Quaternion) -> Axes:
+    """The rotation that turns body vectors to north-east-down."""
     w, x, y, z = quaternion
-    return np.array(
-        (
-            (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
-            (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
-            (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
-        )
+    return (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
     )
 
 

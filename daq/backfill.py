@@ -213,6 +213,11 @@ class BackfillServer:
             sha256=digest,
         )
 
+    @property
+    def busy(self) -> bool:
+        """Whether anything waits to be sent."""
+        return bool(self._queue)
+
     def next_item(self) -> Item | None:
         """The next fragment to send."""
         return self._queue.popitem(last=False)[1] if self._queue else None

@@ -44,8 +44,8 @@ class Books:
             "queue_high_water": self.high_water,
         }
 
-    def offer(self, number: int) -> None:
-        """A scan has been made; the numbers passed over since the last one were missed."""
+    def offer(self, number: int) -> int:
+        """A scan has been made; the numbers passed over since the last one were missed. Returns how many are in memory."""
         if self.first is None:
             self.first = self.next = number
         if number > self.next:
@@ -53,6 +53,7 @@ class Books:
             self._add_absent(self.next, number - 1)
         self.next = number + 1
         self.offered += 1
+        return self.pending
 
     def drop(self, number: int) -> None:
         """The newest scan was refused."""

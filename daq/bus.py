@@ -70,7 +70,8 @@ def read_raw(bus: I2cBus, address: int, count: int) -> bytes:
     """Read `count` bytes from a chip that has no register pointer (a plain read transaction)."""
     message = _reading(address, count)
     bus.i2c_rdwr(message)
-    return bytes(message)
+    data: bytes = message.buf[:count]
+    return data
 
 
 @cache

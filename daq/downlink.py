@@ -83,7 +83,9 @@ class Downlink:
         self.refusals = UplinkCounts()
         self.recent: deque[Scan] = deque(maxlen=_RECENT_SCANS)
         self._clock = clock
+        self._layouts = layouts()
         self.status = status
+        self.recording: Callable[[], bool] = lambda: self.status().recording
         encoder = FrameEncoder(config.system_id, config.component_id, signer)
         self.outbox = Outbox(port, encoder, config.budget_bytes_per_s, config.scan_queue)
         self._wanted_rate = config.rate_hz
@@ -107,7 +109,7 @@ class Downlink:
             }
         )
         self._gnss: Scan | None = None
-        self._offered_at_pause = 0
+        self._scans_come = False  # since the last service
         self._pauses_told = 0
         self._pause_ns = 0
         self._open: list[int] = []  # numbers of scans queued and not gone yet
@@ -128,33 +130,34 @@ class Downlink:
 
     def offer(self, scan: Scan) -> None:
         """Take a scan; it is queued for sending when its time has come."""
-        self.offered.add(scan.number)
+        number, time = scan.number, scan.time
+        self.offered.add(number)
+        self._scans_come = True
         self.recent.append(scan)
         if self._first is None:
-            self._first = scan.number
-        self._last = scan.number
-        if scan.values.get("gnss_fix") is not None:
+            self._first = number
+        self._last = number
+        if "gnss_fix" in scan.values:
             self._gnss = scan
-        if scan.number % BLOCK == _MAP_DELAY:
-            self._report_maps(scan.number // BLOCK)
-        if scan.time < self._next_fast - 1e-6:
+        if number % BLOCK == _MAP_DELAY:
+            self._report_maps(number // BLOCK)
+        if time < self._next_fast - 1e-6:
             return
         period = 1.0 / self.rate_hz
-        late = scan.time - self._next_fast > period
-        self._next_fast = (scan.time if late else self._next_fast) + period
-        self._send_scan(scan)
+        late = time - self._next_fast > period
+        self._next_fast = (time if late else self._next_fast) + period
+        self._send_scan(scan, time)
 
-    def _send_scan(self, scan: Scan) -> None:
+    def _send_scan(self, scan: Scan, time: float) -> None:
         # Slow parts go before the fast one, so that the ground has the scan complete when the fast one arrives.
-        parts = []
-        if scan.time >= self._next_slow:
-            parts.append(SCAN_SLOW_ID)
-            self._next_slow = scan.time + 1.0 / self.config.slow_rate_hz / self._factor
-        if scan.time >= self._next_rare and (self._gnss is scan or scan.time >= self._next_rare + 1.0):
-            parts.append(SCAN_RARE_ID)
-            self._next_rare = scan.time + 1.0 / self.config.gnss_rate_hz / self._factor
-        table = layouts()
-        items = [Item(i, pack_scan(table[i], scan, self.boot)) for i in parts]
+        table = self._layouts
+        items = []
+        if time >= self._next_slow:
+            items.append(Item(SCAN_SLOW_ID, pack_scan(table[SCAN_SLOW_ID], scan, self.boot)))
+            self._next_slow = time + 1.0 / self.config.slow_rate_hz / self._factor
+        if time >= self._next_rare and (self._gnss is scan or time >= self._next_rare + 1.0):
+            items.append(Item(SCAN_RARE_ID, pack_scan(table[SCAN_RARE_ID], scan, self.boot)))
+            self._next_rare = time + 1.0 / self.config.gnss_rate_hz / self._factor
         fast = pack_scan(table[SCAN_FAST_ID], scan, self.boot)
         number = scan.number
         items.append(Item(SCAN_FAST_ID, fast, lambda: self._settle(number, True), lambda: self._settle(number, False)))
@@ -196,18 +199,19 @@ class Downlink:
             late = self._next_heartbeat is None or now_ns - self._next_heartbeat > NS
             self._next_heartbeat = (now_ns if late else self._next_heartbeat or now_ns) + NS
             self.outbox.put_urgent(self._heartbeat())
-        self._recover(now_ns)
-        self._report_pause(now_ns)
-        if not self.outbox.has_low:
+        if self._factor < 1.0:
+            self._recover(now_ns)
+        if self._scans_come:
+            self._scans_come, self._pauses_told, self._pause_ns = False, 0, now_ns
+        elif self._pauses_told < _MAP_REPEATS and self.recent:
+            self._report_pause(now_ns)
+        if now_ns >= self._timers.soonest and not self.outbox.has_low:
             self._queue_due(now_ns)
         self.outbox.service(now_ns)
 
     def _report_pause(self, now_ns: int) -> None:
         """When scans stop coming, say a few times what was sent, so that the ground's books close."""
-        if self._offered_at_pause != len(self.offered):
-            self._offered_at_pause, self._pauses_told, self._pause_ns = len(self.offered), 0, now_ns
-        due = self._pause_ns + (_PAUSE_NS << self._pauses_told)
-        if self.recent and self._pauses_told < _MAP_REPEATS and now_ns >= due:
+        if now_ns >= self._pause_ns + (_PAUSE_NS << self._pauses_told):
             self._pauses_told += 1
             block = self._last // BLOCK
             self.outbox.put_low(self.sent_map(block))
@@ -228,7 +232,7 @@ class Downlink:
             case "GPS_RAW_INT":
                 return gps_raw(self._gnss)
             case "SYS_STATUS":
-                return sys_status(last, self.status().recording, self.config.supply_volts_per_count)
+                return sys_status(last, self.recording(), self.config.supply_volts_per_count)
             case "LINK_STATISTICS":
                 return self.statistics()
             case _:
@@ -236,7 +240,7 @@ class Downlink:
 
     def _heartbeat(self) -> Item:
         fixed_wing, generic, active, standby = 1, 0, 4, 3
-        state = active if self.status().recording else standby
+        state = active if self.recording() else standby
         return item("HEARTBEAT", type=fixed_wing, autopilot=generic, system_status=state, mavlink_version=3)
 
     def statistics(self) -> Item:
@@ -312,7 +316,7 @@ class Downlink:
             self._set_factor(self._factor * _STEP_UP)
 
     def _recover(self, now_ns: int) -> None:
-        if self._factor < 1.0 and now_ns - self._adapted_ns > _RECOVER_NS:
+        if now_ns - self._adapted_ns > _RECOVER_NS:
             self._adapted_ns = now_ns
             self._set_factor(self._factor * _STEP_UP)
 
@@ -328,6 +332,7 @@ class _Timers:
     def __init__(self, rates_hz: dict[str, float]) -> None:
         self._periods = {name: NS / rate for name, rate in rates_hz.items()}
         self._next: dict[str, float] = {}
+        self.soonest = -math.inf  # when the next message is due [ns]
 
     def due(self, now_ns: int, factor: float) -> str | None:
         if not self._next:
@@ -342,4 +347,5 @@ class _Timers:
         if best is not None:
             period = self._periods[best] / factor
             self._next[best] = max(self._next[best] + period, now_ns)
+        self.soonest = min(self._next.values())
         return best

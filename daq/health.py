@@ -3,7 +3,6 @@
 `Watch` judges the values of one group over time (stuck, implausible, spikes); the sampler adds what it learns on the bus.
 """
 
-from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -100,8 +99,7 @@ class Watch:
 
     def forget(self) -> None:
         """Start afresh, after the sensor was away."""
-        self._last: dict[str, RawValue] = {}
-        self._since: dict[str, int] = {}  # time at which each channel took its last value
+        self._held: dict[str, tuple[RawValue, int]] = {}  # last value of each channel, and when it took it
         self._level: dict[str, RawValue] = {}
         self._doubtful: dict[str, RawValue] = {}
 
@@ -146,10 +144,11 @@ class Watch:
             value = values.get(name)
             if value is None:
                 continue
-            if value != self._last.get(name):
-                self._last[name], self._since[name] = value, time_ns
-            elif time_ns - (since := self._since[name]) > limit_ns:
-                verdict = Verdict(SensorState.STUCK, f"{name} at {value} for {(time_ns - since) * 1e-9:.1f} s")
+            held = self._held.get(name)
+            if held is None or value != held[0]:
+                self._held[name] = value, time_ns
+            elif time_ns - held[1] > limit_ns:
+                verdict = Verdict(SensorState.STUCK, f"{name} at {value} for {(time_ns - held[1]) * 1e-9:.1f} s")
         return verdict
 
 
@@ -161,7 +160,7 @@ class Record:
         self.state = state
         self.detail = "" if state is not SensorState.ABSENT else "not set up yet"
         self.since_ns = time_ns
-        self.scans: Counter[SensorState] = Counter()
+        self._scans = [0] * len(SensorState)  # by state
         self.retries = 0
         self.setups = 0
         self.required = required
@@ -177,7 +176,11 @@ class Record:
         if state is not self.state:
             self.state, self.since_ns = state, time_ns
         self.detail = detail
-        self.scans[state] += 1
+        self._scans[state] += 1
+
+    def forget_scans(self) -> None:
+        """Count anew."""
+        self._scans = [0] * len(SensorState)
 
     def snapshot(self) -> GroupHealth:
         """The record as data."""
@@ -186,7 +189,7 @@ class Record:
             self.state,
             self.detail,
             self.since_ns,
-            dict(self.scans),
+            {state: self._scans[state] for state in SensorState if self._scans[state]},
             self.retries,
             self.setups,
             self.required,

@@ -132,6 +132,7 @@ class RadioLink:
     def report_on(self, logger: RecordingLogger) -> None:
         """Report this logger's state to the ground from now on."""
         self.downlink.status = lambda: onboard_status(logger)
+        self.downlink.recording = lambda: logger.recording  # asked every second, the books only now and then
 
     def close(self) -> None:
         """Save what must outlive the process and give the port back."""

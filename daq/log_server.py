@@ -51,6 +51,11 @@ class LogServer:
         self._transfer = self._block = self._listing = None
         self._entries.clear()
 
+    @property
+    def busy(self) -> bool:
+        """Whether a list or a download is under way."""
+        return self._transfer is not None or self._listing is not None or bool(self._entries)
+
     def next_item(self) -> Item | None:
         """The next message to send; None while there is nothing, or while the card is being read."""
         if self._listing is not None and self._listing.done():

@@ -202,7 +202,8 @@ class Logger:
         if self._recorder is not None:
             self._recorder.scan(scan)
         self._watch_states(scan)
-        self._report(ended)
+        if self._health_due:
+            self._report(ended)
         self._serve_link(scan)
         if ended >= self._next_housekeeping_ns:
             self._next_housekeeping_ns = ended + _HOUSEKEEPING_NS
@@ -246,7 +247,7 @@ class Logger:
 
     def _report(self, now: int) -> None:
         """A health report at every change of a sensor's state, and a sentence with it."""
-        if not self._health_due or now < self._next_health_ns:
+        if now < self._next_health_ns:
             return
         self._health_due = False
         self._next_health_ns = now + _HEALTH_PAUSE_NS

@@ -15,17 +15,14 @@ Trans. Automatic Control 53 (2008) 1203; with velocity aiding: M.-D. Hua, "Attit
 using GPS/INS measurements", Control Engineering Practice 18 (2010) 723, of which this is the linear cascade.
 """
 
-from bisect import bisect_left
 from collections import deque
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
+from daq.vectors import ZERO, Axes, Vector, plus, turned, turned_back
 
 GRAVITY = 9.80665
 
-Array = NDArray[np.float64]
-_DOWN = np.array((0.0, 0.0, GRAVITY))
+_DOWN = (0.0, 0.0, GRAVITY)
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +30,7 @@ class VelocityFix:
     """Velocity over ground (north, east, down) [m/s] at a time [s] on the clock of the samples."""
 
     time: float
-    velocity: tuple[float, float, float]
+    velocity: Vector
 
 
 class GroundVelocity:
@@ -46,19 +43,23 @@ class GroundVelocity:
     HISTORY_S = 1.0  # how late a fix may come
 
     def __init__(self) -> None:
-        self._history: deque[tuple[float, Array]] = deque()  # velocity of the antenna
-        self._velocity = np.zeros(3)
-        self._acceleration: Array | None = None
-        self._error = np.zeros(3)
+        self._history: deque[tuple[float, Vector]] = deque()  # velocity of the antenna
+        self._velocity = ZERO
+        self._acceleration: Vector | None = None
+        self._error = ZERO
         self._fix_time: float | None = None
         self._waiting: VelocityFix | None = None
+
+    @property
+    def waits(self) -> bool:
+        """Whether a fix has come whose time the integration has not reached."""
+        return self._waiting is not None
 
     def restart(self) -> None:
         """Forget everything."""
         self._history.clear()
-        self._velocity = np.zeros(3)
+        self._velocity = self._error = ZERO
         self._acceleration, self._fix_time, self._waiting = None, None, None
-        self._error = np.zeros(3)
 
     def hear(self, fix: VelocityFix | None) -> None:
         """Take in a fix that has come since the last call, as soon as the integration has reached its time; after a pause
@@ -74,45 +75,47 @@ class GroundVelocity:
     def _compare(self, fix: VelocityFix) -> None:
         lost = not self.known(fix.time)
         self._fix_time = fix.time
-        error = np.array(fix.velocity) - self._at(fix.time)
+        error = plus(fix.velocity, self._at(fix.time), -1.0)
         if lost:
-            self._velocity = self._velocity + error
-            self._history = deque((t, v + error) for t, v in self._history)
-        self._error = np.zeros(3) if lost else error
+            self._velocity = plus(self._velocity, error)
+            self._history = deque((t, plus(v, error)) for t, v in self._history)
+        self._error = ZERO if lost else error
 
     def known(self, time: float) -> bool:
         """Whether there was a fix lately."""
         return self._fix_time is not None and time - self._fix_time <= self.LONGEST_S
 
-    def plumb_line(self, axes: Array, gain: float) -> Array:
-        """Specific force of the aircraft as if it stood still (3,), body axes [m/s2].
+    def plumb_line(self, axes: Axes, gain: float) -> Vector:
+        """Specific force of the aircraft as if it stood still, body axes [m/s2].
 
-        axes: (3, 3) turns body vectors to north-east-down by the attitude held so far. gain: weight of the velocity
-        error [1/s].
+        axes: turns body vectors to north-east-down by the attitude held so far. gain: weight of the velocity error [1/s].
         """
-        return np.asarray(-axes.T @ (_DOWN + gain * self._error))
+        x, y, z = turned_back(axes, plus(_DOWN, self._error, gain))
+        return -x, -y, -z
 
-    def _at(self, time: float) -> Array:
-        """The integrated velocity (3,) at an earlier time, by straight lines."""
-        times = [t for t, _ in self._history]
-        k = min(max(bisect_left(times, time), 1), len(times) - 1)
-        if k < 1:
-            return self._history[0][1]
-        (t0, v0), (t1, v1) = self._history[k - 1], self._history[k]
-        share = min(max((time - t0) / (t1 - t0), 0.0), 1.0)
-        return np.asarray(v0 + share * (v1 - v0))
+    def _at(self, time: float) -> Vector:
+        """The integrated velocity at an earlier time, by straight lines."""
+        later = self._history[-1]
+        for earlier in reversed(self._history):
+            if earlier[0] < time:
+                break
+            later = earlier
+        (t0, v0), (t1, v1) = earlier, later
+        if t0 == t1:  # before all that is remembered, or at its end
+            return v1
+        return plus(v0, plus(v1, v0, -1.0), (time - t0) / (t1 - t0))
 
-    def advance(self, time: float, step: float, axes: Array, accel: Array, gain: float, antenna: Array) -> None:
-        """Integrate to `time` over `step` [s] with the specific force (3,) of this sample and the attitude it led to.
+    def advance(self, time: float, step: float, axes: Axes, accel: Vector, gain: float, antenna: Vector) -> None:
+        """Integrate to `time` over `step` [s] with the specific force of this sample and the attitude it led to.
 
-        antenna: (3,) velocity of the receiver's antenna about the IMU, north-east-down [m/s].
+        antenna: velocity of the receiver's antenna about the IMU, north-east-down [m/s].
         """
-        acceleration = axes @ accel + _DOWN
+        acceleration = plus(turned(axes, accel), _DOWN)
         if self._acceleration is not None:
-            change = 0.5 * (self._acceleration + acceleration) + gain * self._error
-            self._velocity = self._velocity + step * change
+            mean = plus(self._acceleration, acceleration)
+            self._velocity = plus(self._velocity, plus(mean, self._error, 2.0 * gain), 0.5 * step)
         self._acceleration = acceleration
-        self._history.append((time, self._velocity + antenna))
+        self._history.append((time, plus(self._velocity, antenna)))
         while self._history[-1][0] - self._history[0][0] > self.HISTORY_S:
             self._history.popleft()
 
@@ -136,9 +139,9 @@ class AirPath:
         self._airspeed = smooth + share * (airspeed - smooth)
         self._speeding_up = (self._airspeed - smooth) / step
 
-    def plumb_line(self, accel: Array, rate: Array) -> Array:
-        """Specific force less the path's acceleration (3,) [m/s2]; rate [rad/s]."""
+    def plumb_line(self, accel: Vector, rate: Vector) -> Vector:
+        """Specific force less the path's acceleration [m/s2]; rate [rad/s]."""
         speed = self._airspeed
         if speed is None:
             return accel
-        return accel - np.array((self._speeding_up, speed * rate[2], -speed * rate[1]))
+        return plus(accel, (self._speeding_up, speed * rate[2], -speed * rate[1]), -1.0)

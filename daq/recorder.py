@@ -56,7 +56,8 @@ class Recorder:
         self._clock = clock
         self._timing = timing or LoopTiming()
         self._capacity = math.ceil(config.queue_s * info.scan_rate_hz)
-        self._news = threading.Condition()
+        self._lock = threading.RLock()
+        self._news = threading.Condition(self._lock)
         self._inbox: deque[Scan | Message] = deque()
         self._books = Books()
         self._pending: deque[Entry] = deque()  # encoded, in order, not yet in a file
@@ -98,11 +99,11 @@ class Recorder:
 
     def scan(self, scan: Scan) -> bool:
         """Take a scan; False when the memory is full and the scan was dropped (and counted)."""
-        with self._news:
+        with self._lock:
             books = self._books
-            books.offer(scan.number)
-            held = books.pending
-            books.high_water = max(books.high_water, min(held, self._capacity))
+            held = books.offer(scan.number)
+            if held > books.high_water:
+                books.high_water = min(held, self._capacity)
             if held > self._capacity or self._given_up:
                 books.drop(scan.number)
                 return False

@@ -14,16 +14,13 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from daq.attitude import AttitudeFilter
+from daq.attitude_source import AttitudeSource
 from daq.bus import I2cBus, SerialPort
 from daq.clock import Clock
 from daq.contract.channels import GROUP_NAMES
 from daq.contract.scan import GroupStatus, RawValue, Scan, SensorState
 from daq.health import HealthSummary, Record
-from daq.plumb_line import VelocityFix
-from daq.sensors.config import PitotConfig, SensorsConfig
-from daq.sensors.icm20948 import COUNTS_PER_DPS, COUNTS_PER_G
-from daq.sensors.ms4525do import FULL, SPAN
+from daq.sensors.config import SensorsConfig
 from daq.sensors.registry import Surroundings, build_drivers
 from daq.supervisor import Outcome, Supervisor
 from daq.timebase import TimeBase
@@ -42,8 +39,6 @@ SHARED_RATE_HZ = 50.0
 # Order of precedence on the bus. Converters first: they work while the others are read.
 _ORDER = ("analog_a", "analog_b", "analog_c", "imu", "pitot", "capture", "mag", "static", "thrust")
 _BEGUN_FIRST = frozenset(_ORDER[:5])  # these are begun before any converter is served again
-_ATTITUDE_INPUT = frozenset({SensorState.OK, SensorState.RECOVERING, SensorState.OUT_OF_RANGE})
-_SEA_LEVEL_DENSITY = 1.225
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,8 +92,9 @@ class Sampler:
         ranked = sorted(self._supervisors.values(), key=lambda s: _ORDER.index(s.group) if s.group in _ORDER else 99)
         self._on_bus = [s for s in ranked if s.driver.uses_i2c]
         self._on_serial = [s for s in ranked if not s.driver.uses_i2c]
+        self._all = (*self._on_serial, *self._on_bus)
         self._off = {g: GroupStatus(SensorState.OFF) for g in GROUP_NAMES if g not in config.fitted}
-        self._attitude = _AttitudeSource(config, rate_hz / self._imu_every(), now) if config.attitude else None
+        self._attitude = AttitudeSource(config, rate_hz / self._imu_every(), now) if config.attitude else None
         self._bus_held = ""
         self._bus_retry_ns = 0
         self._bus_pause_ns = BUS_RETRY_NS
@@ -162,23 +158,21 @@ class Sampler:
         self._maintain(start)
         groups = dict(self._off)
         values: dict[str, RawValue] = {}
-        for group in self._supervisors:
-            outcome = outcomes.get(group)
-            if outcome is not None:
-                groups[group] = outcome.status(start)
-                values.update(outcome.values)
-                for time_ns in outcome.events:
-                    self.on_event(EventMark(time_ns, number, "switch"))
+        for group, outcome in outcomes.items():
+            groups[group] = GroupStatus(outcome.state, (outcome.time_ns - start) // 1000)
+            values.update(outcome.values)
+            for time_ns in outcome.events:
+                self.on_event(EventMark(time_ns, number, "switch"))
         if self._attitude is not None and "imu" in outcomes:
             attitude = self._attitude.update(outcomes, start)
-            groups["attitude"] = attitude.status(start)
+            groups["attitude"] = GroupStatus(attitude.state, (attitude.time_ns - start) // 1000)
             values.update(attitude.values)
         utc, accuracy = self.timebase.utc(start)
         lateness_us = min(max(0, start - deadline_ns) // 1000, 2**32 - 1)
         return Scan(number, start, utc, accuracy, lateness_us, groups, values)
 
     def _due(self, supervisor: Supervisor, number: int) -> bool:
-        return supervisor.every == 1 or supervisor.starved or (number + self._phase(supervisor)) % supervisor.every == 0
+        return supervisor.starved or (number + self._phase(supervisor)) % supervisor.every == 0
 
     def _phase(self, supervisor: Supervisor) -> int:
         """Sensors read less often take turns instead of all falling into the same scan."""
@@ -189,7 +183,7 @@ class Sampler:
         for supervisor in self._on_bus:
             if supervisor.ready_ns is not None:
                 due.append(supervisor)
-            elif self._due(supervisor, number):
+            elif supervisor.every == 1 or self._due(supervisor, number):
                 if supervisor.up:
                     due.append(supervisor)
                 else:
@@ -262,7 +256,7 @@ class Sampler:
             outcomes[supervisor.group] = supervisor.passed_over(self._bus_held, SensorState.ABSENT, now)
 
     def _read_serial(self, supervisor: Supervisor, number: int, outcomes: dict[str, Outcome]) -> None:
-        if not self._due(supervisor, number):
+        if supervisor.every != 1 and not self._due(supervisor, number):
             return
         now = self._clock.monotonic_ns()
         if not supervisor.up:
@@ -276,17 +270,24 @@ class Sampler:
     def _maintain(self, start: int) -> None:
         """With what is left of the budget: one set-up step of a lost sensor, and now and then one audit."""
         now = self._clock.monotonic_ns()
-        down = [s for s in self._on_serial if not s.up]
-        if not self._bus_held:
-            down += [s for s in self._on_bus if not s.up]
-        ready = [s for s in down if s.next_try_ns <= now and not self._waits_for(s, down)]
-        if ready and now < start + self._budget_ns:
-            min(ready, key=lambda s: s.next_try_ns).setup_step(now)
+        down = [s for s in self._all if not s.up]
+        if down and now < start + self._budget_ns:
+            self._set_up(down, now)
         if self._on_bus and not self._bus_held and start - self._last_audit_ns >= AUDIT_INTERVAL_NS:
             self._last_audit_ns = start
             self._audit_turn = (self._audit_turn + 1) % len(self._on_bus)
             if self._clock.monotonic_ns() < start + self._budget_ns:
                 self._on_bus[self._audit_turn].audit(now)
+
+    def _set_up(self, down: list[Supervisor], now: int) -> None:
+        """One step for the sensor that has waited longest, of those that can be reached."""
+        ready = [
+            s
+            for s in down
+            if s.next_try_ns <= now and not self._waits_for(s, down) and not (self._bus_held and s.driver.uses_i2c)
+        ]
+        if ready:
+            min(ready, key=lambda s: s.next_try_ns).setup_step(now)
 
     # -- reports ----------------------------------------------------------------------------------------------
 
@@ -307,69 +308,3 @@ class Sampler:
             flat[f"{group}.every"] = str(supervisor.every)
             flat.update({f"{group}.{key}": text for key, text in supervisor.driver.metadata().items()})
         return flat
-
-
-class _AttitudeSource:
-    """Feeds the attitude filter from a scan's IMU, magnetometer, pitot and GPS counts."""
-
-    AIRSPEED_HELD_NS = 500_000_000
-
-    def __init__(self, config: SensorsConfig, imu_rate_hz: float, now_ns: int) -> None:
-        assert config.attitude is not None
-        imu = config.section("imu")
-        self.record = Record("attitude", SensorState.RECOVERING, now_ns, config.attitude.required)
-        gyro_range = getattr(imu, "gyro_range_dps", 500)
-        self._accel_scale = 9.80665 / COUNTS_PER_G[getattr(imu, "accel_range_g", 8)]
-        self._gyro_scale = math.radians(1 / COUNTS_PER_DPS[gyro_range])
-        self._filter = AttitudeFilter(config.attitude, imu_rate_hz, math.radians(gyro_range))
-        lowpass_hz = getattr(imu, "accel_lowpass_hz", 0.0)
-        self._imu_delay_s = 1.0 / (2.0 * math.pi * lowpass_hz) if lowpass_hz else 0.0
-        self._pitot = config.pitot
-        self._airspeed: float | None = None
-        self._airspeed_ns = 0
-
-    def update(self, outcomes: dict[str, Outcome], scan_ns: int) -> Outcome:
-        """The attitude belonging to this scan's IMU sample."""
-        imu = outcomes["imu"]
-        if imu.state not in _ATTITUDE_INPUT or not imu.values:
-            return self._report(SensorState.ABSENT, f"IMU is {imu.state.words}", scan_ns, {})
-        self._note_airspeed(outcomes.get("pitot"))
-        attitude = self._filter.update(
-            imu.time_ns * 1e-9,
-            [imu.values[f"gyro_{axis}"] * self._gyro_scale for axis in "xyz"],
-            [imu.values[f"accel_{axis}"] * self._accel_scale for axis in "xyz"],
-            self._field(outcomes.get("mag")),
-            self._airspeed if imu.time_ns - self._airspeed_ns < self.AIRSPEED_HELD_NS else None,
-            self._fix(outcomes.get("gnss")),
-        )
-        if imu.state is not SensorState.OK:
-            return self._report(SensorState.RECOVERING, f"IMU is {imu.state.words}", imu.time_ns, attitude.counts())
-        if attitude.initialising:
-            return self._report(SensorState.RECOVERING, "finding its level", imu.time_ns, attitude.counts())
-        return self._report(SensorState.OK, "", imu.time_ns, attitude.counts())
-
-    def _report(self, state: SensorState, detail: str, time_ns: int, values: dict[str, int]) -> Outcome:
-        self.record.note(state, detail, time_ns)
-        return Outcome(state, detail, time_ns, values)
-
-    @staticmethod
-    def _field(mag: Outcome | None) -> list[float] | None:
-        if mag is None or mag.state is not SensorState.OK:
-            return None
-        return [mag.values[f"mag_{axis}"] * 0.15e-6 for axis in "xyz"]
-
-    def _fix(self, gnss: Outcome | None) -> VelocityFix | None:
-        if gnss is None or gnss.state is not SensorState.OK or "velocity_north_mm" not in gnss.values:
-            return None
-        north, east, down = (gnss.values[f"velocity_{axis}_mm"] * 1e-3 for axis in ("north", "east", "down"))
-        return VelocityFix(gnss.time_ns * 1e-9 + self._imu_delay_s, (north, east, down))
-
-    def _note_airspeed(self, pitot: Outcome | None) -> None:
-        """Airspeed by the pitot sensor's nominal transfer function; good to a few per cent, enough for the turn."""
-        if pitot is None or pitot.state is not SensorState.OK or not isinstance(self._pitot, PitotConfig):
-            return
-        low, high = self._pitot.range_pa
-        start, span = SPAN[self._pitot.output]
-        pressure = (pitot.values["pitot_pressure"] - start * FULL) * (high - low) / (span * FULL) + low
-        self._airspeed = math.sqrt(max(0.0, 2 * pressure / _SEA_LEVEL_DENSITY))
-        self._airspeed_ns = pitot.time_ns

@@ -6,13 +6,13 @@ marked recovering before they count. Every exception of a driver that means trou
 """
 
 from collections.abc import Generator, Mapping
-from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from daq.bus import TIMEOUT_ERRNOS
 from daq.contract.channels import channels_of
-from daq.contract.scan import GroupStatus, RawValue, SensorState
-from daq.health import Record, Watch
-from daq.sensors.base import SECOND, Driver, Reading, SensorError, Wait
+from daq.contract.scan import RawValue, SensorState
+from daq.health import WELL, Record, Watch
+from daq.sensors.base import NO_VALUES, SECOND, Driver, Reading, SensorError, Wait
 from daq.sensors.config import HealthConfig, SensorSection
 
 REPETITIONS = 3
@@ -24,23 +24,20 @@ GIVE_UP_AFTER = 2
 EXCUSES = 20
 """Time-outs in a row that are put down to the bus before a sensor is given up for holding it."""
 
+_OK = SensorState.OK
+
 # A value of these states is what the chip said and is recorded; of the others there is none, or only an old one.
 VALUES_RECORDED = frozenset({SensorState.OK, SensorState.OUT_OF_RANGE, SensorState.STUCK, SensorState.RECOVERING})
 
 
-@dataclass(frozen=True, slots=True)
-class Outcome:
+class Outcome(NamedTuple):
     """What a group contributes to a scan. Times are monotonic [ns]."""
 
     state: SensorState
     detail: str = ""
     time_ns: int = 0
-    values: Mapping[str, RawValue] = field(default_factory=dict)
+    values: Mapping[str, RawValue] = NO_VALUES
     events: tuple[int, ...] = ()
-
-    def status(self, scan_ns: int) -> GroupStatus:
-        """State and offset from the scan's time."""
-        return GroupStatus(self.state, (self.time_ns - scan_ns) // 1000)
 
 
 class Supervisor:
@@ -57,9 +54,9 @@ class Supervisor:
         self.up = False  # set up and being read
         self._config = config
         self._watch = Watch(tuple(c.name for c in channels_of(self.group)), config)
+        self._staged = type(driver).stages is not Driver.stages
         self._setup: Generator[Wait, None, None] | None = None
         self._sample: Generator[Wait, None, Reading] | None = None
-        self._sample_ns = 0
         self._repetitions = 0  # left to the sample under way
         self._failures = 0
         self._excused = 0
@@ -125,24 +122,27 @@ class Supervisor:
         self.driver.keep_timing()
         self._watch.forget()
         self.starved = False
-        self.record.scans.clear()
+        self.record.forget_scans()
 
     # -- reading ----------------------------------------------------------------------------------------------
 
     def begin(self, now_ns: int) -> None:
         """Begin a sample; `advance` does the work."""
-        self._sample = self.driver.stages()
+        if self._staged:
+            self._sample = self.driver.stages()
         self.ready_ns = now_ns
         self._repetitions = REPETITIONS
 
     def advance(self, now_ns: int, may_retry: bool) -> Outcome | None:
         """Take the sample one stage further; the outcome when it is finished, else None."""
-        assert self._sample is not None
         self.timed_out = False
-        self._sample_ns = now_ns
         try:
-            self.ready_ns = now_ns + next(self._sample)
-            return None
+            if self._sample is not None:
+                self.ready_ns = now_ns + next(self._sample)
+                return None
+            reading = self.driver.read()
+            self.ready_ns = None
+            return self._finished(reading, now_ns)
         except StopIteration as finished:
             self._end_sample()
             return self._finished(finished.value, now_ns)
@@ -176,29 +176,32 @@ class Supervisor:
         if self.driver.repeated:
             self.record.retries += self.driver.repeated
             self.driver.repeated = 0
-        time_ns = started_ns if reading.time_ns is None else reading.time_ns
-        if reading.state is SensorState.FAULT:
-            self._go_down(SensorState.FAULT, reading.detail, started_ns)
-        elif reading.state in (SensorState.STALE, SensorState.ABSENT):
-            self._check_staleness(reading, started_ns)
-        else:
-            self._stale_since_ns = None
-        state, detail = self._judge(reading, time_ns)
-        return self._outcome(state, detail, time_ns, reading)
-
-    def _judge(self, reading: Reading, time_ns: int) -> tuple[SensorState, str]:
-        """The chip's own verdict first, then that of the watch, then whether the sensor is trusted again."""
-        if reading.state is not SensorState.OK:
-            return reading.state, reading.detail
-        verdict = self._watch.judge(reading.values, time_ns)
-        if verdict.state is not SensorState.OK:
-            return verdict.state, verdict.detail
+        values, state, detail, time_ns, events = reading
+        if time_ns is None:
+            time_ns = started_ns
+        if state is not _OK:
+            self._chip_complains(state, detail, started_ns)
+            return self._outcome(state, detail, time_ns, reading)
+        # The chip has nothing to say: now the verdict of the watch, then whether the sensor is trusted again.
+        self._stale_since_ns = None
+        verdict = self._watch.judge(values, time_ns)
+        if verdict is not WELL:
+            return self._outcome(verdict.state, verdict.detail, time_ns, reading)
         if self._untrusted > 0:
             self._untrusted -= 1
-            return SensorState.RECOVERING, "answers again"
-        return SensorState.OK, ""
+            return self._outcome(SensorState.RECOVERING, "answers again", time_ns, reading)
+        self.record.note(_OK, "", time_ns)
+        return Outcome(_OK, "", time_ns, values, events)
 
-    def _check_staleness(self, reading: Reading, now_ns: int) -> None:
+    def _chip_complains(self, state: SensorState, detail: str, now_ns: int) -> None:
+        if state is SensorState.FAULT:
+            self._go_down(state, detail, now_ns)
+        elif state in (SensorState.STALE, SensorState.ABSENT):
+            self._check_staleness(state, detail, now_ns)
+        else:
+            self._stale_since_ns = None
+
+    def _check_staleness(self, state: SensorState, detail: str, now_ns: int) -> None:
         """A chip that answers without new samples for long has lost its settings, or hangs: set it up anew."""
         if self._stale_since_ns is None:
             self._stale_since_ns = now_ns
@@ -207,8 +210,8 @@ class Supervisor:
             waited >= self._config.stale_s * SECOND and not self._intact()
         ):
             self._stale_since_ns = None
-            if reading.state is SensorState.ABSENT:
-                self._go_down(reading.state, reading.detail, now_ns)
+            if state is SensorState.ABSENT:
+                self._go_down(state, detail, now_ns)
             else:
                 self._go_down(SensorState.FAULT, "no new samples; being set up again", now_ns)
 
@@ -227,14 +230,14 @@ class Supervisor:
 
     def audit(self, now_ns: int) -> None:
         """Look whether the chip still has its settings; a brown-out can reset one without silencing it."""
-        if self.up and self._sample is None and not self._intact():
+        if self.up and self.ready_ns is None and not self._intact():
             self._go_down(SensorState.FAULT, "lost its settings (supply dip); being set up again", now_ns)
 
     def passed_over(self, reason: str, state: SensorState, now_ns: int) -> Outcome:
         """The outcome of a scan in which the sensor could not be read at all, through no fault of its own."""
         if self._sample is not None:
             self._sample.close()
-            self._end_sample()
+        self._end_sample()
         return self._outcome(state, reason, now_ns)
 
     def lost(self, now_ns: int) -> Outcome:

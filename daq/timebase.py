@@ -129,11 +129,14 @@ class TimeBase:
         self._time_accuracy_ns = 0
         self._last_pulse_ns: int | None = None
         self._last_edge_ns: int | None = None
+        self._by_fixes: Relation | None = None  # as long as nothing new has been observed: every scan asks
+        self._by_pulses: Relation | None = None
 
     def observe_fix(self, monotonic_ns: int, utc_ns: int, accuracy_ns: int) -> None:
         """A fix valid at `utc_ns` (one sigma `accuracy_ns`) was received at `monotonic_ns`."""
         self._fixes.add(monotonic_ns, utc_ns - (monotonic_ns - self._delay_ns))
         self._time_accuracy_ns = accuracy_ns
+        self._by_fixes = self._by_pulses = None
 
     def observe_pulse(self, monotonic_ns: int) -> None:
         """The rising edge of the pulse-per-second line was stamped at `monotonic_ns`; edges mark whole UTC seconds."""
@@ -146,17 +149,21 @@ class TimeBase:
             return  # cannot be told apart from its neighbour: no edge of this receiver
         self._pulses.add(monotonic_ns, second - monotonic_ns)
         self._last_pulse_ns = monotonic_ns
+        self._by_pulses = None
 
     def relation(self, now_ns: int) -> Relation | None:
         """The relation as known now; None before the first resolved fix."""
-        if not len(self._fixes):
-            return None
-        pulsing = self._last_pulse_ns is not None and now_ns - self._last_pulse_ns < self.PPS_LOST_NS
-        if pulsing and len(self._pulses):
-            sigma = math.hypot(self.PPS_SIGMA_NS, self._time_accuracy_ns, self._pulses.scatter_ns)
-            return Relation(*self._pulses.line, accuracy_ns=round(sigma), source="pps")
-        sigma = math.hypot(self._time_accuracy_ns, self._poll_sigma_ns, self.LATENCY_SIGMA_NS, self._fixes.scatter_ns)
-        return Relation(*self._fixes.line, accuracy_ns=round(sigma), source="fix")
+        last = self._last_pulse_ns
+        if last is not None and now_ns - last < self.PPS_LOST_NS and len(self._pulses):
+            if self._by_pulses is None:
+                sigma = math.hypot(self.PPS_SIGMA_NS, self._time_accuracy_ns, self._pulses.scatter_ns)
+                self._by_pulses = Relation(*self._pulses.line, accuracy_ns=round(sigma), source="pps")
+            return self._by_pulses
+        if self._by_fixes is None and len(self._fixes):
+            delays = math.hypot(self._poll_sigma_ns, self.LATENCY_SIGMA_NS)
+            sigma = math.hypot(self._time_accuracy_ns, delays, self._fixes.scatter_ns)
+            self._by_fixes = Relation(*self._fixes.line, accuracy_ns=round(sigma), source="fix")
+        return self._by_fixes
 
     def utc(self, monotonic_ns: int) -> tuple[int, int]:
         """UTC and its one-sigma accuracy at a monotonic time [ns]; (0, 0) while unknown."""

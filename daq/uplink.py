@@ -79,6 +79,7 @@ class Uplink:
         self._signer = signer
         self._backfill = backfill
         self._logs = logs
+        self._servers = tuple(server for server in (backfill, logs) if server is not None)
         self._decoder = FrameDecoder()
         self._done: OrderedDict[tuple[Any, ...], tuple[int, int]] = OrderedDict()  # command -> time, result
         self._reported_ns: int | None = None
@@ -100,19 +101,22 @@ class Uplink:
         }
 
     def _next_bulk(self) -> Item | None:
-        for server in (self._backfill, self._logs):
-            made = server.next_item() if server is not None else None
-            if made is not None:
+        for server in self._servers:
+            if server.busy and (made := server.next_item()) is not None:
                 return made
         return None
 
     def service(self, now_ns: int, control: LoggerControl) -> None:
         """Act on what has arrived."""
-        for found in self._decoder.feed(self._port.read(READ_BYTES)):
-            if isinstance(found, Frame) and found.known:
-                self._take(found, now_ns, control)
-        self._report_refusals(now_ns)
-        self._save_signing()
+        data = self._port.read(READ_BYTES)
+        if data:
+            for found in self._decoder.feed(data):
+                if isinstance(found, Frame) and found.known:
+                    self._take(found, now_ns, control)
+        if self._unreported:
+            self._report_refusals(now_ns)
+        if self._signer is not None and self._signer.needs_saving():
+            self._save_signing(self._signer)
 
     def close(self) -> None:
         """End the worker threads and save the signing timestamps."""
@@ -127,10 +131,8 @@ class Uplink:
         if self._logs is not None:
             self._logs.close()
 
-    def _save_signing(self) -> None:
+    def _save_signing(self, signer: Signer) -> None:
         """Save signing timestamps in a thread, for the card may be slow, one save at a time."""
-        if self._signer is None or not self._signer.needs_saving():
-            return
         if self._saver is not None:
             if not self._saver.done():
                 return
@@ -139,7 +141,7 @@ class Uplink:
                 _LOG.error("signing timestamps not saved: %s", error)
         if self._worker is None:
             self._worker = ThreadPoolExecutor(1, thread_name_prefix="uplink-signing")
-        self._saver = self._worker.submit(self._signer.save)
+        self._saver = self._worker.submit(signer.save)
 
     def _take(self, frame: Frame, now_ns: int, control: LoggerControl) -> None:
         if frame.system == self._downlink.config.system_id and frame.component == self._downlink.config.component_id:
@@ -176,7 +178,7 @@ class Uplink:
 
     def _report_refusals(self, now_ns: int) -> None:
         """Tell of refusals, at most every five seconds, all of them in time."""
-        if not self._unreported or (self._reported_ns is not None and now_ns - self._reported_ns < _REPORT_NS):
+        if self._reported_ns is not None and now_ns - self._reported_ns < _REPORT_NS:
             return
         words = self._refusal + (f" (and {self._unreported - 1} more)" if self._unreported > 1 else "")
         _LOG.warning("%s", words)

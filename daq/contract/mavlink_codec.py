@@ -25,6 +25,7 @@ MAX_FRAME_BYTES = HEADER_BYTES + 255 + CHECKSUM_BYTES + SIGNATURE_BYTES
 SIGNED = 0x01
 
 _mcrf4xx = fastcrc.crc16.mcrf4xx
+_HEAD = struct.Struct("<6BHB")  # length, flags, 0, sequence, system, component, message id in two parts
 _SIK_HEADER = bytes([51, 68])
 """System and component id that SiK radios give to what they inject ('3', 'D')."""
 _SIK_PAYLOAD = 9
@@ -284,8 +285,8 @@ class FrameEncoder:
         """A frame of a packed payload."""
         payload = payload.rstrip(b"\0") or payload[:1]
         flags = SIGNED if self._signer else 0
-        head = bytes([len(payload), flags, 0, self._sequence, self.system, self.component]) + msg_id.to_bytes(
-            3, "little"
+        head = _HEAD.pack(
+            len(payload), flags, 0, self._sequence, self.system, self.component, msg_id & 0xFFFF, msg_id >> 16
         )
         self._sequence = (self._sequence + 1) & 255
         extra = _checks()[msg_id][0]

@@ -65,6 +65,23 @@ class WireField:
         return f"{base}[{self.count}]" if self.count else base
 
 
+@dataclass(frozen=True, slots=True)
+class _Packer:
+    """A layout as `pack_scan` wants it: everything it would else have to look up for each scan.
+
+    codec: takes arrays as bytes. pick: field name -> value, in wire order. blank: all fields zero. channels: bit in
+    `missing`, name, group and limits. bits: bit in `bits` and channel. split: quantity, its bits, parts with their bits.
+    """
+
+    codec: struct.Struct
+    pick: Callable[[Mapping[str, RawValue | bytes]], tuple[RawValue | bytes, ...]]
+    blank: Mapping[str, RawValue | bytes]
+    channels: tuple[tuple[int, str, str, float, float], ...]
+    bits: tuple[tuple[int, str], ...]
+    split: tuple[tuple[str, int, tuple[tuple[str, int], ...]], ...]
+    offsets: struct.Struct  # of the groups' offsets
+
+
 @dataclass(frozen=True)
 class Layout:
     """A packed scan message: which channels it carries and where each byte is."""
@@ -83,6 +100,7 @@ class Layout:
     arrays: Mapping[str, slice] = field(repr=False)
     plain: tuple[str, ...] = field(repr=False)  # channels that are one field each
     pick_plain: Callable[[Sequence[RawValue]], tuple[RawValue, ...]] = field(repr=False)
+    packer: "_Packer" = field(repr=False)
 
     @property
     def size(self) -> int:
@@ -166,6 +184,30 @@ def _layout(
         arrays,
         plain,
         pick,
+        _packer(ordered, channels, bits, split, limits, len(groups)),
+    )
+
+
+def _packer(
+    fields: Sequence[WireField],
+    channels: Sequence[Channel],
+    bits: Sequence[Channel],
+    split: Mapping[str, int],
+    limits: Mapping[str, tuple[float, float]],
+    groups: int,
+) -> _Packer:
+    codes = (f"{f.count * _SIZE[f.raw_type]}s" if f.count else _CODE[f.raw_type] for f in fields)
+    return _Packer(
+        codec=struct.Struct("<" + "".join(codes)),
+        pick=itemgetter(*(f.name for f in fields)),
+        blank={f.name: bytes(f.count * _SIZE[f.raw_type]) if f.count else 0 for f in fields},
+        channels=tuple((1 << i, c.name, c.group, *limits[c.name]) for i, c in enumerate(channels)),
+        bits=tuple((1 << i, c.name) for i, c in enumerate(bits)),
+        split=tuple(
+            (name, n, tuple((f"{name}_{i}", 8 * _SIZE[kind]) for i, kind in enumerate(_SPLIT[n])))
+            for name, n in split.items()
+        ),
+        offsets=struct.Struct(f"<{groups}h"),
     )
 
 
@@ -202,49 +244,54 @@ def layouts(channels: tuple[Channel, ...] = CHANNELS) -> Mapping[int, Layout]:
 
 def pack_scan(layout: Layout, scan: Scan, boot: int) -> bytes:
     """The payload of one packed message of a scan; never raises for values a Scan can hold."""
-    offsets = [_packed_offset(scan.groups.get(g)) for g in layout.groups]
-    unfit = {g for g, o in zip(layout.groups, offsets, strict=True) if o == UNFIT_OFFSET}
-    found: dict[str, RawValue] = {"boot": boot, "number": scan.number, "time_monotonic_ns": scan.time_monotonic_ns}
-    missing = 0
-    for i, channel in enumerate(layout.channels):
-        value = scan.values.get(channel.name)
-        low, high = layout.limits[channel.name]
-        if value is None or channel.group in unfit or not low <= value <= high:
-            missing |= 1 << i
+    packer = layout.packer
+    found = dict(packer.blank)
+    found["boot"], found["number"], found["time_monotonic_ns"] = boot, scan.number, scan.time_monotonic_ns
+    unfit = _pack_groups(layout, scan.groups, found)
+    values, missing = scan.values, 0
+    for bit, name, group, low, high in packer.channels:
+        value = values.get(name)
+        if value is None or group in unfit or not low <= value <= high:
+            missing |= bit
         else:
-            found[channel.name] = value
-    states = 0
-    for i, group in enumerate(layout.groups):
-        if group in scan.groups:
-            states |= int(scan.groups[group].state) << (_STATE_BITS * i)
-    arrays: dict[str, Iterable[int]] = {
-        "offset_us": offsets,
-        "states": states.to_bytes(_bytes_for(_STATE_BITS * len(layout.groups)), "little"),
-        "missing": missing.to_bytes(_bytes_for(len(layout.channels)), "little"),
-        "bits": sum(1 << i for i, c in enumerate(layout.bits) if found.get(c.name)).to_bytes(
-            _bytes_for(len(layout.bits)), "little"
-        ),
-    }
-    for name, bits in layout.split.items():
+            found[name] = value
+    found["missing"] = missing.to_bytes(_bytes_for(len(packer.channels)), "little")
+    if packer.bits:
+        word = sum(bit for bit, name in packer.bits if found.get(name))
+        found["bits"] = word.to_bytes(_bytes_for(len(packer.bits)), "little")
+    for name, bits, parts in packer.split:
         word = int(found.get(name, 0)) % 2**bits
-        for i, kind in enumerate(_SPLIT[bits]):
-            found[f"{name}_{i}"] = word & (1 << 8 * _SIZE[kind]) - 1
-            word >>= 8 * _SIZE[kind]
-    for f in _REST_OF_HEADER:
-        found[f.name] = getattr(scan, f.name)
-    arguments: list[RawValue] = []
-    for f in layout.fields:
-        if f.count:
-            arguments += arrays[f.name]
-        else:
-            arguments.append(found.get(f.name, 0))
-    return layout.codec.pack(*arguments)
+        for part, size in parts:
+            found[part] = word & (1 << size) - 1
+            word >>= size
+    if layout.msg_id == SCAN_SLOW_ID:
+        found["time_utc_ns"], found["utc_accuracy_ns"] = scan.time_utc_ns, scan.utc_accuracy_ns
+        found["lateness_us"] = scan.lateness_us
+    return packer.codec.pack(*packer.pick(found))
 
 
-def _packed_offset(status: GroupStatus | None) -> int:
-    if status is None:
-        return NOT_IN_SCAN
-    return status.offset_us if -_OFFSET_LIMIT <= status.offset_us <= _OFFSET_LIMIT else UNFIT_OFFSET
+def _pack_groups(
+    layout: Layout, groups: Mapping[str, GroupStatus], found: dict[str, RawValue | bytes]
+) -> Sequence[str]:
+    """Put states and offsets into `found`; returns the groups whose offset does not fit."""
+    if not layout.groups:
+        return ()
+    states, shift = 0, 0
+    offsets, unfit = [], []
+    for group in layout.groups:
+        status = groups.get(group)
+        offset = NOT_IN_SCAN
+        if status is not None:
+            states |= status.state << shift
+            offset = status.offset_us
+            if not -_OFFSET_LIMIT <= offset <= _OFFSET_LIMIT:
+                offset = UNFIT_OFFSET
+                unfit.append(group)
+        offsets.append(offset)
+        shift += _STATE_BITS
+    found["offset_us"] = layout.packer.offsets.pack(*offsets)
+    found["states"] = states.to_bytes(_bytes_for(shift), "little")
+    return unfit
 
 
 @dataclass(frozen=True, slots=True)

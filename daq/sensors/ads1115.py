@@ -16,7 +16,7 @@ from typing import TypeVar
 from daq.bus import NACK_ERRNOS, I2cBus
 from daq.contract.channels import channels_of
 from daq.contract.scan import RawValue, SensorState
-from daq.sensors.base import SECOND, US, Driver, Reading, SelfTestError, Wait, signed
+from daq.sensors.base import SECOND, US, Driver, Reading, SelfTestError, Wait
 from daq.sensors.config import AnalogConfig
 
 CONVERSION, CONFIG = 0x00, 0x01
@@ -54,7 +54,8 @@ class Ads1115(Driver):
         self._address = config.address
         self._range_v = config.range_v
         self._names = tuple(c.name for c in channels_of(group))[:4]
-        self._words = [configuration(i, config.range_v, config.samples_per_second) for i in config.inputs]
+        words = [configuration(i, config.range_v, config.samples_per_second) for i in config.inputs]
+        self._inputs = tuple(zip(self._names, words, strict=True))
         self._conversion = round(SECOND / config.samples_per_second)
         self._wait = round(self._conversion * CLOCK_TOLERANCE) + WAKE
         self._lowest = round(_LOWEST_V / config.range_v * 32768)
@@ -63,7 +64,7 @@ class Ads1115(Driver):
         self.max_rate_hz = SECOND / (len(self._names) * (self._wait + 300 * US))
 
     def initialise(self) -> Generator[Wait, None, None]:
-        word = self._words[0]
+        _, word = self._inputs[0]
         self._start(word)
         yield self._wait
         found = self._word(CONFIG)
@@ -80,14 +81,15 @@ class Ads1115(Driver):
     def stages(self) -> Generator[Wait, None, Reading]:
         values: dict[str, RawValue] = {}
         middles: list[int] = []
-        for name, word in zip(self._names, self._words, strict=True):
+        for name, word in self._inputs:
             self._start(word)
             middles.append(self._now() + self._conversion // 2)
             yield self._wait
             found = self._word(CONFIG)
             if found != word:  # done and nothing changed reads as it was written
                 yield from self._finish(word, found)
-            values[name] = signed(self._word(CONVERSION), 16)
+            count = self._word(CONVERSION)
+            values[name] = count - 0x10000 if count & 0x8000 else count
         self._middles = middles
         return self._judge(values, sum(middles) // len(middles))
 

@@ -7,7 +7,8 @@ pass and raises `SensorError` when the chip answers but is not what it should be
 
 from abc import ABC, abstractmethod
 from collections.abc import Generator, Mapping
-from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import NamedTuple
 
 from daq.contract.scan import RawValue, SensorState
 
@@ -17,6 +18,9 @@ Wait = int
 US = 1_000
 MS = 1_000_000
 SECOND = 1_000_000_000
+
+
+NO_VALUES: Mapping[str, RawValue] = MappingProxyType({})
 
 
 class SensorError(Exception):
@@ -37,8 +41,7 @@ class SelfTestError(SensorError):
     """The chip answers with the right identity but does not take its settings or does not measure."""
 
 
-@dataclass(frozen=True, slots=True)
-class Reading:
+class Reading(NamedTuple):
     """One sample of a sensor group.
 
     values: raw counts by channel name. state: the chip's own verdict (ok, stale, out of range, fault).
@@ -46,7 +49,7 @@ class Reading:
     events: monotonic times of event-switch edges seen since the last reading [ns].
     """
 
-    values: Mapping[str, RawValue] = field(default_factory=dict)
+    values: Mapping[str, RawValue] = NO_VALUES
     state: SensorState = SensorState.OK
     detail: str = ""
     time_ns: int | None = None

@@ -10,6 +10,8 @@ import errno
 from collections.abc import Callable, Generator
 from struct import Struct
 
+import fastcrc
+
 from daq.bus import I2cBus
 from daq.contract.scan import RawValue, SensorState
 from daq.sensors.base import MS, Driver, Reading, SelfTestError, Wait, WrongChipError
@@ -22,27 +24,13 @@ STATUS_RESET, STATUS_OVERRUN = 0x01, 0x02
 NO_EDGE = 0xFFFF
 
 _SNAPSHOT = Struct("<H6HB6s3BHBB")
+_PWM = tuple((1 << i, f"pwm_{i + 1}") for i in range(6))
+_DIGITAL = tuple((1 << i, f"digital_{i + 1}") for i in range(5))
 _SLICE = 4 * MS  # the loop counts milliseconds; standing still for longer is a dead loop
 
 
-def _crc_table() -> tuple[int, ...]:
-    table = []
-    for value in range(256):
-        for _ in range(8):
-            value = (value << 1 ^ (0x07 if value & 0x80 else 0)) & 0xFF
-        table.append(value)
-    return tuple(table)
-
-
-_CRC = _crc_table()
-
-
-def crc8(data: bytes) -> int:
-    """CRC-8/SMBUS: polynomial 0x07, start 0."""
-    crc = 0
-    for byte in data:
-        crc = _CRC[crc ^ byte]
-    return crc
+crc8: Callable[[bytes], int] = fastcrc.crc8.smbus
+"""CRC-8/SMBUS: polynomial 0x07, start 0."""
 
 
 class ChecksumError(OSError):
@@ -62,6 +50,7 @@ class Capture(Driver):
         self._bus = bus
         self._now = now_ns
         self._address = config.address
+        self._wired = (1 << config.pwm_inputs) - 1
         self._sequence: int | None = None
         self._sequence_ns = 0
         self._edges: int | None = None
@@ -101,11 +90,15 @@ class Capture(Driver):
             self._sequence, self._sequence_ns = sequence, now
         elif now - self._sequence_ns > _SLICE:
             return Reading(state=SensorState.STALE, detail="capture co-processor's loop stands still")
-        values: dict[str, RawValue] = {f"pwm_{i + 1}": w for i, w in enumerate(widths) if valid >> i & 1}
-        values.update({f"digital_{i + 1}": latched >> i & 1 for i in range(5)})
-        events = self._new_edges(edges, edge_age, now)
-        silent = [f"pwm_{i + 1}" for i in range(self._config.pwm_inputs) if not valid >> i & 1]
-        if silent:
+        values: dict[str, RawValue] = {}
+        for (bit, name), width in zip(_PWM, widths, strict=True):
+            if valid & bit:
+                values[name] = width
+        for bit, name in _DIGITAL:
+            values[name] = 1 if latched & bit else 0
+        events = self._new_edges(edges, edge_age, now) if edges != self._edges else ()
+        if self._wired & ~valid:
+            silent = [name for bit, name in _PWM if self._wired & ~valid & bit]
             return Reading(values, SensorState.OUT_OF_RANGE, f"no valid pulses on {', '.join(silent)}", now, events)
         if status & STATUS_OVERRUN:
             return Reading(values, SensorState.OUT_OF_RANGE, "capture co-processor lost edges", now, events)
@@ -114,7 +107,7 @@ class Capture(Driver):
     def _new_edges(self, edges: int, age_ms: int, now: int) -> tuple[int, ...]:
         """Times of switch edges since the last reading; only the newest one's is known, earlier ones share it."""
         last, self._edges = self._edges, edges
-        if last is None or edges == last:
+        if last is None:
             return ()
         time_ns = now if age_ms == NO_EDGE else now - age_ms * MS
         return (time_ns,) * ((edges - last) & 0xFF)

@@ -105,12 +105,13 @@ class Icm20948(Driver):
         self._unread = bool(bus.read_byte_data(self._address, INT_STATUS_1) & 1) or self._unread
         raw = _BURST.unpack(bytes(bus.read_i2c_block_data(self._address, ACCEL_XOUT_H, 14)))
         fresh, self._unread = self._unread, False
-        if not any(raw[:6]):
+        least, most = min(raw[:6]), max(raw[:6])
+        if least == most == 0:
             return self._explain_zeros()
         if not fresh:
             return Reading(state=SensorState.STALE, detail="IMU has no new sample")
         values = dict(zip(_NAMES, (*self._turn(*raw[0:3]), *self._turn(*raw[3:6]), raw[6]), strict=True))
-        if min(raw[:6]) > _LEAST and max(raw[:6]) < _MOST:
+        if least > _LEAST and most < _MOST:
             return Reading(values)
         clipped = [name for name, count in zip(_NAMES[:6], raw[:6], strict=True) if count in (_LEAST, _MOST)]
         return Reading(values, SensorState.OUT_OF_RANGE, f"IMU beyond its range ({clipped[0][:-2]})")

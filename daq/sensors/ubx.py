@@ -7,9 +7,10 @@ anything that is not a frame it goes on at the next byte, so it loses exactly th
 
 import calendar
 from collections.abc import Iterator
-from dataclasses import dataclass
+from functools import lru_cache
 from itertools import accumulate
 from struct import Struct
+from typing import NamedTuple
 
 SYNC = b"\xb5\x62"
 NAV_PVT = (0x01, 0x07)
@@ -48,7 +49,8 @@ class UbxParser:
             if start < 0:
                 self._discard(len(buffer) - 1 if buffer[-1:] == SYNC[:1] else len(buffer))
                 return
-            self._discard(start)
+            if start:
+                self._discard(start)
             if len(buffer) < 6:
                 return
             length = buffer[4] | buffer[5] << 8
@@ -71,8 +73,7 @@ class UbxParser:
         del self._buffer[:count]
 
 
-@dataclass(frozen=True, slots=True)
-class NavPvt:
+class NavPvt(NamedTuple):
     """Position, velocity and time of one fix, as received (units in the names)."""
 
     itow_ms: int
@@ -101,13 +102,19 @@ def parse_nav_pvt(payload: bytes) -> NavPvt:
     resolved = _VALID_DATE | _VALID_TIME | _FULLY_RESOLVED
     utc = 0
     if valid & resolved == resolved:
-        utc = calendar.timegm((year, month, day, hour, minute, second, 0, 0, 0)) * 1_000_000_000 + nano
+        utc = (_midnight(year, month, day) + hour * 3600 + minute * 60 + second) * 1_000_000_000 + nano
+    satellites, longitude, latitude = f[13:16]
+    height_msl, horizontal_accuracy, vertical_accuracy, north, east, down = f[17:23]
     return NavPvt(
-        itow_ms=itow, utc_ns=max(utc, 0), time_accuracy_ns=time_accuracy, fix=f[10], fix_ok=bool(f[11] & _FIX_OK),
-        satellites=f[13], longitude_e7=f[14], latitude_e7=f[15], height_msl_mm=f[17], horizontal_accuracy_mm=f[18],
-        vertical_accuracy_mm=f[19], velocity_north_mm=f[20], velocity_east_mm=f[21], velocity_down_mm=f[22],
-        speed_accuracy_mm=f[25],
+        itow, max(utc, 0), time_accuracy, f[10], f[11] & _FIX_OK != 0, satellites, longitude, latitude, height_msl,
+        horizontal_accuracy, vertical_accuracy, north, east, down, f[25],
     )  # fmt: skip
+
+
+@lru_cache(maxsize=2)
+def _midnight(year: int, month: int, day: int) -> int:
+    """The beginning of a day [s since 1970]."""
+    return calendar.timegm((year, month, day, 0, 0, 0, 0, 0, 0))
 
 
 # Configuration keys of generation 9 and 10 (CFG-VALSET): key, size in bytes.

@@ -5,6 +5,7 @@ import signal
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -26,6 +27,7 @@ from daq.service.realtime import GarbageDiscipline, prepare_process
 from daq.storage import RealStorage
 
 _LOG = logging.getLogger("sideslip.service")
+_STATUS_EVERY = 10  # watchdog messages
 
 
 class PreflightRefusal(UserError):
@@ -98,9 +100,10 @@ def run_until_signal(config: LoggerConfig, text: str, edge: Edge, opening: list[
     prepare_process(config.scan)
     notifier = Notifier()
     with _signals() as stop, GarbageDiscipline(enabled=config.scan.garbage_in_slack) as garbage:
+        seconds = count()
 
         def every_second() -> None:
-            notifier.alive(_status_line(made))
+            notifier.alive(_status_line(made) if next(seconds) % _STATUS_EVERY == 0 else "")
             garbage.collect()
 
         def asked_to_end() -> bool:
