@@ -52,6 +52,9 @@ def conclude_trail(setting: Setting, trail: Trail, gate: Gate) -> GapResult:
             trail,
             rejected=(*trail.rejected, Rejected(dropped.effect, f"closes only {dropped.gap.closed:.0%} of the gap")),
         )
+    if unknown:
+        steps, said = without_impostors(steps, trail)
+        trail = replace(trail, rejected=(*trail.rejected, *said))
     kept = trail.findings[: len(steps)]
     cannot = undetectable(first, setting.base)
     if unknown:
@@ -120,6 +123,20 @@ def outweighs(named: float, rest: float) -> bool:
     gap also counts slow errors of an attitude filter and the gusts of the day, beside which a certain effect can look small.
     """
     return named**2 >= NAMED_OUTWEIGHS * (named**2 + rest**2)
+
+
+def without_impostors(steps: Sequence[Step], trail: Trail) -> tuple[list[Step], list[Rejected]]:
+    """Steps up to the first that names a fault of the very instrument in which the nameless rest lives, without outweighing it.
+
+    A vane that sticks is late too, but what is wrong with it is not that it is late. Later steps were found on top of it.
+    """
+    place = trail.omnibus.leading[0].place
+    for k, (step, finding) in enumerate(zip(steps, trail.findings, strict=False)):
+        form = finding.candidate.hypothesis.form
+        if place in (*form.outputs, *form.output_delays) and not outweighs(step.score, trail.omnibus.score):
+            why = f"the nameless rest in {place} is too large beside it: the instrument does something else than this"
+            return list(steps[:k]), [Rejected(s.effect, why) for s in steps[k:]]
+    return list(steps), []
 
 
 def steps_close(trail: Trail, shut: bool) -> bool:

@@ -1,12 +1,15 @@
 """Are the flights admissible: do they repeat each other, is a channel stale, clipped or missing; and the rerun recording."""
 
+from collections.abc import Sequence
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from estimation.gap.admissible import sample_notes
-from estimation.gap.conclusion import outweighs
+from estimation.gap.conclusion import outweighs, without_impostors
+from estimation.gap.effects import catalogue
 from estimation.gap.rerun_report import write_gap_recording
 from estimation.gap.result import GapResult
 from estimation.gap.workflow import Options, run_gap
@@ -64,3 +67,29 @@ def test_a_certain_effect_is_not_dropped_for_a_small_nameless_rest() -> None:
     assert outweighs(17.3, 6.0)
     assert not outweighs(17.3, 12.0)
     assert not outweighs(5.0, 50.0)
+
+
+def _found(name: str, score: float) -> tuple[SimpleNamespace, SimpleNamespace]:
+    """As much of a step and a finding as the question of impostors looks at."""
+    effect = next(e for e in catalogue() if e.name == name)
+    return SimpleNamespace(effect=name, score=score), SimpleNamespace(
+        candidate=SimpleNamespace(hypothesis=SimpleNamespace(form=effect.forms[0]))
+    )
+
+
+def _kept(named: Sequence[tuple[str, float]], place: str, rest: float) -> tuple[list[str], list[str]]:
+    steps, findings = zip(*(_found(*n) for n in named), strict=True)
+    trail = SimpleNamespace(
+        findings=findings, omnibus=SimpleNamespace(leading=[SimpleNamespace(place=place)], score=rest)
+    )
+    left, said = without_impostors(steps, trail)  # type: ignore[arg-type]
+    return [s.effect for s in left], [r.effect for r in said]
+
+
+def test_a_name_for_an_instrument_goes_where_a_large_nameless_rest_lives_in_it() -> None:
+    sticking = [("beta_lag", 25.0), ("beta_scale", 14.0)]
+    assert _kept(sticking, "beta", 13.2) == ([], ["beta_lag", "beta_scale"])
+    assert _kept([("Cn_da", 19.0), *sticking], "beta", 13.2) == (["Cn_da"], ["beta_lag", "beta_scale"])
+    assert _kept([("beta_lag", 34.0)], "beta", 6.0) == (["beta_lag"], [])
+    assert _kept([("beta_lag", 20.0)], "p", 40.0) == (["beta_lag"], [])
+    assert _kept([("Cn_da", 19.0)], "r", 40.0) == (["Cn_da"], [])
