@@ -9,6 +9,7 @@ import rerun as rr
 from groundstation.flight import Flight
 from groundstation.viewer import entities as e
 from groundstation.viewer.blueprint import Layout, blueprint
+from groundstation.viewer.letters import drawable
 from groundstation.viewer.live import ViewerError
 from groundstation.viewer.scene import LinkSample, Scene
 
@@ -36,7 +37,7 @@ def write_rrd(
         path.open("wb").close()  # rerun itself would go on without a file
     except OSError as error:
         raise ViewerError(f"{path}: cannot be written ({error.strerror})") from error
-    run = f"{flight.name}-{uuid.uuid4().hex[:8]}"
+    run = f"{drawable(flight.name)}-{uuid.uuid4().hex[:8]}"
     stream = rr.RecordingStream(e.APPLICATION, recording_id=run)
     stream.save(str(path), default_blueprint=blueprint(layout, live=False))
     scene = Scene(stream, tuple(flight.columns))

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from groundstation.flight import Flight
 from groundstation.viewer import entities as e
 from groundstation.viewer.airframe import airframe_mesh
+from groundstation.viewer.letters import drawable
 
 EARTH_RADIUS = 6_371_000.0
 TRACK_POINTS = 400
@@ -143,18 +144,18 @@ class Scene:
             return
         self._stream.set_time(e.TIMELINE, duration=time)
         for group, state in changed.items():
-            self._stream.log(e.health_entity(group), rr.StateChange(state=state))
+            self._stream.log(e.health_entity(group), rr.StateChange(state=drawable(state)))
         self._states.update(changed)
 
     def event(self, time: float, text: str, level: str = "INFO") -> None:
         """An event or alarm in the log; level INFO, WARN, ERROR or CRITICAL."""
         self._stream.set_time(e.TIMELINE, duration=time)
-        self._stream.log(e.EVENTS, rr.TextLog(text, level=level))
+        self._stream.log(e.EVENTS, rr.TextLog(drawable(text), level=level))
 
     def status(self, time: float, markdown: str) -> None:
         """The status page: recorder, link, alarms in force."""
         self._stream.set_time(e.TIMELINE, duration=time)
-        self._stream.log(e.STATUS, rr.TextDocument(markdown, media_type=rr.MediaType.MARKDOWN))
+        self._stream.log(e.STATUS, rr.TextDocument(drawable(markdown), media_type=rr.MediaType.MARKDOWN))
 
     def link(self, time: float, link: LinkSample) -> None:
         """Quality of the radio link."""

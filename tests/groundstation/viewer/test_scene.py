@@ -111,6 +111,21 @@ def test_live_samples_arrive_and_health_lanes_exist(tmp_path: Path) -> None:
     assert {f"/health/{g}" for g in GROUP_NAMES} <= entity_paths(tmp_path / "l.rrd")
 
 
+def test_texts_reach_the_viewer_without_letters_it_cannot_draw(rng: np.random.Generator, tmp_path: Path) -> None:
+    """The native viewer ends at the first letter that its font lacks, whoever sent it."""
+    from rerun.chunk import RrdReader
+
+    said = "test point 3: δ ≠ 5°, 飛行 \u2588"
+    write_rrd(flight(rng), tmp_path / "f.rrd", events=[(1.0, said, "INFO")], status=f"# {said}")
+    found = []
+    for chunk in RrdReader(str(tmp_path / "f.rrd")).stream():
+        batch = chunk.to_record_batch()
+        for name in ("TextLog:text", "TextDocument:text"):
+            if name in batch.schema.names:
+                found += [v[0] for v in batch.column(batch.schema.names.index(name)).to_pylist() if v]
+    assert sorted(found) == ["# test point 3: δ ≠ 5°, ?? ?", "test point 3: δ ≠ 5°, ?? ?"]
+
+
 def test_a_slow_viewer_drops_the_oldest_pictures_and_never_blocks(tmp_path: Path) -> None:
     view = LiveView("t", ViewOptions(serve=False, rrd=tmp_path / "l.rrd"))
     gate, reached = threading.Event(), threading.Event()
