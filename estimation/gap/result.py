@@ -91,7 +91,8 @@ class Weighed:
 
 @dataclass(frozen=True)
 class Step:
-    """One effect found. estimates: parameter -> (value, bound)."""
+    """One effect found. estimates: parameter -> (value, bound). followed: control -> time [s] by which the base had moved
+    it to follow the effect, where that is more than sampling leaves open; the gap before is then without it."""
 
     effect: str
     title: str
@@ -110,6 +111,7 @@ class Step:
     absorbed: float | None = None  # share of the signature that the base's own parameters can take over
     equation: str = ""
     practical: str = ""
+    followed: Mapping[str, float] = field(default_factory=dict)
     text: str = ""
 
     def to_json(self) -> dict[str, Any]:
@@ -123,7 +125,8 @@ class Step:
             "gap": self.gap.to_json(), "holdout": None if self.holdout is None else self.holdout.to_json(),
             "migrated": {n: m.to_json() for n, m in self.migrated.items()},
             "absorbed": None if self.absorbed is None else _round(self.absorbed, 3),
-            "equation": self.equation, "practical": self.practical, "text": self.text,
+            "equation": self.equation, "practical": self.practical,
+            "followed_by_timing": {n: _round(v, 5) for n, v in self.followed.items()}, "text": self.text,
         }  # fmt: skip
 
 

@@ -1,11 +1,14 @@
 """One found effect, or the nameless rest, as a person reads it: set, size, place, gap closed, worth in simulator tolerances."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
+from estimation.gap.accept import by_timing
 from estimation.gap.baseline import Baseline
 from estimation.gap.effects.base import Effect
+from estimation.gap.fitting import fit
 from estimation.gap.locate import locate
 from estimation.gap.measure import Floors, on_holdout, rms_over_noise
 from estimation.gap.nuisance import is_nuisance
@@ -37,7 +40,8 @@ def step_of(setting: Setting, finding: Finding, floor: Floors) -> Step:
     if effect.name not in dict(members):
         members = [(effect.name, finding.choice.weights.get(effect.name, 0.0)), *members]
     members.sort(key=lambda m: m[0] != effect.name)
-    parent, child = finding.parent, finding.child
+    followed = followed_by_timing(finding)
+    parent, child = as_sampled(finding.parent) if followed else finding.parent, finding.child
     held_before, held_after = on_holdout(parent, bench), on_holdout(child, bench)
     scatter = setting.scatter
     gap = Gap(rms_over_noise(parent.problem, parent.fit, scatter), rms_over_noise(child.problem, child.fit, scatter),
@@ -59,8 +63,25 @@ def step_of(setting: Setting, finding: Finding, floor: Floors) -> Step:
         score=finding.candidate.score, threshold=finding.round_.threshold,
         where=locate(parent, child, bench, form),
         gap=gap, holdout=held, migrated=_migrated(parent, child), absorbed=_absorbed(finding), equation=effect.equation,
-        practical=practical(parent, child),
+        practical=practical(parent, child), followed=followed,
     )  # fmt: skip
+
+
+def followed_by_timing(finding: Finding) -> dict[str, float]:
+    """Control -> time [s] by which the base had moved it where it followed the effect in that way."""
+    if not by_timing(finding.round_, finding.candidate):
+        return {}
+    values = finding.parent.fit.values
+    moved = {s.name: values.get(f"timing_{s.name}", 0.0) for s in finding.parent.model.inputs if s.control}
+    least = max(map(abs, moved.values()), default=0.0) / 2
+    return {n: v for n, v in moved.items() if abs(v) > least}
+
+
+def as_sampled(parent: Baseline) -> Baseline:
+    """The parent with its surfaces moving when they are seen to."""
+    late = [n for n in parent.problem.free if n.startswith("timing_")]
+    values = {**parent.fit.values, **dict.fromkeys(late, 0.0)}
+    return replace(parent, fit=fit(parent.problem, values, parent.fit.locals, held=late))
 
 
 def _separate(effect: Effect, names: Sequence[str]) -> str:

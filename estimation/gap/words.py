@@ -29,6 +29,9 @@ def describe_step(step: Step) -> str:
     text = (
         f"{step.title} ({step.effect}: {numbers}), score {step.score:.1f} against a threshold of {step.threshold:.1f}."
     )
+    if step.followed:
+        moved = " and ".join(f"{n} by {1e3 * v:.0f} ms" for n, v in step.followed.items())
+        text += f" Without it the base moves {moved} to follow; the gap before it is counted without that."
     if len(step.members) > 1:
         others = " or ".join(f"{m.effect} ({m.weight:.2f})" for m in step.members)
         text += f" These flights cannot tell {others} apart; to separate them: {step.separate_by}."

@@ -24,8 +24,8 @@ NOTHING = lambda what, share: None  # noqa: E731
 
 @pytest.fixture(scope="module")
 def flown() -> dict[str, list[Flight]]:
-    """Three short flights each with adverse yaw, with a lagging vane and with nothing hidden."""
-    hidden = {"Cn_da": {"Cn_da": 1.0}, "beta_lag": {"beta_lag": 1.2}, "none": {}}
+    """Three short flights each with adverse yaw, a lagging vane, a late rudder and with nothing hidden."""
+    hidden = {"Cn_da": {"Cn_da": 1.0}, "beta_lag": {"beta_lag": 1.2}, "none": {}, "late": {"rudder_delay": 1.0}}
     requests = [
         truth.Request(40 + i, SPEEDS[i], effects, duration=24.0) for effects in hidden.values() for i in range(3)
     ]
@@ -55,11 +55,25 @@ def test_adverse_yaw_is_named_added_and_written_down(flown: dict[str, list[Fligh
     lineage = json.loads(next((tmp_path / "report" / "models").glob("*.lineage.json")).read_text(encoding="utf-8"))
     assert len(lineage["flights"]) == 3
     assert lineage["parent"]["digest"] != lineage["child"]["digest"]
+    assert step["followed_by_timing"] == {}
     page = write_gap_report(result, tmp_path / "report").read_text(encoding="utf-8")
     assert step["effect"] in page
     assert page.count("<img") == 5
     assert "C<sub>nδa</sub>" in page
     _lives_where_it_arises(result)
+
+
+def test_the_gap_of_a_delay_is_what_the_base_had_followed_by_timing(flown: dict[str, list[Flight]]) -> None:
+    flights = flown["late"]
+    result = run_gap(load_model("lateral"), flights[:2], flights[2:], options=QUICK)
+    (step,) = result.steps
+    true = truth.TYPICAL["rudder_delay"]
+    assert step.effect == "rudder_delay"
+    assert step.estimates["rudder_delay"][0] == pytest.approx(true, abs=0.008)
+    assert step.followed == {"delta_r": pytest.approx(true, abs=0.01)}
+    assert f"moves delta_r by {1e3 * step.followed['delta_r']:.0f} ms" in step.text
+    assert step.gap.before > step.gap.after + 0.2
+    assert step.gap.closed > 0.7
 
 
 def _lives_where_it_arises(result: GapResult) -> None:
