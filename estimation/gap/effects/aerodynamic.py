@@ -192,7 +192,7 @@ UNSTEADY = (
         "moments lag sideslip; Dutch-roll damping lower than the rate derivatives say",
         {"Cn_betadot": "multi-frequency sweep: a lag rolls off, a derivative grows", "beta_lag": "bench step of the vane"},
         "multi-frequency rudder sweep",
-        (Form("indicial_lag", (EffectParameter("indicial_lag", "s", 0.12, 0.02, 0.6, meaning="time constant"),),
+        (Form("indicial_lag", (EffectParameter("indicial_lag", "s", 0.12, 0.01, 0.6, meaning="time constant"),),
               states=(Signal("beta_wake", "rad", "lagged sideslip that the moments follow", start="beta"),),
               lines=("beta_wake_dot = (beta - beta_wake)/indicial_lag",),
               terms={"Cl": ("Cl_beta*(beta_wake - beta)",), "Cn": ("Cn_beta*(beta_wake - beta)",)},
