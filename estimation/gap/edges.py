@@ -136,7 +136,7 @@ def loosened(whitener: Whitener, edges: Edges, freedom: Mapping[str, float]) -> 
     good = values > 1e-8 * max(float(values.max()), 1e-30)
     values, vectors = values[good], vectors[:, good]
     turn = vectors / np.sqrt(values)
-    series = np.stack([whitener.series(block[:, :, i]).ravel() for i in range(block.shape[2])], axis=1)
+    series = whitener.series(block).reshape(-1, block.shape[2])
     return Whitener(whitener.root, whitener.count, Slack(rows @ turn, series @ turn, 1.0 - 1.0 / np.sqrt(1.0 + values)))
 
 

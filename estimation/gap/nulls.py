@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from estimation.engine.kernel import Array
@@ -56,14 +57,14 @@ def input_errors(record: Record, model: Model, rng: np.random.Generator) -> Inpu
 
 @dataclass(frozen=True)
 class NullFlyer:
-    """Flies nulls of one fitted model. errors: of each record's inputs. jumps: per record (N, ny, m), what a sample next to a
-    jump may be off, one standard deviation each. states: whose rates are disturbed, and the input column that does it."""
+    """Flies nulls of one fitted model. errors: of each record's inputs. jumps: per record sample, output column and standard
+    deviation of what a sample next to a jump may be off. states: whose rates are disturbed, and the input column that does it."""
 
     problem: Problem
     fit: Fit
     noise: NoiseModel
     errors: tuple[InputErrors, ...]
-    jumps: tuple[Array, ...]
+    jumps: tuple[tuple[NDArray[np.int64], NDArray[np.int64], Array], ...]
     states: Mapping[str, int]
 
     @classmethod
@@ -72,12 +73,14 @@ class NullFlyer:
         disturbed = {n.partition(":")[0] for n in noise.process}
         states = {s: names.index(DISTURBANCE.format(s)) for s in sorted(disturbed) if DISTURBANCE.format(s) in names}
         jumps = []
+        outputs = {n: i for i, n in enumerate(problem.model.output_names)}
         for segment in problem.coarse:
             edges = find_edges(
                 problem.model, linear_motion(problem.model, problem.simulator, segment, fit.values), segment
             )
-            own = [i for i, n in enumerate(edges.name) if n in edges.jumping]
-            jumps.append(edges.response[:, :, own] * edges.spread(noise.freedom)[own])
+            own = np.array([n in edges.jumping for n in edges.name], dtype=bool)
+            column = np.array([outputs[n] for n in edges.name if n in edges.jumping], dtype=int)
+            jumps.append((edges.at[own], column, (edges.step * edges.spread(noise.freedom))[own]))
         return cls(problem, fit, noise, tuple(errors), tuple(jumps), states)
 
     def fly(self, index: int, rng: np.random.Generator) -> Array | None:
@@ -96,7 +99,8 @@ class NullFlyer:
             coarse.z.shape
         )
         self._wander(noise, coarse.time, rng)
-        noise += self.jumps[index] @ rng.standard_normal(self.jumps[index].shape[2])
+        at, output, size = self.jumps[index]
+        np.add.at(noise, (at, output), size * rng.standard_normal(size.size))
         seen = coarse.u + self.errors[index].draw(problem.model.input_names, len(coarse), rng)
         modelled = problem.residual(index, self.fit.values, local, inputs=seen)
         if modelled is None:

@@ -161,7 +161,7 @@ def _white(problem: Problem, found: Fit, round_: Round) -> list[Array]:
         A = (J * scale).T @ (J * scale) + 1e-9 * np.eye(J.shape[1])
         theta = scale[:, None] * np.linalg.solve(A, (J * scale).T @ rows[:, dy.shape[2] :])
         left = stack - np.einsum("tyn,nm->tym", dy, theta)
-        result.append(np.stack([problem.whiteners[i].series(left[:, :, j]) for j in range(left.shape[2])], axis=2))
+        result.append(problem.whiteners[i].series(left))
     return result
 
 

@@ -96,13 +96,15 @@ class Whitener:
         return rows
 
     def series(self, residual: Array) -> Array:
-        """(N, ny) residuals -> (N, ny) white series, aligned in time and channel."""
-        spectrum = np.fft.rfft(np.nan_to_num(residual), axis=0)[:, :, None]
-        series = np.fft.irfft((self.root @ spectrum)[:, :, 0], n=self.count, axis=0)
+        """(N, ny) residuals, or (N, ny, k) many of them -> white series of the same shape, aligned in time and channel."""
+        block = residual[:, :, None] if residual.ndim == 2 else residual
+        spectrum = np.fft.rfft(np.nan_to_num(block), axis=0)
+        series = np.fft.irfft(self.root @ spectrum, n=self.count, axis=0)
         if self.slack is not None:
-            forgiven = self.slack.series @ (self.slack.share * (self.slack.series.T @ series.ravel()))
+            flat = series.reshape(-1, block.shape[2])
+            forgiven = self.slack.series @ (self.slack.share[:, None] * (self.slack.series.T @ flat))
             series -= forgiven.reshape(series.shape)
-        return series
+        return series.reshape(residual.shape)
 
 
 def force_states(model: Model) -> tuple[str, ...]:
