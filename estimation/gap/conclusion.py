@@ -20,6 +20,7 @@ from estimation.gap.words import conclude, describe_step
 
 NAMED_CLOSED = 0.7  # of the gap: below, the rest is larger than noise
 NAMED_OUTWEIGHS = 0.8  # of the significance, in energy: above, a name stands whatever the plain gap says
+OWN_OUTWEIGHS = 0.9  # the same where the rest lives in the very instrument that the name blames
 BLIND_SHARE = 0.12  # of the effects asked about: more that could not have been seen, and the answer is "cannot tell"
 
 
@@ -116,13 +117,14 @@ def conclude_trail(setting: Setting, trail: Trail, gate: Gate) -> GapResult:
     )  # fmt: skip
 
 
-def outweighs(named: float, rest: float) -> bool:
+def outweighs(named: float, rest: float, share: float = NAMED_OUTWEIGHS) -> bool:
     """Whether a named effect holds most of what is significant, whatever the plain gap says.
 
-    named, rest: scores of the effect and of the strongest nameless term after it, both on whitened residuals. The plain
-    gap also counts slow errors of an attitude filter and the gusts of the day, beside which a certain effect can look small.
+    named, rest: scores of the effect and of the strongest nameless term after it, both on whitened residuals. share: of
+    the sum of their squares. The plain gap also counts slow errors of an attitude filter and the gusts of the day, beside
+    which a certain effect can look small.
     """
-    return named**2 >= NAMED_OUTWEIGHS * (named**2 + rest**2)
+    return named**2 >= share * (named**2 + rest**2)
 
 
 def without_impostors(steps: Sequence[Step], trail: Trail) -> tuple[list[Step], list[Rejected]]:
@@ -133,7 +135,8 @@ def without_impostors(steps: Sequence[Step], trail: Trail) -> tuple[list[Step], 
     place = trail.omnibus.leading[0].place
     for k, (step, finding) in enumerate(zip(steps, trail.findings, strict=False)):
         form = finding.candidate.hypothesis.form
-        if place in (*form.outputs, *form.output_delays) and not outweighs(step.score, trail.omnibus.score):
+        own = place in (*form.outputs, *form.output_delays)
+        if own and not outweighs(step.score, trail.omnibus.score, OWN_OUTWEIGHS):
             why = f"the nameless rest in {place} is too large beside it: the instrument does something else than this"
             return list(steps[:k]), [Rejected(s.effect, why) for s in steps[k:]]
     return list(steps), []

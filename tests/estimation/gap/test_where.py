@@ -90,6 +90,7 @@ def test_a_name_for_an_instrument_goes_where_a_large_nameless_rest_lives_in_it()
     sticking = [("beta_lag", 25.0), ("beta_scale", 14.0)]
     assert _kept(sticking, "beta", 13.2) == ([], ["beta_lag", "beta_scale"])
     assert _kept([("Cn_da", 19.0), *sticking], "beta", 13.2) == (["Cn_da"], ["beta_lag", "beta_scale"])
+    assert _kept([("beta_lag", 19.0)], "beta", 6.7) == ([], ["beta_lag"])
     assert _kept([("beta_lag", 34.0)], "beta", 6.0) == (["beta_lag"], [])
     assert _kept([("beta_lag", 20.0)], "p", 40.0) == (["beta_lag"], [])
     assert _kept([("Cn_da", 19.0)], "r", 40.0) == (["Cn_da"], [])
