@@ -6,7 +6,9 @@ Exit status: 0 done; 1 done, but the answer is a failed check; 2 unusable input,
 
 import importlib
 import json
+import signal
 import sys
+import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
@@ -18,6 +20,7 @@ import click
 from daq.contract.errors import UserError
 
 if TYPE_CHECKING:
+    from firmware_sim.flight import SimulatedFlight
     from firmware_sim.scenario import Scenario
     from groundstation.viewer.live import LiveView
 
@@ -353,10 +356,25 @@ def _fly_over_port(scenario: "Scenario", folder: Path, port: str, seed: int | No
             click.echo(f"flying {scenario.name} for {flight.duration_s:g} s, radio on {port}")
             files = flight.run()
             click.echo(f"landed; recording {files.recordings[0]}; the radio stays on until Ctrl-C")
-            flight.serve(lambda: False, limit_s=RADIO_ON_S)
+            interrupted = _serve_until_interrupted(flight)
     finally:
         opened.close()
+    if interrupted:
+        raise KeyboardInterrupt
     return 0
+
+
+def _serve_until_interrupted(flight: "SimulatedFlight") -> bool:
+    """Leave the radio on until Ctrl-C, or for RADIO_ON_S; whether it was Ctrl-C.
+
+    By a flag: an exception raised between any two instructions is lost where it meets a finaliser.
+    """
+    asked = threading.Event()
+    before = signal.signal(signal.SIGINT, lambda number, frame: asked.set())
+    try:
+        return flight.serve(asked.is_set, limit_s=RADIO_ON_S)
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def _pace(speed: str, live: bool) -> float | None:
