@@ -173,9 +173,14 @@ def wilson(hits: int, count: int) -> str:
     return f"{p:.2f} ({max(centre - half, 0):.2f}-{min(centre + half, 1):.2f}, n={count})"
 
 
+def read_rows(path: Path) -> list[dict[str, Any]]:
+    """Results as they were kept, one JSON line each."""
+    return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+
+
 def summary(path: Path) -> str:
     """The table of scores as Markdown."""
-    rows = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+    rows = read_rows(path)
     lines = ["| flights | score | value |", "|---|---|---|"]
     groups = sorted({(r["kind"], r["size"], r["gust"], r["manoeuvres"]) for r in rows})
     for kind, size, gust, manoeuvres in groups:
@@ -286,7 +291,7 @@ def main() -> None:
             count = 10 * a.count if kind == "nulls" and a.kind == "all" else a.count
             run(kind, a.size, a.start, count, a.gust, a.manoeuvres, a.nulls, a.out, a.only)
     print(summary(a.out))
-    rows = [json.loads(line) for line in a.out.read_text(encoding="utf-8").splitlines()]
+    rows = read_rows(a.out)
     print(calibration(rows))
     if a.confusion:
         confusion(rows, a.confusion)

@@ -26,7 +26,7 @@ from estimation.aircraft import load_aircraft
 from estimation.models.load import load_model
 from groundstation.flight import Flight
 from tests.studies import second_truth as truth
-from tests.studies.gap_benchmark import cases, flights, requests, same_class, wilson
+from tests.studies.gap_benchmark import cases, flights, read_rows, requests, same_class, wilson
 from tests.studies.gap_regression.equations import Way, evidence
 from tests.studies.gap_regression.fake_flights import fake_flights, signals
 from tests.studies.gap_regression.selection import Regression, stepwise, stepwise_on_nulls, stlsq, stlsq_on_nulls
@@ -80,10 +80,6 @@ def run(kind: str, size: float, start: int, count: int, gust: float, nulls: int,
         with out.open("a", encoding="utf-8") as handle:
             handle.write(json.dumps(row) + "\n")
         print(label, seed, row["named"]["weak 15|joint|stepwise on nulls, largest partial F"], flush=True)
-
-
-def read_rows(path: Path) -> list[dict[str, Any]]:
-    return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
 
 
 @dataclass(frozen=True)
@@ -141,8 +137,11 @@ def best(rows: Sequence[Mapping[str, Any]], variants: Iterable[Variant], calm: b
     """The one that names most effects exactly, then in class, then with fewest alarms. calm: of those without too many."""
     found = [(v, scored(rows, v)) for v in variants]
     found = [(v, s) for v, s in found if not calm or s.alarms <= ALARMS * s.calm]
-    key = lambda pair: (pair[1].exact, pair[1].close, -pair[1].alarms, -pair[1].misnamed)  # noqa: E731
-    return max(found, key=key)[0] if found else None
+
+    def merit(pair: tuple[Variant, Score]) -> tuple[int, int, int, int]:
+        return pair[1].exact, pair[1].close, -pair[1].alarms, -pair[1].misnamed
+
+    return max(found, key=merit)[0] if found else None
 
 
 def quiet_limit(rows: Sequence[Mapping[str, Any]], key: str) -> float:
