@@ -19,6 +19,7 @@ import math
 from collections import deque
 from dataclasses import dataclass
 from enum import IntFlag
+from struct import Struct
 
 import imufusion
 import numpy as np
@@ -30,6 +31,7 @@ from daq.vectors import UNTURNED, ZERO, Axes, Vector, cross, plus, times, turned
 SCALE = 32767
 
 Quaternion = tuple[float, float, float, float]
+_INPUTS = Struct("=9f")  # what the filter computes in
 _DEGREES, _RADIANS = 180.0 / math.pi, math.pi / 180.0
 _COMPONENTS = ("quaternion_w", "quaternion_x", "quaternion_y", "quaternion_z")
 
@@ -85,6 +87,9 @@ class AttitudeFilter:
         self._config = config
         self._rate_hz, self._gyro_range_deg = rate_hz, math.degrees(gyro_range)
         self._ahrs = imufusion.Ahrs()
+        # Rate, plumb line and field as the filter takes them, filled anew each time: to make arrays costs more than the update.
+        self._memory = bytearray(_INPUTS.size)
+        self._inputs = tuple(np.frombuffer(self._memory, np.float32).reshape(3, 3))
         self._gain = 0.0
         self._set_gain(self.FIRST_GAIN)
         self._begun: float | None = None
@@ -154,11 +159,14 @@ class AttitudeFilter:
         return Attitude(quaternion, self._status(time, field is not None))
 
     def _advance(self, rate_deg: Vector, down: Vector, field: Vector | None) -> None:
+        rate, force, magnetic = self._inputs
         plumb_line = times(1.0 / GRAVITY, down)
+        flipped = times(1e6, ZERO if field is None else field)
+        _INPUTS.pack_into(self._memory, 0, *_flip(rate_deg), *_flip(plumb_line), *_flip(flipped))
         if field is None:
-            self._ahrs.update_no_magnetometer(*np.array((_flip(rate_deg), _flip(plumb_line))))
+            self._ahrs.update_no_magnetometer(rate, force)
         else:
-            self._ahrs.update(*np.array((_flip(rate_deg), _flip(plumb_line), _flip(times(1e6, field)))))
+            self._ahrs.update(rate, force, magnetic)
 
     def _align(self, plumb_line: Vector, magnetic: Vector | None) -> None:
         """Begin where plumb line and compass point (Black 1964, "TRIAD"); without a compass, at heading zero."""

@@ -85,7 +85,8 @@ class Look:
 def measure(folder: Path, seconds: float) -> dict[str, object]:
     """Run the logger for a time and watch it."""
     answers, config = record_answers(folder), bench_config(folder)
-    command = [sys.executable, str(ROOT / "tests/benchmarks/logger_process.py"), str(config), str(answers)]
+    arguments = [str(config), str(answers), str(seconds + 60.0)]
+    command = [sys.executable, str(ROOT / "tests/benchmarks/logger_process.py"), *arguments]
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as systemd:
         systemd.bind(str(folder / "notify"))
         systemd.settimeout(30)

@@ -1,6 +1,6 @@
 """The logger as the service runs it, on a replayed bus and GPS port, until SIGTERM; prints its books as one JSON line.
 
-Arguments: configuration, recorded answers. Who measures looks from outside.
+Arguments: configuration, recorded answers, for how many seconds GPS fixes come. Who measures looks from outside.
 """
 
 import json
@@ -21,7 +21,7 @@ from tests.benchmarks.replayed_bus import ReplayedBus, ReplayedReceiver
 _EMPTY_RADIO_S = 10.0
 
 
-def main(config_path: Path, answers: Path) -> None:
+def main(config_path: Path, answers: Path, seconds: float) -> None:
     """Run the logger and print how it went."""
     config, text = load_config(config_path)
     air, ground = memory_pair()
@@ -42,7 +42,7 @@ def main(config_path: Path, answers: Path) -> None:
 
     listener = threading.Thread(target=listen, name="listener")
     listener.start()
-    edge = Edge(RealClock(), bus, ReplayedReceiver(answers), "simulated", radio=air)
+    edge = Edge(RealClock(), bus, ReplayedReceiver(answers, seconds), "simulated", radio=air)
     outcome = run_until_signal(config, text, edge, [])
     over.set()
     listener.join()
@@ -59,4 +59,4 @@ def main(config_path: Path, answers: Path) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), Path(sys.argv[2]))
+    main(Path(sys.argv[1]), Path(sys.argv[2]), float(sys.argv[3]))

@@ -3,7 +3,9 @@
 import json
 import time
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from itertools import cycle
+from math import ceil
 from pathlib import Path
 from typing import Any
 
@@ -98,32 +100,26 @@ class RecordingPort:
 
 
 class ReplayedBus:
-    """Answers each question with the recorded answers in turn: those of the set-up once, those of scans over and over."""
+    """Answers each question with the recorded answers in turn: those of the set-up once, those of scans over and over.
+
+    It runs in the measured process, so an answer is one look-up and one step of a ready cycle.
+    """
 
     def __init__(self, path: Path) -> None:
         kept = json.loads(path.read_text())
         self._setup: Answers = {tuple(key): answers for key, answers in kept["setup"]}
-        steady: Answers = {tuple(key): answers for key, answers in kept["steady"]}
-        self._scans: Answers = {**self._setup, **{k: v for k, v in steady.items() if v}}
-        self._answers = self._setup
-        self._turn: dict[Question, int] = defaultdict(int)
+        self._scans: Answers = {**self._setup, **{tuple(key): answers for key, answers in kept["steady"] if answers}}
+        self._next = _in_turn(self._setup)
 
     def scans_begin(self) -> None:
         """From here on scans ask."""
-        self._answers = self._scans
-        self._turn.clear()
-
-    def _next(self, question: Question) -> list[int]:
-        answers = self._answers[question]
-        turn = self._turn[question]
-        self._turn[question] = (turn + 1) % len(answers)
-        return answers[turn]
+        self._next = _in_turn(self._scans)
 
     def read_byte_data(self, address: int, register: int, /) -> int:
-        return self._next((address, register, 1))[0]
+        return self._next[address, register, 1]()[0]
 
     def read_i2c_block_data(self, address: int, register: int, length: int, /) -> list[int]:
-        return self._next((address, register, length))
+        return self._next[address, register, length]()
 
     def write_byte_data(self, address: int, register: int, value: int, /) -> None:
         pass
@@ -134,38 +130,42 @@ class ReplayedBus:
     def i2c_rdwr(self, *messages: Any) -> None:
         for m in messages:
             if m.flags & 1:
-                for i, byte in enumerate(self._next((m.addr, -1, m.len))):
+                for i, byte in enumerate(self._next[m.addr, -1, m.len]()):
                     m.buf[i] = byte
 
     def close(self) -> None:
         pass
 
 
-class ReplayedReceiver:
-    """A GPS port on which the recorded fix arrives ten times a second, with the time of now in it."""
+def _in_turn(answers: Answers) -> dict[Question, Callable[[], list[int]]]:
+    return {question: cycle(given).__next__ for question, given in answers.items()}
 
-    def __init__(self, path: Path) -> None:
-        self._fix = bytearray.fromhex(json.loads(path.read_text())["fix"])
-        self._next_ns = time.monotonic_ns()
-        self._bytes = b""
+
+class ReplayedReceiver:
+    """A GPS port on which the recorded fix arrives ten times a second, with the time of its instant in it.
+
+    The frames of `seconds` are made beforehand, so that their making is not counted as the logger's.
+    """
+
+    def __init__(self, path: Path, seconds: float) -> None:
+        fix = bytearray.fromhex(json.loads(path.read_text())["fix"])
+        begin = time.time_ns()
+        self._frames = b"".join(_dated(fix, begin + i * _FIX_INTERVAL_NS) for i in range(ceil(seconds * 10)))
+        self._length = len(frame(NAV_PVT, bytes(fix)))
+        self._at = 0
+        self._arrived = 0
+        self._next_ns = time.monotonic_ns() - (time.time_ns() - begin)
 
     @property
     def in_waiting(self) -> int:
-        now = time.monotonic_ns()
-        if now >= self._next_ns:
+        if time.monotonic_ns() >= self._next_ns and self._arrived < len(self._frames):
             self._next_ns += _FIX_INTERVAL_NS
-            self._bytes += self._made_now()
-        return len(self._bytes)
-
-    def _made_now(self) -> bytes:
-        utc = time.time_ns()
-        t = time.gmtime(utc // 10**9)
-        self._fix[4:11] = t.tm_year.to_bytes(2, "little") + bytes(t[1:6])
-        self._fix[16:20] = (utc % 10**9).to_bytes(4, "little")
-        return frame(NAV_PVT, bytes(self._fix))
+            self._arrived += self._length
+        return self._arrived - self._at
 
     def read(self, size: int = 1, /) -> bytes:
-        data, self._bytes = self._bytes[:size], self._bytes[size:]
+        data = self._frames[self._at : min(self._at + size, self._arrived)]
+        self._at += len(data)
         return data
 
     def write(self, data: bytes, /) -> int | None:
@@ -173,3 +173,11 @@ class ReplayedReceiver:
 
     def close(self) -> None:
         pass
+
+
+def _dated(fix: bytearray, utc_ns: int) -> bytes:
+    """The frame of a fix of another time."""
+    t = time.gmtime(utc_ns // 10**9)
+    fix[4:11] = t.tm_year.to_bytes(2, "little") + bytes(t[1:6])
+    fix[16:20] = (utc_ns % 10**9).to_bytes(4, "little")
+    return frame(NAV_PVT, bytes(fix))
