@@ -161,8 +161,8 @@ class AttitudeFilter:
     def _advance(self, rate_deg: Vector, down: Vector, field: Vector | None) -> None:
         rate, force, magnetic = self._inputs
         plumb_line = times(1.0 / GRAVITY, down)
-        flipped = times(1e6, ZERO if field is None else field)
-        _INPUTS.pack_into(self._memory, 0, *_flip(rate_deg), *_flip(plumb_line), *_flip(flipped))
+        field_ut = times(1e6, field or ZERO)
+        _INPUTS.pack_into(self._memory, 0, *_flip(rate_deg), *_flip(plumb_line), *_flip(field_ut))
         if field is None:
             self._ahrs.update_no_magnetometer(rate, force)
         else:

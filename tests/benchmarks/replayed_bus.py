@@ -152,19 +152,16 @@ class ReplayedReceiver:
         begin = time.time_ns()
         self._frames = b"".join(_dated(fix, begin + i * _FIX_INTERVAL_NS) for i in range(ceil(seconds * 10)))
         self._length = len(frame(NAV_PVT, bytes(fix)))
+        self._begin_ns = time.monotonic_ns() - (time.time_ns() - begin)
         self._at = 0
-        self._arrived = 0
-        self._next_ns = time.monotonic_ns() - (time.time_ns() - begin)
 
     @property
     def in_waiting(self) -> int:
-        if time.monotonic_ns() >= self._next_ns and self._arrived < len(self._frames):
-            self._next_ns += _FIX_INTERVAL_NS
-            self._arrived += self._length
-        return self._arrived - self._at
+        arrived = self._length * (1 + (time.monotonic_ns() - self._begin_ns) // _FIX_INTERVAL_NS)
+        return min(arrived, len(self._frames)) - self._at
 
     def read(self, size: int = 1, /) -> bytes:
-        data = self._frames[self._at : min(self._at + size, self._arrived)]
+        data = self._frames[self._at : self._at + min(size, self.in_waiting)]
         self._at += len(data)
         return data
 
