@@ -118,6 +118,7 @@ def assemble(
         edge.clock,
         sampler,
         recorder,
+        together=config.scan.together,
         timing=timing,
         new_recorder=next_recorder,
         housekeeping=housekeeping,

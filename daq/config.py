@@ -27,6 +27,10 @@ class Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
+_FINISHING_NS = 1_000_000  # to finish one scan on a slow computer
+_ROOM_TO_FINISH = 0.1  # of the time between two scans
+
+
 class AircraftConfig(Section):
     """`[aircraft]`: which aircraft carries the logger."""
 
@@ -41,11 +45,19 @@ class ScanConfig(Section):
     realtime_priority: Annotated[int, Field(ge=0, le=99)] = 0  # SCHED_FIFO priority; 0 keeps the ordinary scheduler
     lock_memory: bool = False  # mlockall: pages of the process are never swapped out
     garbage_in_slack: bool = True  # collect garbage after scans only, instead of whenever Python would
+    hand_over_s: Annotated[float, Field(ge=0, le=1)] = 0.1  # scans go to recorder and radio this often; 0: each at once
 
     @property
     def period_ns(self) -> int:
         """Time from one scan to the next [ns]."""
         return round(1e9 / self.rate_hz)
+
+    @property
+    def together(self) -> int:
+        """How many scans are finished and handed over at a time: as `hand_over_s` says, and no more than a scan has room for."""
+        wished = round(self.hand_over_s * self.rate_hz)
+        room = _ROOM_TO_FINISH * self.period_ns // _FINISHING_NS
+        return max(1, int(min(wished, room)))
 
 
 class PreflightConfig(Section):

@@ -3,6 +3,9 @@
 The loop owns no hardware. It is given a clock, a sampler, a recorder and perhaps a link, real or simulated, and cannot
 tell which. Its deadlines are multiples of the period from one start, so that lateness never adds up; a slot that has
 passed is skipped and its number never used, and the recorder counts it as missed.
+
+Every scan is read on its deadline. What comes after, the attitude, recorder and radio, can be done for several scans
+together: between two scans the caches run empty, and to fill them is half of what a scan costs.
 """
 
 import logging
@@ -16,7 +19,7 @@ from daq.contract.messages import Event, Health, HealthEntry, LogLevel, Statisti
 from daq.contract.scan import Scan, SensorState
 from daq.health import HealthSummary
 from daq.recorder import Recorder
-from daq.sampler import EventMark
+from daq.sampler import EventMark, UnfinishedScan
 from daq.timing import LoopTiming
 
 _LOG = logging.getLogger("sideslip.logger")
@@ -34,8 +37,12 @@ class SensorSource(Protocol):
         """Set all sensors up."""
         ...
 
-    def scan(self, number: int, deadline_ns: int) -> Scan:
-        """One scan, whatever state the sensors are in."""
+    def take(self, number: int, deadline_ns: int) -> UnfinishedScan:
+        """Read all sensors once, whatever state they are in."""
+        ...
+
+    def finish(self, taken: UnfinishedScan) -> Scan:
+        """Make a scan of what was taken; each once, in order."""
         ...
 
     def health(self) -> HealthSummary:
@@ -116,7 +123,8 @@ def _nothing() -> None:
 class Logger:
     """Runs the scan loop.
 
-    rate_hz: scans a second. recorder: takes the first recording; `new_recorder` makes the ones begun by command.
+    rate_hz: scans a second. together: how many of them are finished and handed over at a time.
+    recorder: takes the first recording; `new_recorder` makes the ones begun by command.
     `connect` adds a link that itself needs the logger.
     timing: the histograms that the recorder reports; give the recorder the same object.
     housekeeping: called about once a second in the slack after a scan (watchdog, garbage collection).
@@ -131,6 +139,7 @@ class Logger:
         downlink: Downlink | None = None,
         uplink: Uplink | None = None,
         *,
+        together: int = 1,
         timing: LoopTiming | None = None,
         new_recorder: Callable[[], Recorder] | None = None,
         housekeeping: Callable[[], None] = _nothing,
@@ -153,7 +162,9 @@ class Logger:
         self._next_health_ns = 0
         self._next_housekeeping_ns = 0
         self._last_scan_ns: int | None = None
-        self._scan: Scan | None = None
+        self._together = together
+        self._taken: list[UnfinishedScan] = []  # not handed over yet
+        self._newest: UnfinishedScan | None = None
         self._link_fault = ""
         self._closers: list[threading.Thread] = []
         self._last_books: Statistics | None = None
@@ -172,8 +183,15 @@ class Logger:
         """
         try:
             self._begin()
-            start = self._clock.monotonic_ns() + self._period_ns
-            first = self._number
+            self._scan_until(stop)
+        finally:
+            books = self._end()
+        return books
+
+    def _scan_until(self, stop: Callable[[], bool]) -> None:
+        start = self._clock.monotonic_ns() + self._period_ns
+        first = self._number
+        try:
             while not stop():
                 deadline = start + (self._number - first) * self._period_ns
                 self._clock.sleep_until(deadline)
@@ -181,8 +199,7 @@ class Logger:
                 behind = self._clock.monotonic_ns() - (deadline + self._period_ns)
                 self._number += 1 + max(0, behind // self._period_ns)
         finally:
-            books = self._end()
-        return books
+            self._hand_over()
 
     def _begin(self) -> None:
         summary = self._sampler.start()
@@ -195,19 +212,29 @@ class Logger:
 
     def _one_scan(self, deadline: int) -> None:
         started = self._clock.monotonic_ns()
-        scan = self._sampler.scan(self._number, deadline)
+        self._newest = self._sampler.take(self._number, deadline)
         ended = self._clock.monotonic_ns()
         self._note_timing(deadline, started, ended)
-        self._scan = scan
-        if self._recorder is not None:
-            self._recorder.scan(scan)
-        self._watch_states(scan)
+        self._taken.append(self._newest)
+        if len(self._taken) >= self._together:
+            self._hand_over()
+            if ended >= self._next_housekeeping_ns:
+                self._next_housekeeping_ns = ended + _HOUSEKEEPING_NS
+                self._housekeeping()
+
+    def _hand_over(self) -> None:
+        """Finish what was taken and give it to recorder and radio."""
+        taken, self._taken = self._taken, []
+        if not taken:
+            return
+        scans = [self._sampler.finish(t) for t in taken]
+        for scan in scans:
+            if self._recorder is not None:
+                self._recorder.scan(scan)
+            self._watch_states(scan)
         if self._health_due:
-            self._report(ended)
-        self._serve_link(scan)
-        if ended >= self._next_housekeeping_ns:
-            self._next_housekeeping_ns = ended + _HOUSEKEEPING_NS
-            self._housekeeping()
+            self._report(self._clock.monotonic_ns())
+        self._serve_link(scans)
 
     def _note_timing(self, deadline: int, started: int, ended: int) -> None:
         timing = self.timing
@@ -219,14 +246,16 @@ class Logger:
             timing.interval_error.add((started - self._last_scan_ns - self._period_ns) // 1000)
         self._last_scan_ns = started
 
-    def _serve_link(self, scan: Scan) -> None:
-        """Let the radio have its turn. A port that fails must not stop the recording; it is said once."""
+    def _serve_link(self, scans: Iterable[Scan]) -> None:
+        """Let the radio have its turn; answers leave at once. A port that fails must not stop the recording; it is said once."""
         try:
             if self._downlink is not None:
-                self._downlink.offer(scan)
-                self._downlink.service(self._clock.monotonic_ns())
+                for scan in scans:
+                    self._downlink.offer(scan)
             if self._uplink is not None:
                 self._uplink.service(self._clock.monotonic_ns(), self)
+            if self._downlink is not None:
+                self._downlink.service(self._clock.monotonic_ns())
         except OSError as error:
             fault = error.strerror or str(error)
             if fault != self._link_fault:
@@ -270,6 +299,7 @@ class Logger:
         """Begin a new recording session; False when one is under way or none can be made."""
         if self._recorder is not None or self._new_recorder is None:
             return False
+        self._hand_over()
         self._recorder = self._new_recorder()
         self._recorder.detail(self._sampler.metadata())
         self._recorder.start()
@@ -279,6 +309,7 @@ class Logger:
 
     def stop_recording(self) -> bool:
         """End the recording session; scans go on being made and sent. False when none is under way."""
+        self._hand_over()
         recorder = self._recorder
         if recorder is None:
             return False
@@ -318,7 +349,7 @@ class Logger:
 
     def _utc(self, time_ns: int) -> int:
         """UTC of a monotonic time by the newest scan; 0 while unknown."""
-        scan = self._scan
+        scan = self._newest
         return scan.time_utc_ns + time_ns - scan.time_monotonic_ns if scan is not None and scan.time_utc_ns else 0
 
     # ------------------------------------------------------------------------------------------ the end

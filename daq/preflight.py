@@ -112,7 +112,7 @@ def _scan_for_a_while(config: LoggerConfig, clock: Clock, sampler: SensorSource)
         deadline = start + number * period
         clock.sleep_until(deadline)
         lateness.append((clock.monotonic_ns() - deadline) // 1000)
-        scans.append(sampler.scan(number, deadline))
+        scans.append(sampler.finish(sampler.take(number, deadline)))
     return scans, lateness
 
 

@@ -1,9 +1,11 @@
-"""The sampler: one call makes one scan of all sensors, whatever state they are in.
+"""The sampler: one call reads all sensors once, whatever state they are in; another makes a scan of what was read.
+
+Reading keeps to the scan's time. Finishing, the attitude above all, can wait, so that several scans are finished together.
 
 A scan is cooperative. Each due sensor is a sample in stages; whoever has to wait (a converter converting) lets others use
 the bus. Converters are started first and the IMU is read while the first inputs, the vanes, are being converted, so
 what is compared in flight is also taken together. Nothing here waits longer than the scan's budget, and no trouble of
-a sensor leaves `scan`: it becomes a state in the scan and a sentence in `health`.
+a sensor leaves `take`: it becomes a state in the scan and a sentence in `health`.
 
 A group that is not due in a scan (`every` > 1) is missing from that scan's `groups`. Values are recorded for the states
 ok, recovering, out of range and stuck (they are what the chip said); for all others the channels are unset.
@@ -13,6 +15,7 @@ Offsets may be negative: a conversion begun in one scan can end in the next, and
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from daq.attitude_source import AttitudeSource
 from daq.bus import I2cBus, SerialPort
@@ -50,12 +53,23 @@ class EventMark:
     source: str
 
 
+class UnfinishedScan(NamedTuple):
+    """What was read in one scan: `Scan` with the outcomes of the groups that were due, before the attitude is computed."""
+
+    number: int
+    time_monotonic_ns: int
+    time_utc_ns: int
+    utc_accuracy_ns: int
+    lateness_us: int
+    outcomes: dict[str, Outcome]
+
+
 def _ignore(_: EventMark) -> None:
     return
 
 
 class Sampler:
-    """Reads all fitted sensors once per call.
+    """Reads all fitted sensors once per `take`; `finish` wants what was taken, each once and in order.
 
     bus, serial: the I2C bus and the GPS receiver's port, real or simulated; None where nothing fitted needs them.
     autopilot: serial port of the `mavlink_servo` driver. pulse: returns the monotonic time of the newest
@@ -146,8 +160,8 @@ class Sampler:
 
     # -- scan -------------------------------------------------------------------------------------------------
 
-    def scan(self, number: int, deadline_ns: int) -> Scan:
-        """One scan, begun now. `deadline_ns`: when it should have begun on the monotonic clock."""
+    def take(self, number: int, deadline_ns: int) -> UnfinishedScan:
+        """Read all sensors, now. `deadline_ns`: when that should have begun on the monotonic clock."""
         start = self._clock.monotonic_ns()
         if self._pulse is not None and (edge := self._pulse()) is not None:
             self.timebase.observe_pulse(edge)
@@ -156,19 +170,25 @@ class Sampler:
         for supervisor in self._on_serial:
             self._read_serial(supervisor, number, outcomes)
         self._maintain(start)
+        for outcome in outcomes.values():
+            for time_ns in outcome.events:
+                self.on_event(EventMark(time_ns, number, "switch"))
+        utc, accuracy = self.timebase.utc(start)
+        lateness_us = min(max(0, start - deadline_ns) // 1000, 2**32 - 1)
+        return UnfinishedScan(number, start, utc, accuracy, lateness_us, outcomes)
+
+    def finish(self, taken: UnfinishedScan) -> Scan:
+        """The scan, with the attitude at its instant."""
+        number, start, utc, accuracy, lateness_us, outcomes = taken
         groups = dict(self._off)
         values: dict[str, RawValue] = {}
         for group, outcome in outcomes.items():
             groups[group] = GroupStatus(outcome.state, (outcome.time_ns - start) // 1000)
             values.update(outcome.values)
-            for time_ns in outcome.events:
-                self.on_event(EventMark(time_ns, number, "switch"))
         if self._attitude is not None and "imu" in outcomes:
             attitude = self._attitude.update(outcomes, start)
             groups["attitude"] = GroupStatus(attitude.state, (attitude.time_ns - start) // 1000)
             values.update(attitude.values)
-        utc, accuracy = self.timebase.utc(start)
-        lateness_us = min(max(0, start - deadline_ns) // 1000, 2**32 - 1)
         return Scan(number, start, utc, accuracy, lateness_us, groups, values)
 
     def _due(self, supervisor: Supervisor, number: int) -> bool:

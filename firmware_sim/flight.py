@@ -17,7 +17,7 @@ from daq.bus import SerialPort
 from daq.clock import SimulatedClock
 from daq.config import LoggerConfig, parse_config
 from daq.contract.messages import Statistics
-from daq.contract.scan import Scan
+from daq.sampler import UnfinishedScan
 from firmware_sim.autopilot import Autopilot
 from firmware_sim.board import Board, build_board
 from firmware_sim.bus import SimulatedBus
@@ -164,15 +164,16 @@ class SimulatedFlight:
     def note_scans(self) -> None:
         """Write the truth of every scan, recorded or not, and keep its time."""
         sampler, times, truth = self.assembly.sampler, self.scan_times, self.truth
-        plain = sampler.scan
+        plain = sampler.take
 
-        def noted(number: int, deadline_ns: int) -> Scan:
-            scan = plain(number, deadline_ns)
-            times.append(scan.time)
-            truth.write(scan.time)
-            return scan
+        def noted(number: int, deadline_ns: int) -> UnfinishedScan:
+            taken = plain(number, deadline_ns)
+            time = taken.time_monotonic_ns * 1e-9
+            times.append(time)
+            truth.write(time)
+            return taken
 
-        sampler.scan = noted  # type: ignore[method-assign]  # the logger holds this very object
+        sampler.take = noted  # type: ignore[method-assign]  # the logger holds this very object
 
 
 def prepare_flight(

@@ -57,7 +57,7 @@ class Rig:
         for _ in range(round(seconds * self.rate_hz)):
             self.clock.sleep_until(deadline)
             begun = self.clock.monotonic_ns()
-            scans.append(self.sampler.scan(self.number, deadline))
+            scans.append(self.sampler.finish(self.sampler.take(self.number, deadline)))
             self.longest_ns = max(self.longest_ns, self.clock.monotonic_ns() - begun)
             self.number += 1
             deadline += period

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from pydantic import BaseModel
 
-from daq.config import ConfigError, LoggerConfig, load_config, parse_config, read_calibration
+from daq.config import ConfigError, LoggerConfig, ScanConfig, load_config, parse_config, read_calibration
 from daq.sensors.config import cdfp_sensors
 from firmware_sim.atmosphere import Site
 from firmware_sim.registers.ublox import Fix, nav_pvt
@@ -36,6 +36,16 @@ def test_example_shows_the_defaults() -> None:
         assert table[section].keys() == plain.keys(), f"[{section}] of the example leaves keys out"
         different = [k for k, v in table[section].items() if v != plain[k] and k not in marked]
         assert not different, f"[{section}] {different}: neither default nor marked CDFP"
+
+
+@pytest.mark.parametrize(
+    ("rate_hz", "hand_over_s", "together"),
+    [(20, 0.1, 2), (20, 0, 1), (20, 0.5, 5), (20, 1, 5), (5, 0.1, 1), (50, 0.1, 2), (200, 0.1, 1), (1000, 1, 1)],
+)
+def test_scans_are_handed_over_together_as_far_as_a_scan_has_room(
+    rate_hz: float, hand_over_s: float, together: int
+) -> None:
+    assert ScanConfig(rate_hz=rate_hz, hand_over_s=hand_over_s).together == together
 
 
 @pytest.mark.parametrize(

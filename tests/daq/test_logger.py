@@ -12,10 +12,11 @@ from daq.contract.messages import Event, LogLevel
 from daq.contract.reading import read_recording
 from daq.contract.scan import GroupStatus, Scan, SensorState
 from daq.health import GroupHealth, HealthSummary
-from daq.logger import Logger, Opening
+from daq.logger import Control, Logger, Opening
 from daq.recorder import Recorder
 from daq.recorder_config import RecorderConfig
-from daq.sampler import EventMark
+from daq.sampler import EventMark, UnfinishedScan
+from daq.supervisor import Outcome
 from daq.timing import LoopTiming
 from tests.daq.synthetic import START_UTC_NS, make_info
 
@@ -37,13 +38,17 @@ class FakeSampler:
     def start(self) -> HealthSummary:
         return self.health()
 
-    def scan(self, number: int, deadline_ns: int) -> Scan:
+    def take(self, number: int, deadline_ns: int) -> UnfinishedScan:
         now = self._clock.monotonic_ns()
         self.starts.append(now)
         self.numbers.append(number)
         self._clock.sleep_until(now + self._duration(number))
-        groups = {"imu": GroupStatus(self.state)}
-        return Scan(number, now, START_UTC_NS + now, 30, (now - deadline_ns) // 1000, groups, {"accel_x": number % 100})
+        outcomes = {"imu": Outcome(self.state, values={"accel_x": number % 100})}
+        return UnfinishedScan(number, now, START_UTC_NS + now, 30, (now - deadline_ns) // 1000, outcomes)
+
+    def finish(self, taken: UnfinishedScan) -> Scan:
+        imu = taken.outcomes["imu"]
+        return Scan(*taken[:5], {"imu": GroupStatus(imu.state)}, imu.values)
 
     def health(self) -> HealthSummary:
         detail = "" if self.state is SensorState.OK else "does not answer"
@@ -62,12 +67,14 @@ class FakeLink:
         self.scans: list[int] = []
         self.events: list[Event] = []
         self.texts: list[tuple[int, str]] = []
+        self.served: list[int] = []  # how many scans had been offered at each service
         self._broken = broken
 
     def offer(self, scan: Scan) -> None:
         self.scans.append(scan.number)
 
     def service(self, now_ns: int) -> None:
+        self.served.append(len(self.scans))
         if self.scans and self.scans[-1] in self._broken:
             raise OSError(5, "Input/output error")
 
@@ -81,7 +88,9 @@ class FakeLink:
 class Rig:
     """A logger on a simulated clock with fake sensors."""
 
-    def __init__(self, path: Path, *, link: FakeLink | None = None, rate_hz: float = 20.0, **options: object) -> None:
+    def __init__(
+        self, path: Path, *, link: FakeLink | None = None, rate_hz: float = 20.0, together: int = 1, **options: object
+    ) -> None:
         self.clock = SimulatedClock(START_UTC_NS)
         self.sampler = FakeSampler(self.clock, **options)  # type: ignore[arg-type]
         self.link = link
@@ -94,6 +103,7 @@ class Rig:
             self.sampler,
             self.recorder,
             link,
+            together=together,
             timing=timing,
             new_recorder=lambda: self._recorder("s2", rate_hz, timing),
             opening=[Opening(LogLevel.WARNING, "preflight", "no-go overridden (test)")],
@@ -196,8 +206,55 @@ def test_events_from_switch_and_ground(tmp_path: Path) -> None:
     assert len(link.events) == 2
 
 
-def test_recording_ends_and_begins_by_command_without_reusing_numbers(tmp_path: Path) -> None:
-    rig = Rig(tmp_path)
+@pytest.mark.parametrize("together", [1, 2, 3, 7])
+def test_scans_finished_together_are_all_recorded_and_offered_in_order(tmp_path: Path, together: int) -> None:
+    link = FakeLink()
+    rig = Rig(tmp_path, link=link, together=together)
+    rig.logger.run(lambda: len(rig.sampler.numbers) == 100)
+    assert link.scans == list(range(100))
+    assert link.served == [*range(together, 100, together), 100], "the rest is handed over at the end"
+    assert [b - a for a, b in zip(rig.sampler.starts, rig.sampler.starts[1:], strict=False)] == [50_000_000] * 99
+    recording = read_recording(tmp_path / "s1")
+    assert [(s.number, s.values["accel_x"]) for s in recording.scans()] == [(n, n) for n in range(100)]
+    assert verify(tmp_path / "s1").ok
+
+
+class Switch:
+    """An uplink over which one command comes at a time, and a downlink that carries its answer."""
+
+    def __init__(self) -> None:
+        self.asked: list[int] = []
+        self.answered: list[int] = []
+        self._waiting = 0
+
+    def service(self, now_ns: int, control: Control) -> None:
+        self._waiting += len(self.asked)
+        self.asked.clear()
+
+    def answer(self, now_ns: int) -> None:
+        if self._waiting:
+            self.answered.append(now_ns)
+            self._waiting = 0
+
+
+def test_an_answer_leaves_in_the_same_turn_of_the_link(tmp_path: Path) -> None:
+    link, uplink = FakeLink(), Switch()
+    rig = Rig(tmp_path, link=link, together=2)
+    link.service = uplink.answer  # type: ignore[method-assign]
+    rig.logger.connect(link, uplink)
+
+    def stop() -> bool:
+        if len(rig.sampler.numbers) == 40 and not uplink.answered:
+            uplink.asked.append(40)
+        return len(rig.sampler.numbers) == 44
+
+    rig.logger.run(stop)
+    assert uplink.answered == [rig.sampler.starts[41] + 2_000_000]
+
+
+@pytest.mark.parametrize("together", [1, 3])
+def test_recording_ends_and_begins_by_command_without_reusing_numbers(tmp_path: Path, together: int) -> None:
+    rig = Rig(tmp_path, together=together)
 
     def stop() -> bool:
         n = len(rig.sampler.numbers)
@@ -215,13 +272,14 @@ def test_recording_ends_and_begins_by_command_without_reusing_numbers(tmp_path: 
     assert verify(tmp_path / "s2").ok
 
 
-def test_a_programming_fault_still_ends_the_recording_in_order(tmp_path: Path) -> None:
+@pytest.mark.parametrize("together", [1, 3])
+def test_a_programming_fault_still_ends_the_recording_in_order(tmp_path: Path, together: int) -> None:
     def fails(number: int) -> int:
         if number == 50:
             raise ZeroDivisionError
         return 0
 
-    rig = Rig(tmp_path, duration_ns=fails)
+    rig = Rig(tmp_path, duration_ns=fails, together=together)
     with pytest.raises(ZeroDivisionError):
         rig.logger.run(rig.until(10))
     assert read_recording(tmp_path / "s1").numbers == list(range(50))

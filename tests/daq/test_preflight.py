@@ -14,11 +14,12 @@ from daq.contract.scan import GroupStatus, Scan, SensorState
 from daq.health import GroupHealth, HealthSummary
 from daq.preflight import Preflight, RadioReport, Verdict, run_preflight
 from daq.recorder_config import RecorderConfig
-from daq.sampler import EventMark
+from daq.sampler import EventMark, UnfinishedScan
 from daq.sensors.config import ImuConfig, SensorsConfig
 from daq.service.radio_probe import listen
 from daq.service.run import PreflightRefusal, _opening
 from daq.storage import RealStorage
+from daq.supervisor import Outcome
 from tests.daq.synthetic import START_UTC_NS, FaultyStorage
 
 GOOD_RADIO = RadioReport(-60, -100, -65, -100, 95)
@@ -34,10 +35,14 @@ class Sensors:
     def start(self) -> HealthSummary:
         return self.health()
 
-    def scan(self, number: int, deadline_ns: int) -> Scan:
+    def take(self, number: int, deadline_ns: int) -> UnfinishedScan:
         now = self._clock.monotonic_ns()
         utc = START_UTC_NS + now if self._accuracy else 0
-        return Scan(number, now, utc, self._accuracy, 0, {g: GroupStatus(s) for g, (s, _) in self._states.items()}, {})
+        outcomes = {g: Outcome(s) for g, (s, _) in self._states.items()}
+        return UnfinishedScan(number, now, utc, self._accuracy, 0, outcomes)
+
+    def finish(self, taken: UnfinishedScan) -> Scan:
+        return Scan(*taken[:5], {g: GroupStatus(o.state) for g, o in taken.outcomes.items()}, {})
 
     def health(self) -> HealthSummary:
         groups = tuple(

@@ -357,7 +357,7 @@ def test_audit_finds_a_chip_that_lost_its_settings_but_goes_on_talking() -> None
         seen = []
         for _ in range(scans):
             clock.advance(50_000_000)
-            seen.append(sampler.scan(0, clock.monotonic_ns()).groups["thrust"].state)
+            seen.append(sampler.finish(sampler.take(0, clock.monotonic_ns())).groups["thrust"].state)
         return seen
 
     sampler.start()

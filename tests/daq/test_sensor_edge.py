@@ -78,7 +78,7 @@ def test_real_bus_class_fits_the_protocol_and_its_calls() -> None:
     try:
         sampler = Sampler(cdfp_sensors().model_copy(update={"gnss": None}), bus, None, SimulatedClock())
         health = sampler.start()
-        scan = sampler.scan(1, 0)
+        scan = sampler.finish(sampler.take(1, 0))
     finally:
         bus.close()
     assert all("Inappropriate ioctl" in g.detail for g in health.failing if g.group not in ("attitude", "mag"))
@@ -202,7 +202,7 @@ def test_laboratory_adds_a_sensor_by_one_file_and_one_row(root: Path, tmp_path: 
         )
         sampler = Sampler(config, FakeBus({{0x41: chip}}), None, SimulatedClock())
         print(sampler.start().words)
-        scan = decode_scan(encode_scan(sampler.scan(5, 0)))
+        scan = decode_scan(encode_scan(sampler.finish(sampler.take(5, 0))))
         print(scan.groups["humidity"].state.words, hex(scan.values["humidity"]))
         """,
         root,

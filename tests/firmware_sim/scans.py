@@ -37,7 +37,7 @@ def standing(
     while clock.monotonic_ns() < duration_s * 1e9:
         deadline = start + (len(scans) + 1) * period
         clock.sleep_until(deadline)
-        scans.append(sampler.scan(len(scans), deadline))
+        scans.append(sampler.finish(sampler.take(len(scans), deadline)))
     return scans, aircraft, sampler
 
 

@@ -112,6 +112,22 @@ def test_truth_between_grid_points_is_straight_and_headings_go_the_short_way(tmp
             assert math.remainder(psi - (math.pi - 0.1 + 0.4 * time), 2.0 * math.pi) == pytest.approx(0.0, abs=1e-9)
 
 
+def test_scans_do_not_depend_on_how_many_are_finished_together(tmp_path: Path) -> None:
+    faults = [
+        {"kind": "nack", "device": "analog_a", "probability": 0.2, "start_s": 1.0, "stop_s": 3.0},
+        {"kind": "power_dip", "start_s": 4.0, "stop_s": 4.02},
+    ]
+    made = []
+    for hand_over_s in (0.0, 0.1, 0.25):
+        scenario = short_flight(8.0, faults=faults, logger={"scan": {"hand_over_s": hand_over_s}})
+        with prepare_flight(scenario, tmp_path / str(hand_over_s)) as flight:
+            assert flight.config.scan.together == round(20 * hand_over_s) or hand_over_s == 0.0
+            flight.run()
+        made.append(list(read_recording(tmp_path / str(hand_over_s) / "onboard").scans()))
+    assert any(scan.groups["imu"].state is SensorState.FAULT for scan in made[0])
+    assert made[0] == made[1] == made[2]
+
+
 def test_same_seed_same_scans_whatever_the_ground_does(tmp_path: Path) -> None:
     made = []
     for name, listens, seed in (("a", True, 3), ("b", False, 3), ("c", True, 4)):
