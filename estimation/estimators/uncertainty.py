@@ -32,6 +32,7 @@ COLLINEAR = 0.95  # correlation from which two estimates are called collinear
 LISTED = 0.9
 TIED = 1e-3  # share in a direction the data does not see, in scaled coordinates
 USEFUL = 0.3  # a bound wider than this part of what is believed tells nothing new
+BEYOND_DOUBT = 0.2  # but five bounds from zero is told, however small it was believed to be
 STILL = 3.0  # an input that moves less than this many noise levels has not moved
 
 
@@ -257,10 +258,11 @@ def _why_not(
 
 
 def _useful_bound(parameter: Parameter, value: float) -> float:
+    found = BEYOND_DOUBT * abs(value)
     if parameter.reference:
-        return USEFUL * abs(parameter.reference)
+        return max(USEFUL * abs(parameter.reference), found)
     if parameter.reference_std is not None:
-        return parameter.reference_std
+        return max(parameter.reference_std, found)
     return np.inf if parameter.reference == 0.0 else max(abs(value), 1e-12)
 
 

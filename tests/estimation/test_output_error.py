@@ -1,6 +1,7 @@
 """Output error against truth, an independent optimiser, and the cases that break estimators."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -370,6 +371,19 @@ def test_tied_parameters_are_not_inverted_silently(made_flights: list[Flight]) -
     tied = {n for n, e in result.parameters.items() if "tied exactly" in e.why}
     assert {"bias_beta", "Cl_0"} <= tied <= {"bias_beta", "CY_0", "Cl_0", "Cn_0"}
     assert result.parameters["Cl_p"].identifiable
+
+
+def test_what_is_five_bounds_from_zero_is_told_however_small_it_was_believed_to_be() -> None:
+    """Beliefs a hundred times too small, and noisy sensors: strong derivatives are told, vague ones are not."""
+    noise = {name: 8.0 * sigma for name, sigma in NOISE.items()}
+    flight = fly(Case(noise=noise), np.random.default_rng(6))[0][0]
+    beliefs = [replace(p, reference=0.01 * p.reference if p.reference else p.reference) for p in LATERAL.parameters]
+    result = output_error(replace(LATERAL, parameters=tuple(beliefs)), flight)
+    told = {n for n, e in result.parameters.items() if e.reference and e.identifiable}
+    for name in told:
+        assert 0.3 * 0.01 * abs(TRUE[name]) < result.std_coloured[name] <= 0.2 * abs(result.values[name])
+    assert {"CY_beta", "CY_dr", "Cl_beta", "Cl_p", "Cl_da", "Cn_beta", "Cn_r", "Cn_dr"} <= told
+    assert not told & {"CY_p", "CY_r"}
 
 
 def test_a_still_rudder_is_said_to_be_still() -> None:
