@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from groundstation.flight import Flight, Provenance
+from groundstation.plausibility import suspicions
 from groundstation.quality import Finding, quality_report, worst
 
 Columns = dict[str, np.ndarray]
@@ -148,6 +149,34 @@ def test_implausible_values(sound: Columns) -> None:
     for axis in ("ax", "ay", "az"):
         sound[axis] = sound[axis] / 9.80665
     assert finding(build(sound), "plausible values").verdict == "fail"
+
+
+def test_a_jet_at_cruise_is_plausible() -> None:
+    n, rho, V = 200, 0.365, 230.0
+    level = {
+        "ax": 0.3,
+        "ay": 0.0,
+        "az": -9.8,
+        "V": V,
+        "rho": rho,
+        "p_dynamic": 0.5 * rho * V**2,
+        "vn": V,
+        "ve": 0.0,
+        "vd": 0.0,
+    }
+    height = {
+        "p_static": 22_700.0,
+        "temperature": 217.0,
+        "altitude": 11_000.0,
+        "altitude_gnss": 11_050.0,
+        "thrust": 60_000.0,
+    }
+    columns = {name: np.full(n, value) for name, value in {**level, **height}.items()}
+    assert suspicions(np.arange(n) / 20, columns) == []
+    assert finding(build({"time": np.arange(n) / 20, **columns}), "plausible values").verdict == "ok"
+    for name, factor in (("p_static", 1e-2), ("altitude", 1 / 0.3048), ("rho", 1e3), ("az", -1.0)):
+        (words,) = suspicions(np.arange(n) / 20, {**columns, name: factor * columns[name]})
+        assert words.startswith(f"{name}: ")
 
 
 def test_extrapolated_calibration(sound: Columns) -> None:
