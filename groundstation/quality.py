@@ -284,10 +284,15 @@ def noise_level(flight: Flight) -> Finding:
     )
 
 
+_STILL_DEG = 0.1  # rms of a control that moves less than this tells nothing
+_MOVED = 10.0  # rms movement, in noise levels, that counts though it stays within 1 deg
+
+
 def excitation(flight: Flight) -> Finding:
     """Whether the controls were moved enough, and independently, for their derivatives to be told.
 
-    Warns for a control that stays within 1 deg of trim, and for two that move in proportion (correlation beyond 0.9).
+    Warns for a control that stays within 1 deg of trim and moves by less than ten times its noise (a large aeroplane
+    answers to half a degree), and for two that move in proportion (correlation beyond 0.9).
     """
     present = [c for c in CONTROLS if flight.measured(c)]
     if not present:
@@ -298,7 +303,7 @@ def excitation(flight: Flight) -> Finding:
         moves = [m for m in found if name in m.controls]
         rms = float(np.nanstd(flight[name])) * _DEG
         told.append(f"{name} {len(moves)} manoeuvres, {rms:.2g} deg rms")
-        if not moves:
+        if not moves and rms < max(_STILL_DEG, _MOVED * _DEG * (noise(flight[name]) or 0.0)):
             words.append(f"{name} is hardly moved ({rms:.2g} deg rms): its derivatives cannot be told from this flight")
     for first, second in ((a, b) for i, a in enumerate(present) for b in present[i + 1 :]):
         both = np.isfinite(flight[first]) & np.isfinite(flight[second])

@@ -76,7 +76,7 @@ class Prediction:
 
 def predicted_bounds(flight: Flight, aircraft: Aircraft) -> tuple[Prediction, ...]:
     """Predicted bounds of the `lateral` and `longitudinal` derivatives; never raises for what a flight lacks."""
-    return tuple(_prediction(load_model(name, aircraft), flight) for name in ("lateral", "longitudinal"))
+    return tuple(_prediction(load_model(name, aircraft), flight, aircraft.name) for name in ("lateral", "longitudinal"))
 
 
 def excitation_findings(predictions: Sequence[Prediction]) -> tuple[Finding, ...]:
@@ -109,7 +109,7 @@ def _size(bound: PredictedBound) -> str:
     return f"+-{bound.relative:.2g} of it" if bound.relative is not None else f"+-{bound.bound:.1g}"
 
 
-def _prediction(model: Model, flight: Flight) -> Prediction:
+def _prediction(model: Model, flight: Flight, aircraft: str) -> Prediction:
     try:
         data = prepare(model, flight)
     except (MissingColumnError, DataError) as error:
@@ -119,7 +119,11 @@ def _prediction(model: Model, flight: Flight) -> Prediction:
         if moved <= max(STILL * level, 1e-12):
             why = f"{ELEVATOR} moved only {math.degrees(moved):.2g} deg rms; would tell it: {_ELEVATOR}"
             return Prediction(model.name, (), why)
-    covariance, undetermined = _covariance(model, data, _output_noise(model, flight))
+    found = _covariance(model, data, _output_noise(model, flight))
+    if found is None:
+        why = f"motion by the derivatives believed of {aircraft} leaves the measured one within a second; is it this aircraft?"
+        return Prediction(model.name, (), f"{why} Name another by --aircraft")
+    covariance, undetermined = found
     names = model.free_names
     prior = np.array([model.parameter(n).start for n in names])
     widened = covariance * USUAL_WIDENING**2
@@ -156,9 +160,15 @@ def _stated_noise(flight: Flight) -> dict[str, float]:
     return {str(k): float(v) for k, v in stated.items()} if isinstance(stated, dict) else {}
 
 
-def _covariance(model: Model, data: FlightData, sigma: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """(n, n) Cramer-Rao bound and which derivatives the data does not see, at the prior; initial states taken out."""
-    data, by_parameter, by_state = _staying_near(model, data, sigma)
+def _covariance(model: Model, data: FlightData, sigma: Array) -> tuple[Array, NDArray[np.bool_]] | None:
+    """(n, n) Cramer-Rao bound and which derivatives the data does not see, at the prior; initial states taken out.
+
+    None where the prior motion does not stay in the flight: it is another aircraft's.
+    """
+    near = _staying_near(model, data, sigma)
+    if near is None:
+        return None
+    data, by_parameter, by_state = near
     n, nx = by_parameter.shape[2], by_state.shape[2]
     information = np.zeros((n, n))
     for s in data.segments:
@@ -173,18 +183,17 @@ def _covariance(model: Model, data: FlightData, sigma: Array) -> tuple[Array, ND
     return covariance, undetermined
 
 
-def _staying_near(model: Model, data: FlightData, sigma: Array) -> tuple[FlightData, Array, Array]:
-    """The flight and its sensitivities, cut into the longest pieces over which the prior motion stays in it.
+def _staying_near(model: Model, data: FlightData, sigma: Array) -> tuple[FlightData, Array, Array] | None:
+    """The flight and its sensitivities, cut into the longest pieces over which the prior motion stays in it, if any.
 
     Sensitivities along a motion that has run away promise bounds no flight could give.
     """
-    tried = data
     for seconds in (None, *PIECES):
         tried = data if seconds is None else cut(data, seconds)
         y, by_parameter, by_state = simulate_with_sensitivities(model, tried)
         if _near(y, tried, sigma):
-            break
-    return tried, by_parameter, by_state
+            return tried, by_parameter, by_state
+    return None
 
 
 def _near(y: Array, data: FlightData, sigma: Array) -> bool:

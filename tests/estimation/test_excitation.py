@@ -78,6 +78,16 @@ def test_a_flight_without_a_rudder_column_gets_a_sentence(ordinary: Flight) -> N
     assert "delta_r" in excitation_findings([first])[0].text
 
 
+def test_beliefs_of_another_aircraft_are_not_used_to_judge(ordinary: Flight) -> None:
+    own = load_aircraft()
+    heavy = replace(own, name="heavy", mass=7500.0, area=31.0, chord=2.4, Iyy=94_000.0)
+    _, longitudinal = predicted_bounds(ordinary, heavy)
+    assert not longitudinal.bounds
+    assert "believed of heavy leaves the measured one" in longitudinal.why
+    assert "--aircraft" in excitation_findings([longitudinal])[0].text
+    assert predicted_bounds(ordinary, own)[1].bounds
+
+
 def test_check_prints_and_writes_the_verdicts(tmp_path: Path) -> None:
     target = tmp_path / "c.json"
     flight = str(RECORDINGS / "cdfp_ld1.mcap")

@@ -208,10 +208,16 @@ def test_noise_against_the_sensor(sound: Columns, rng: np.random.Generator) -> N
     assert finding(build(sound, sensor_noise={"ay": 0.4}), "noise").verdict == "ok"
 
 
-def test_excitation(sound: Columns) -> None:
+def test_excitation(sound: Columns, rng: np.random.Generator) -> None:
     assert "delta_a 2 manoeuvres" in finding(build(sound), "excitation").text
     still = {**sound, "delta_r": 0.002 * np.sin(sound["time"])}
     assert "delta_r is hardly moved" in finding(build(still), "excitation").text
+    small = 0.008 * np.sign(np.sin(2.0 * sound["time"])) + 2e-4 * rng.standard_normal(800)
+    assert finding(build({**sound, "delta_e": small}), "excitation").verdict == "ok", (
+        "half a degree moves a large aeroplane"
+    )
+    coarse = small + 2e-3 * rng.standard_normal(800)
+    assert "delta_e is hardly moved" in finding(build({**sound, "delta_e": coarse}), "excitation").text
     tied = {**sound, "delta_r": 0.5 * sound["delta_a"]}
     assert "move together (correlation +1.00)" in finding(build(tied), "excitation").text
     none = {k: v for k, v in sound.items() if not k.startswith(("delta", "cmd"))}
