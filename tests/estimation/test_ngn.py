@@ -1,6 +1,7 @@
 """Neural Gauss-Newton: exact derivatives, the truth within the stated figures, flights with holes, same seed same bits."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ import torch
 
 from estimation.aircraft import load_aircraft
 from estimation.errors import DataError, EstimationError
+from estimation.estimators.gauss_newton import Status
 from estimation.estimators.neural_gauss_newton import NgnOptions, estimate_campaign, estimate_ngn, training
 from estimation.estimators.neural_gauss_newton.axes import LateralAxis, LongitudinalAxis
 from estimation.estimators.neural_gauss_newton.device import usable_device
@@ -21,13 +23,14 @@ from estimation.estimators.neural_gauss_newton.network import (
 )
 from estimation.estimators.neural_gauss_newton.options import default_options
 from estimation.estimators.neural_gauss_newton.samples import stretches, window_mean
+from estimation.estimators.neural_gauss_newton.solve import Problem
 from estimation.estimators.neural_gauss_newton.training import Job, TrainingOptions, mean_square, train_jobs
 from estimation.laboratory import joint_model
 from estimation.models import load_model
 from firmware_sim.aerodynamics import true_derivatives
 from firmware_sim.direct import direct_flights
 from firmware_sim.scenario import load_scenario
-from groundstation.flight import Flight, MissingColumnError
+from groundstation.flight import Flight, MissingColumnError, read_flight
 from tests.estimation.truth import IXX, IXZ, IYY, IZZ, NOISE, STRONG, TRUE, Case, fly
 
 AIRCRAFT = load_aircraft("cdfp")
@@ -186,6 +189,31 @@ def test_longitudinal_forms_find_lift_drag_and_pitch(improved, allowed):
     for name in ("CL_alpha", "CD_0", "CD_k", "Cm_alpha", "Cm_q", "Cm_de"):
         mean = np.mean([r.parameters[name].estimate for r in each])
         assert abs(mean / truth[name] - 1) < allowed, name
+
+
+@pytest.fixture(scope="module")
+def ordinary():
+    return read_flight(Path(__file__).parents[2] / "recordings/foreign/ordinary_0.csv")
+
+
+def published_longitudinal(flight, factor):
+    """The published form with beliefs of which all are `factor` times those of the aircraft."""
+    beliefs = {n: replace(d, value=factor * d.value) for n, d in AIRCRAFT.derivatives.items()}
+    believed = replace(AIRCRAFT, derivatives=beliefs)
+    return estimate_ngn(believed, flight, model=load_model("longitudinal", believed), bootstraps=0)
+
+
+@pytest.mark.parametrize("factor", [-1.0, 0.1, 30.0])
+def test_beliefs_of_another_aircraft_do_not_change_the_estimates(ordinary, factor):
+    right, found = published_longitudinal(ordinary, 1.0), published_longitudinal(ordinary, factor)
+    assert found.status.usable
+    for name, value in right.values.items():
+        assert found.values[name] == pytest.approx(value, abs=1e-3 * right.std[name])
+
+
+def test_an_end_where_the_network_predicts_nothing_is_not_called_converged(ordinary, monkeypatch):
+    monkeypatch.setattr(Problem, "regression", property(lambda self: self.unknowns.start))
+    assert published_longitudinal(ordinary, 30.0).status is Status.STALLED
 
 
 def test_honest_spread_is_wider_than_the_bound_of_a_frozen_network():

@@ -8,6 +8,7 @@ gets depends on its rows and the seed alone, not on the company it is in (but fo
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -21,6 +22,7 @@ from estimation.estimators.neural_gauss_newton.frozen import (
     Regressors,
     fit_parameters,
     fit_with_instruments,
+    variance,
 )
 from estimation.estimators.neural_gauss_newton.network import Shape, initial_weights
 from estimation.estimators.neural_gauss_newton.options import NgnOptions
@@ -76,11 +78,34 @@ class Problem:
 
         return predict
 
+    @cached_property
+    def regression(self) -> Array:
+        """(n,) parameters with which the model's coefficients come nearest to the measured ones.
+
+        A network knows nothing of coefficients unlike those of the flight: from beliefs of another aircraft there is no way
+        back to them.
+        """
+
+        def coefficients(theta: Array) -> tuple[list[Array], list[Array]]:
+            residuals, slopes = [], []
+            for stretch, flight, own in zip(self.rows.stretches, self.rows.flight, self.smooth, strict=True):
+                model, d_theta = own(self.unknowns.of_flight(flight, theta))
+                residuals.append(stretch.u[:, -model.shape[1] :] - model)
+                slopes.append(self.unknowns.scatter(flight, d_theta))
+            return residuals, slopes
+
+        return fit_parameters(coefficients, self.unknowns.size, self.counts, start=self.unknowns.start).theta
+
+    def error(self, predict: Predict, theta: Array) -> float:
+        """Sum of the logarithms of the outputs' mean squared prediction errors."""
+        return float(np.log(variance(predict(theta)[0], [np.ones(n) for n in self.counts])).sum())
+
     def fit(self, weights: torch.Tensor) -> FrozenFit:
         """Gauss-Newton with one frozen network; in the improved form from there to the root with instruments."""
         frozen = Frozen(self.shape, weights, self.rows.standard)
         smooth = self.predict(frozen, self.smooth)
-        found = fit_parameters(smooth, self.unknowns.size, self.counts, start=self.unknowns.start)
+        start = min((self.unknowns.start, self.regression), key=lambda theta: self.error(smooth, theta))
+        found = fit_parameters(smooth, self.unknowns.size, self.counts, start=start)
         if not self.instruments:
             return found
         return fit_with_instruments(
