@@ -87,7 +87,7 @@ class FileFormat(_Table):
     names: tuple[str, ...] = ()
     delimiter: str | None = None
     decimal: Literal[".", ","] | None = None
-    header_line: Annotated[int, Field(ge=1)] = 1
+    header_line: Annotated[int, Field(ge=1)] | None = None
     skip_after_header: Annotated[int, Field(ge=0)] = 0
 
 

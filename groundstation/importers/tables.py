@@ -22,6 +22,9 @@ Array = NDArray[np.float64]
 WORDS_AMONG_NUMBERS = 0.1
 """A column with a larger share of cells that are no numbers is one of words."""
 
+_ALIKE = 4  # lines below the column names that must have as many cells
+_LONGEST_PREAMBLE = 200
+
 _DECIMAL_COMMA = re.compile(r"^\s*[-+]?\d*,\d+(e[-+]?\d+)?\s*$", re.IGNORECASE)
 _DECIMAL_POINT = re.compile(r"^\s*[-+]?\d*\.\d+(e[-+]?\d+)?\s*$", re.IGNORECASE)
 _HEADER_UNIT = re.compile(r"^\s*(?P<name>[^\[\](]+?)\s*[\[(]\s*(?P<unit>[^\])]*)\s*[\])]\s*$")
@@ -44,11 +47,12 @@ def read_table(path: Path, layout: FileFormat) -> Table:
 
 def _read_csv(path: Path, layout: FileFormat) -> Table:
     lines = [line for line in _text(path).splitlines() if line.strip() and not line.lstrip().startswith("#")]
-    lines = lines[layout.header_line - 1 :]
+    above = _lines_above_header(lines, layout) if layout.header_line is None else layout.header_line - 1
+    lines = lines[above:]
     if len(lines) < 2:
         raise ImportDataError(f"{path}: no table with a header line and rows in it")
     delimiter = layout.delimiter or _delimiter(lines[0])
-    rows = [line.split() for line in lines] if delimiter == " " else list(csv.reader(lines, delimiter=delimiter))
+    rows = _cells(lines, delimiter)
     if layout.names:
         rows.insert(0, list(layout.names))
     header = [h.strip() for h in rows[0]]
@@ -57,14 +61,17 @@ def _read_csv(path: Path, layout: FileFormat) -> Table:
     units = _unit_row(header, body[0]) if body else {}
     if units:
         body = body[1:]
-    first = layout.header_line + 1 + layout.skip_after_header + bool(units)
+    first = above + 2 + layout.skip_after_header + bool(units)
     for number, row in enumerate(body, start=first):
         if len(row) != len(header):
-            raise ImportDataError(f"{path}: table line {number} has {len(row)} cells, the header has {len(header)}")
+            raise ImportDataError(
+                f"{path}: table line {number} has {len(row)} cells, the header has {len(header)}; if the column names stand "
+                "further down, say in which line in a mapping file: [file] header_line"
+            )
     decimal = layout.decimal or _decimal(delimiter, body)
     numeric: dict[str, Array] = {}
     words: dict[str, list[str]] = {}
-    notes = []
+    notes = [f"{above} lines above the column names passed over"] if above and layout.header_line is None else []
     for i, name in enumerate(header):
         if not name:
             continue
@@ -80,6 +87,27 @@ def _read_csv(path: Path, layout: FileFormat) -> Table:
                 f"{first + wrong[0]}) taken as not measured"
             )
     return Table(numeric, words, units, tuple(notes))
+
+
+def _lines_above_header(lines: list[str], layout: FileFormat) -> int:
+    """How many lines stand above the column names: the first line of words only that has as many cells as the lines below and
+    the last one, among which are numbers. 0 where there is none."""
+    if layout.names:
+        return 0
+    for i in range(min(len(lines) - _ALIKE, _LONGEST_PREAMBLE)):
+        delimiter = layout.delimiter or _delimiter(lines[i])
+        names, *rows = _cells([*lines[i : i + 1 + _ALIKE], lines[-1]], delimiter)
+        if any(len(row) != len(names) for row in rows) or len(names) < 2 or all(find_unit(name) for name in names):
+            continue
+        decimal = layout.decimal or _decimal(delimiter, rows)
+        worded = len(_numbers(names, decimal)[1]) == sum(1 for name in names if name.strip())
+        if worded and any(len(_numbers(row, decimal)[1]) < len(row) for row in rows[_ALIKE - 1 :]):
+            return i
+    return 0
+
+
+def _cells(lines: list[str], delimiter: str) -> list[list[str]]:
+    return [line.split() for line in lines] if delimiter == " " else list(csv.reader(lines, delimiter=delimiter))
 
 
 def _text(path: Path) -> str:

@@ -221,6 +221,39 @@ def test_layouts_that_need_no_mapping(tmp_path: Path, flown: Columns, layout: st
         np.testing.assert_allclose(flight[name], flown[name], rtol=1e-12, atol=1e-12)
 
 
+@pytest.mark.parametrize("layout", ["commas", "semicolons", "blanks and units"])
+def test_lines_above_the_column_names_are_passed_over_and_counted(tmp_path: Path, flown: Columns, layout: str) -> None:
+    chosen = {n: flown[n] for n in ("time", "phi", "p", "r", "V")}
+    text = write_csv(tmp_path / "plain.csv", chosen).read_text()
+    preamble = [
+        "Date file: /data/flight_10.cdf",
+        "4 variables plus time, values each",
+        "",
+        "Aircraft, X-1, Pilot, N.N.",
+        "Mass, 3.5",
+    ]
+    if layout == "semicolons":
+        text = text.replace(",", ";")
+    if layout == "blanks and units":
+        names, rest = text.split("\n", 1)
+        text = "\n".join([names.replace(",", "  "), "S   RAD  RAD/S  RAD/S  M/S", "", rest.replace(",", "  ")])
+    path = tmp_path / "log.asc"
+    path.write_text("\n".join([*preamble, text]))
+    flight = import_data(path)
+    assert "4 lines above the column names passed over" in flight.notes
+    for name, values in chosen.items():
+        assert np.array_equal(flight.time if name == "time" else flight[name], values)
+
+
+def test_a_broken_row_is_not_taken_for_a_preamble(tmp_path: Path, flown: Columns) -> None:
+    lines = write_csv(tmp_path / "log.csv", {n: flown[n] for n in ("time", "phi", "p")}).read_text().splitlines()
+    lines[2] = lines[2].rpartition(",")[0]
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join(lines))
+    with pytest.raises(ImportDataError, match=r"table line 3 has 2 cells, the header has 3; .*header_line"):
+        import_data(path)
+
+
 def test_words_among_numbers_are_not_measured_and_named(tmp_path: Path, flown: Columns) -> None:
     lines = write_csv(tmp_path / "log.csv", {"time": flown["time"], "beta": flown["beta"]}).read_text().splitlines()
     lines[60], lines[61] = lines[60].split(",")[0] + ",ERR", lines[61].split(",")[0] + ",inf"
