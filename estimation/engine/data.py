@@ -9,7 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
 
+from daq.contract.channels import COLUMN_BY_NAME
 from estimation.engine.kernel import Array
 from estimation.engine.plausible import refuse_impossible, stuck
 from estimation.errors import DataError
@@ -23,6 +25,8 @@ FLAT = 1e-12
 DRAWS = 24  # of what may still be wrong with the inputs
 DRAWN = 200_000  # samples times draws: long flights need fewer, for they average over time
 FEWEST_DRAWS = 12
+FLYING = 5.0  # m/s; slower than this a pitot tube says nothing of density
+SLOW = 10.0  # s over which density hardly changes
 SEED = 20  # of the draws: the same flight gives the same bound
 
 
@@ -144,10 +148,8 @@ def _pieces(flight: Flight, inputs: Sequence[Signal], notes: list[str]) -> list[
     """Index ranges without a gap, a segment border or a long hole in an input."""
     usable = np.ones(len(flight), bool)
     for signal in inputs:
-        sources = (
-            [signal.source] if signal.source in flight.columns else list(DERIVED.get(signal.source, ([], None))[0])
-        )
-        for source in sources:
+        way = None if signal.source in flight.columns else _way(flight, signal.source)
+        for source in way.needs if way else (signal.source,):
             if source not in flight.columns:
                 continue
             holes = _long_holes(~np.isfinite(flight[source]), flight.segment)
@@ -335,17 +337,44 @@ def slope(time: Array, values: Array) -> Array:
     return np.gradient(denoise(_bridged(values), order=2).values, time)
 
 
+@dataclass(frozen=True)
+class Way:
+    """How a column is made where the flight lacks it. build: function of time (N,) and of each needed column (N,)."""
+
+    needs: tuple[str, ...]
+    build: Callable[..., Array]
+
+
+def _way(flight: Flight, name: str) -> Way | None:
+    """The first way to make a column of which the flight has all that it needs."""
+    return next((w for w in DERIVED.get(name, ()) if all(flight.measured(n) for n in w.needs)), None)
+
+
 def _derived(flight: Flight, name: str, pieces: list[tuple[int, int]], notes: list[str]) -> Array:
-    needs, build = DERIVED[name]
-    source = next((n for n in needs if flight.measured(n)), None)
-    if source is None:
-        flight.require([name], f"this model (or {' or '.join(needs)} to derive it from)")
+    way = _way(flight, name)
+    if way is None:
+        ways = " or ".join(" and ".join(w.needs) for w in DERIVED[name])
+        flight.require([name], f"this model (or {ways} to derive it from)")
         raise DataError(f"{flight.name}: {name} is not measured")
     result = np.full(len(flight), np.nan)
     for a, b in pieces:
-        result[a:b] = build(flight.time[a:b], flight[source][a:b])
-    notes.append(f"{name} derived from {source}")
+        result[a:b] = way.build(flight.time[a:b], *(flight[n][a:b] for n in way.needs))
+    origin = " and ".join(way.needs)
+    _refuse_impossible_result(flight, name, origin, result)
+    notes.append(f"{name} derived from {origin}")
     return result
+
+
+def _refuse_impossible_result(flight: Flight, name: str, origin: str, values: Array) -> None:
+    if name not in COLUMN_BY_NAME or not np.isfinite(values).any():
+        return
+    low, high = COLUMN_BY_NAME[name].plausible
+    middle = float(np.nanmedian(values))
+    if not low <= middle <= high:
+        raise DataError(
+            f"{flight.name}: {name} derived from {origin} would be {middle:.3g} {COLUMN_BY_NAME[name].unit}, outside {low:g} to "
+            f"{high:g}; check their units, or add the column {name}"
+        )
 
 
 def _standard_density(time: Array, altitude: Array) -> Array:
@@ -353,8 +382,22 @@ def _standard_density(time: Array, altitude: Array) -> Array:
     return 1.225 * (1.0 - 2.25577e-5 * _bridged(altitude)) ** 4.25588
 
 
-DERIVED: Mapping[str, tuple[tuple[str, ...], Callable[[Array, Array], Array]]] = {
-    **{f"{name}_dot": ((name,), slope) for name in ("V", "alpha", "beta", "p", "q", "r", "phi", "theta", "psi")},
-    "rho": (("altitude",), _standard_density),
+def _density_of_air_data(time: Array, p_dynamic: Array, V: Array) -> Array:
+    """Density [kg/m3] from dynamic pressure [Pa] and true airspeed [m/s], rho = 2 p_dynamic / V^2, both averaged over `SLOW` s:
+    density changes slowly, and what noise is left would act like noise of the airspeed. Below `FLYING` the median of the rest."""
+    width = min(max(1, round(SLOW / float(np.median(np.diff(time))))), time.size)
+    columns = (_bridged(p_dynamic), _bridged(V**2), np.ones(time.size))
+    # with zeros beyond the ends, which cancel: the mean there is over what there is
+    pressure, square, share = (uniform_filter1d(c, width, mode="constant") for c in columns)
+    flying = square > FLYING**2 * share
+    if not flying.any():
+        return np.full(time.size, np.nan)
+    density = 2.0 * pressure / np.maximum(square, FLYING**2 * share)
+    return np.where(flying, density, np.median(density[flying]))
+
+
+DERIVED: Mapping[str, tuple[Way, ...]] = {
+    **{f"{n}_dot": (Way((n,), slope),) for n in ("V", "alpha", "beta", "p", "q", "r", "phi", "theta", "psi")},
+    "rho": (Way(("p_dynamic", "V"), _density_of_air_data), Way(("altitude",), _standard_density)),
 }
-"""Columns that are made from another one where the flight lacks them: name -> (sources, function of time and source)."""
+"""Columns that are made from others where the flight lacks them, the best way first."""

@@ -17,7 +17,7 @@ from estimation.engine.plausible import stuck
 from estimation.errors import DataError, EstimationError, ModelError
 from estimation.estimators.output_error import output_error
 from estimation.models import load_model
-from groundstation.flight import Flight, read_flight, write_flight
+from groundstation.flight import Flight, MissingColumnError, read_flight, write_flight
 
 LATERAL = load_model("lateral")
 Change = Callable[[Flight], dict[str, np.ndarray]]
@@ -206,3 +206,42 @@ def test_flights_with_histories_open_in_the_viewer(made_flights: list[Flight], t
     drawn = {c for group in model_groups(shown.columns) for c in group.columns}
     assert {"beta_model", "p_model", "r_model", "phi_model", "ay_model"} <= drawn
     shutil.rmtree(tmp_path / "shown")
+
+
+def density_found(flight: Flight, **columns: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
+    """The density with which a flight without that column would be fitted, and the notes."""
+    rest = {n: v for n, v in flight.columns.items() if n not in ("rho", "altitude", "p_dynamic")}
+    data = prepare(LATERAL, Flight.build("climb", flight.time, {**rest, **columns}))
+    return np.concatenate([s.u[:, LATERAL.input_names.index("rho")] for s in data.segments]), data.notes
+
+
+def test_density_comes_from_the_air_data_before_the_standard_atmosphere(made_flights: list[Flight]) -> None:
+    flight = made_flights[0]
+    true = 0.8 - 0.04 * flight.time / flight.time[-1]
+    noise = np.random.default_rng(3).standard_normal(len(flight))
+    pitot = 0.5 * true * flight["V"] ** 2 + 2.0 * noise
+    height = np.full(len(flight), 4000.0)
+    found, notes = density_found(flight, p_dynamic=pitot, altitude=height)
+    assert np.abs(found / true - 1.0).max() < 0.01
+    assert "rho derived from p_dynamic and V" in notes
+    found, notes = density_found(flight, altitude=height)
+    assert found == pytest.approx(0.81913, abs=1e-5)  # ICAO Doc 7488, geopotential height
+    assert "rho derived from altitude" in notes
+
+
+def test_density_before_the_take_off_is_that_of_the_flight(made_flights: list[Flight]) -> None:
+    flight = made_flights[0]
+    speed = np.where(flight.time < 12.0, 1.0, flight["V"])
+    found, _ = density_found(flight, V=speed, p_dynamic=np.where(flight.time < 12.0, 30.0, 0.4 * speed**2))
+    assert found[:20] == pytest.approx(0.8, rel=0.02)
+    assert found[-20:] == pytest.approx(0.8, rel=0.001)
+
+
+def test_a_density_that_cannot_be_is_refused_with_its_origin(made_flights: list[Flight]) -> None:
+    flight = made_flights[0]
+    with pytest.raises(
+        DataError, match=r"climb: rho derived from p_dynamic and V would be 0\.0\d+ kg/m3, .*check their units"
+    ):
+        density_found(flight, p_dynamic=0.006 * flight["V"] ** 2)
+    with pytest.raises(MissingColumnError, match="p_dynamic and V or altitude to derive it from"):
+        density_found(flight)
