@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter1d
 
 from daq.contract.channels import COLUMN_BY_NAME
 from estimation.engine.kernel import Array
@@ -388,7 +387,7 @@ def _density_of_air_data(time: Array, p_dynamic: Array, V: Array) -> Array:
     width = min(max(1, round(SLOW / float(np.median(np.diff(time))))), time.size)
     columns = (_bridged(p_dynamic), _bridged(V**2), np.ones(time.size))
     # with zeros beyond the ends, which cancel: the mean there is over what there is
-    pressure, square, share = (uniform_filter1d(c, width, mode="constant") for c in columns)
+    pressure, square, share = (np.convolve(c, np.full(width, 1.0 / width), "same") for c in columns)
     flying = square > FLYING**2 * share
     if not flying.any():
         return np.full(time.size, np.nan)
