@@ -349,6 +349,13 @@ def _way(flight: Flight, name: str) -> Way | None:
     return next((w for w in DERIVED.get(name, ()) if all(flight.measured(n) for n in w.needs)), None)
 
 
+def with_derived(flight: Flight, names: Sequence[str]) -> Flight:
+    """The flight with those of the named columns added that it lacks and that can be made from others of its columns."""
+    segments = [(s.start, s.stop) for s in flight.segments]
+    lacking = [n for n in names if not flight.measured(n) and _way(flight, n) is not None]
+    return flight.with_columns(**{n: _derived(flight, n, segments, []) for n in lacking}) if lacking else flight
+
+
 def _derived(flight: Flight, name: str, pieces: list[tuple[int, int]], notes: list[str]) -> Array:
     way = _way(flight, name)
     if way is None:

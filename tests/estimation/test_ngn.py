@@ -211,6 +211,15 @@ def test_beliefs_of_another_aircraft_do_not_change_the_estimates(ordinary, facto
         assert found.values[name] == pytest.approx(value, abs=1e-3 * right.std[name])
 
 
+def test_density_is_derived_where_other_methods_derive_it(ordinary):
+    pitot = 0.5 * ordinary["rho"] * ordinary["V"] ** 2
+    columns = {n: v for n, v in ordinary.columns.items() if n not in ("rho", "altitude")}
+    without = Flight.build("no_density", ordinary.time, {**columns, "p_dynamic": pitot})
+    right, found = (estimate_ngn(AIRCRAFT, f, improved=True, bootstraps=0) for f in (ordinary, without))
+    for name in STRONG:
+        assert found.values[name] == pytest.approx(right.values[name], abs=0.05 * right.std[name])
+
+
 def test_an_end_where_the_network_predicts_nothing_is_not_called_converged(ordinary, monkeypatch):
     monkeypatch.setattr(Problem, "regression", property(lambda self: self.unknowns.start))
     assert published_longitudinal(ordinary, 30.0).status is Status.STALLED

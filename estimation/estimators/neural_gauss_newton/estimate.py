@@ -17,6 +17,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, replace
 
 from estimation.aircraft import Aircraft
+from estimation.engine.data import with_derived
 from estimation.errors import EstimationError
 from estimation.estimators.neural_gauss_newton.axes import Axis, axis_for
 from estimation.estimators.neural_gauss_newton.device import one_thread, usable_device
@@ -106,7 +107,8 @@ def _estimate(
 
 def _problem(axis: Axis, model: Model, flights: Sequence[Flight], options: NgnOptions) -> Problem:
     unknowns = Unknowns.of(model, axis, len(flights))
-    return Problem(Rows.build(axis, flights, "interval" if options.improved else "point"), unknowns, options)
+    complete = [with_derived(f, axis.columns) for f in flights]
+    return Problem(Rows.build(axis, complete, "interval" if options.improved else "point"), unknowns, options)
 
 
 def _settings(rows: Rows, options: NgnOptions) -> dict[str, object]:
