@@ -67,11 +67,9 @@ def describe(
 def _status(solution: "Solution", found: dict[str, Estimate]) -> tuple[Status, str]:
     if not np.all(np.isfinite(solution.theta)):
         return Status.DIVERGED, Status.DIVERGED.value
+    # A network that predicts no better than a mean is fed with coefficients it never saw.
     if any(float(np.log(f.R).mean()) >= 0.0 for f in solution.fits):
-        return (
-            Status.STALLED,
-            Status.STALLED.value,
-        )  # a network that predicts no better than a mean: fed with what it never saw
+        return Status.STALLED, Status.STALLED.value
     if not all(f.converged for f in solution.fits):
         return Status.LIMIT, Status.LIMIT.value
     blind = [n for n, e in found.items() if not e.identifiable]
