@@ -122,7 +122,8 @@ def assess(
 def leading(screen: Screen, gains: Array, count: int, near: float = 0.9) -> list[int]:
     """Indices of the hypotheses worth a full fit: the `count` best by linear score and what is tied to the very best.
 
-    Of those linear in their unknowns, which a full fit hardly changes, only the ones within sight of the best.
+    Of those linear in their unknowns, which a full fit hardly changes, only the ones within sight of the best. Plays always: a
+    play smaller than the noise of a surface changes nothing, so that a small step says nothing of one of usual size.
     """
     order = [int(h) for h in np.argsort(-gains)]
     least = IN_SIGHT * float(gains[order[0]])
@@ -134,7 +135,8 @@ def leading(screen: Screen, gains: Array, count: int, near: float = 0.9) -> list
     for h in order[len(chosen) :]:
         if h not in chosen and cosines[np.ix_(best, screen.span(h))].max() > near:
             chosen.append(h)
-    return chosen
+    plays = [h for h, hypothesis in enumerate(screen.hypotheses) if hypothesis.form.play and h not in chosen]
+    return [*chosen, *plays]
 
 
 def linear_gains(

@@ -78,6 +78,11 @@ class Form:
         """Whether the outputs depend on the unknowns in a way that a small step does not tell (delays, lags, plays)."""
         return bool(self.states or self.transforms or self.output_delays)
 
+    @property
+    def play(self) -> bool:
+        """Whether it is a play of a control: nothing happens until it is larger than the noise of the surface."""
+        return any(t.kind in ("backlash", "deadzone") for t in self.transforms)
+
     def obstacle(self, model: Model) -> str | None:
         """Why the form cannot be added to `model`, or None where it can."""
         known = _symbols(model)

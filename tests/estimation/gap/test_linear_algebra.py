@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 
 from estimation.gap.baseline import upper_quantile
+from estimation.gap.confirm import leading
+from estimation.gap.effects import catalogue
 from estimation.gap.result import Gap
-from estimation.gap.screen import Column, Reduced, Screen, equivalent_z
+from estimation.gap.screen import Column, Hypothesis, Reduced, Screen, equivalent_z
 from estimation.gap.select import credible_set
 from estimation.gap.whitening import NoiseModel, Shapes, Whitener, estimate_noise, spectral_matrix, whitener
 
@@ -111,3 +113,22 @@ def test_upper_quantile_is_never_below_the_samples_own() -> None:
     values = np.random.default_rng(5).gumbel(3.0, 0.3, 4000)
     assert upper_quantile(values, 0.95) >= np.quantile(values, 0.95)
     assert upper_quantile(values, 0.95) == pytest.approx(3.0 - 0.3 * np.log(-np.log(0.95)), abs=0.08)
+
+
+def test_plays_get_a_full_fit_whatever_a_small_step_says() -> None:
+    hypotheses = tuple(Hypothesis(e, f) for e in catalogue() for f in e.forms)
+    columns = tuple(Column(h, p) for h, x in enumerate(hypotheses) for p in x.form.parameters)
+    k = len(columns)
+    screen = Screen((), hypotheses, columns, (Reduced(np.eye(k + 1), k),), np.zeros((k + 1, k + 1)), (0,))
+    plays = {
+        h
+        for h, x in enumerate(hypotheses)
+        if x.effect.name in ("aileron_backlash", "rudder_backlash", "aileron_deadzone")
+    }
+    assert len(plays) == 3
+    gains = np.array([0.0 if h in plays else 100.0 - h for h in range(len(hypotheses))])
+    chosen = leading(screen, gains, 10)
+    assert plays < set(chosen)
+    assert len(chosen) == len(set(chosen)) <= 13
+    gains[list(plays)] = 200.0
+    assert sorted(leading(screen, gains, 10)[:3]) == sorted(plays), "and once only"
