@@ -219,37 +219,41 @@ def test_scans_finished_together_are_all_recorded_and_offered_in_order(tmp_path:
     assert verify(tmp_path / "s1").ok
 
 
-class Switch:
-    """An uplink over which one command comes at a time, and a downlink that carries its answer."""
+class Questions:
+    """An uplink that takes the questions of the ground."""
 
     def __init__(self) -> None:
-        self.asked: list[int] = []
-        self.answered: list[int] = []
-        self._waiting = 0
+        self.asked = self.taken = 0
 
     def service(self, now_ns: int, control: Control) -> None:
-        self._waiting += len(self.asked)
-        self.asked.clear()
+        self.taken, self.asked = self.asked, 0
 
-    def answer(self, now_ns: int) -> None:
-        if self._waiting:
-            self.answered.append(now_ns)
-            self._waiting = 0
+
+class AnsweringLink(FakeLink):
+    """Notes when a question that was taken is answered."""
+
+    def __init__(self, uplink: Questions) -> None:
+        super().__init__()
+        self.answered: list[int] = []
+        self._uplink = uplink
+
+    def service(self, now_ns: int) -> None:
+        self.answered += [now_ns] * self._uplink.taken
 
 
 def test_an_answer_leaves_in_the_same_turn_of_the_link(tmp_path: Path) -> None:
-    link, uplink = FakeLink(), Switch()
+    uplink = Questions()
+    link = AnsweringLink(uplink)
     rig = Rig(tmp_path, link=link, together=2)
-    link.service = uplink.answer  # type: ignore[method-assign]
     rig.logger.connect(link, uplink)
 
     def stop() -> bool:
-        if len(rig.sampler.numbers) == 40 and not uplink.answered:
-            uplink.asked.append(40)
+        if len(rig.sampler.numbers) == 40:
+            uplink.asked = 1
         return len(rig.sampler.numbers) == 44
 
     rig.logger.run(stop)
-    assert uplink.answered == [rig.sampler.starts[41] + 2_000_000]
+    assert link.answered == [rig.sampler.starts[41] + 2_000_000]
 
 
 @pytest.mark.parametrize("together", [1, 3])

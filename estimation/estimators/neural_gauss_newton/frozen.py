@@ -99,19 +99,16 @@ Predict = Callable[[Array], tuple[list[Array], list[Array]]]
 
 def fit_parameters(
     predict: Predict,
-    unknowns: int,
     rows: Sequence[int],
+    starts: Sequence[Array],
     *,
-    start: Array | None = None,
     multiplicity: Sequence[Array] | None = None,
     iterations: int = 40,
 ) -> FrozenFit:
-    """Minimise the prediction error over theta with step halving; converged when a step is settled.
+    """Minimise the prediction error over theta from the best of `starts`, with step halving; converged when a step is settled.
 
-    predict: residuals and slopes of every stretch; unknowns: size of theta; rows: of each stretch; multiplicity: weight
-    of each row of each stretch.
+    predict: residuals and slopes of every stretch; rows: of each stretch; multiplicity: weight of each row of each stretch.
     """
-    theta = np.zeros(unknowns) if start is None else start.copy()
     counts = [np.ones(n) for n in rows] if multiplicity is None else list(multiplicity)
     total = sum(float(c.sum()) for c in counts)
 
@@ -120,7 +117,7 @@ def fit_parameters(
         R = variance(residuals, counts)
         return residuals, slopes, R, 0.5 * total * float(np.log(R).sum())
 
-    residuals, slopes, R, cost = look(theta)
+    theta, (residuals, slopes, R, cost) = min(((t, look(t)) for t in starts), key=lambda tried: tried[1][3])
     converged, used = False, 0
     for _ in range(iterations):
         used += 1

@@ -22,7 +22,6 @@ from estimation.estimators.neural_gauss_newton.frozen import (
     Regressors,
     fit_parameters,
     fit_with_instruments,
-    variance,
 )
 from estimation.estimators.neural_gauss_newton.network import Shape, initial_weights
 from estimation.estimators.neural_gauss_newton.options import NgnOptions
@@ -94,18 +93,13 @@ class Problem:
                 slopes.append(self.unknowns.scatter(flight, d_theta))
             return residuals, slopes
 
-        return fit_parameters(coefficients, self.unknowns.size, self.counts, start=self.unknowns.start).theta
-
-    def error(self, predict: Predict, theta: Array) -> float:
-        """Sum of the logarithms of the outputs' mean squared prediction errors."""
-        return float(np.log(variance(predict(theta)[0], [np.ones(n) for n in self.counts])).sum())
+        return fit_parameters(coefficients, self.counts, [self.unknowns.start]).theta
 
     def fit(self, weights: torch.Tensor) -> FrozenFit:
         """Gauss-Newton with one frozen network; in the improved form from there to the root with instruments."""
         frozen = Frozen(self.shape, weights, self.rows.standard)
         smooth = self.predict(frozen, self.smooth)
-        start = min((self.unknowns.start, self.regression), key=lambda theta: self.error(smooth, theta))
-        found = fit_parameters(smooth, self.unknowns.size, self.counts, start=start)
+        found = fit_parameters(smooth, self.counts, [self.unknowns.start, self.regression])
         if not self.instruments:
             return found
         return fit_with_instruments(
@@ -118,8 +112,8 @@ class Problem:
         multiplicity = self.rows.split(drawn)
         if not self.instruments:
             return fit_parameters(
-                self.predict(frozen, self.smooth), self.unknowns.size, self.counts,
-                start=start, multiplicity=multiplicity, iterations=FEW_STEPS,
+                self.predict(frozen, self.smooth), self.counts, [start],
+                multiplicity=multiplicity, iterations=FEW_STEPS,
             ).theta  # fmt: skip
         return fit_with_instruments(
             self.predict(frozen, self.measured), self.predict(frozen, self.instruments), self.counts, start,
