@@ -8,24 +8,24 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
-from daq.bus import I2cBus, SerialPort
+from daq.acquisition.sampler import Sampler
 from daq.clock import Clock
 from daq.config import LoggerConfig, read_calibration
-from daq.contract.ports import BytePort
-from daq.contract.recording import CALIBRATION_PREFIX, CONFIG_ATTACHMENT, RecordingInfo, software_version
-from daq.link import RadioLink, radio_link
+from daq.contract.recordings.recording import CALIBRATION_PREFIX, CONFIG_ATTACHMENT, RecordingInfo, software_version
 from daq.logger import Logger, Opening
-from daq.recorder import Recorder
-from daq.sampler import Sampler
-from daq.storage import Storage
-from daq.timing import LoopTiming
+from daq.recorder.recorder import Recorder
+from daq.recorder.storage import Storage
+from daq.recorder.timing import LoopTiming
+from daq.sensors.bus import I2cBus, SerialPort
+from daq.telemetry.link import RadioLink, radio_link
+from daq.transport.ports import BytePort
 
 
 @dataclass(frozen=True, slots=True)
 class Edge:
     """What the logger is connected to.
 
-    bus, gnss, autopilot, pulse: as `daq.sampler.Sampler` takes them. radio: the port to the ground, None without one.
+    bus, gnss, autopilot, pulse: as `daq.acquisition.sampler.Sampler` takes them. radio: the port to the ground, None without one.
     source: real | simulated; every recording says it for good.
     """
 

@@ -14,7 +14,7 @@ _RECORDING = click.argument("recording", metavar="FILE", type=click.Path(path_ty
 
 
 def _write_json(path: Path | None, result: Mapping[str, Any]) -> None:
-    from daq.contract.recording import RecordingError
+    from daq.contract.recordings.recording import RecordingError
 
     if path is None:
         return
@@ -30,7 +30,7 @@ def _write_json(path: Path | None, result: Mapping[str, Any]) -> None:
 @_JSON
 def info(recording: Path, json_path: Path | None) -> None:
     """What is in a recording: FILE is a raw recording, a directory with its segments, or a calibrated flight."""
-    from daq.contract.accounting import info_mcap
+    from daq.contract.recordings.accounting import info_mcap
 
     result = info_mcap(recording)
     _write_json(json_path, result)
@@ -52,7 +52,7 @@ def info(recording: Path, json_path: Path | None) -> None:
 @_JSON
 def verify(recording: Path, json_path: Path | None) -> None:
     """Check every byte and account for every scan of a recording. Exit status 1 when something is wrong."""
-    from daq.contract.accounting import verify as check
+    from daq.contract.recordings.accounting import verify as check
 
     result = check(recording)
     _write_json(json_path, result.to_dict())
@@ -72,7 +72,7 @@ def recover(recording: Path, out: Path, json_path: Path | None) -> None:
 
     Exit status as with 'sideslip verify': 1 when FILE is not sound, though all that can be saved is in the new recording.
     """
-    from daq.contract.accounting import recover as salvage
+    from daq.contract.recordings.accounting import recover as salvage
 
     result = salvage(recording, out)
     _write_json(json_path, result.to_dict())

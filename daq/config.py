@@ -12,9 +12,9 @@ from typing import Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from daq.contract.errors import UserError
-from daq.downlink_config import DownlinkConfig
-from daq.recorder_config import RecorderConfig
+from daq.recorder.config import RecorderConfig
 from daq.sensors.config import SensorsConfig
+from daq.telemetry.config import DownlinkConfig
 
 
 class ConfigError(UserError):

@@ -14,13 +14,13 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
+from daq.acquisition.health import HealthSummary
+from daq.acquisition.sampler import EventMark, UnfinishedScan
 from daq.clock import NS, Clock
-from daq.contract.messages import Event, Health, HealthEntry, LogLevel, Statistics
+from daq.contract.recordings.messages import Event, Health, HealthEntry, LogLevel, Statistics
 from daq.contract.scan import Scan, SensorState
-from daq.health import HealthSummary
-from daq.recorder import Recorder
-from daq.sampler import EventMark, UnfinishedScan
-from daq.timing import LoopTiming
+from daq.recorder.recorder import Recorder
+from daq.recorder.timing import LoopTiming
 
 _LOG = logging.getLogger("sideslip.logger")
 

@@ -8,11 +8,11 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 
 from daq.clock import SimulatedClock
-from daq.contract.ports import memory_pair
-from daq.contract.reading import read_recording
+from daq.contract.recordings.reading import read_recording
 from daq.contract.scan import Scan
-from daq.downlink_config import DownlinkConfig
-from daq.link import radio_link
+from daq.telemetry.config import DownlinkConfig
+from daq.telemetry.link import radio_link
+from daq.transport.ports import memory_pair
 from tests.link_rig import PERIOD_NS, START_UTC_NS, FakeLogger
 
 _SCAN, _REST, _TELL, _END = b"S", b"R", b"T", b"E"

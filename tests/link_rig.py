@@ -8,15 +8,15 @@ import numpy as np
 
 from daq.clock import SimulatedClock
 from daq.contract.channels import CHANNELS, GROUP_NAMES, Rate
-from daq.contract.messages import Event
-from daq.contract.ports import memory_pair
-from daq.contract.recording import RecordingInfo
+from daq.contract.recordings.messages import Event
+from daq.contract.recordings.recording import RecordingInfo
 from daq.contract.scan import GroupStatus, Scan, SensorState
-from daq.downlink_config import DownlinkConfig
-from daq.link import RadioLink, radio_link
-from groundstation import events as ev
-from groundstation.link_config import LinkConfig
-from groundstation.receive import Receiver
+from daq.telemetry.config import DownlinkConfig
+from daq.telemetry.link import RadioLink, radio_link
+from daq.transport.ports import memory_pair
+from groundstation.receiver import events as ev
+from groundstation.receiver.link_config import LinkConfig
+from groundstation.receiver.receive import Receiver
 
 START_UTC_NS = 1_795_000_000_000_000_000
 PERIOD_NS = 50_000_000

@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any
 
 import sideslip
-from firmware_sim.campaign import Campaign
-from firmware_sim.scenario import Scenario, load_scenario
-from firmware_sim.simulation import derivatives_of
+from firmware_sim.runs.campaign import Campaign
+from firmware_sim.world.scenario import Scenario, load_scenario
+from firmware_sim.world.simulation import derivatives_of
 
 FOLDER = Path(__file__).resolve().parent.parent / "recordings"
 PAPER_FLIGHTS = ("cdfp_ld1", "cdfp_ld2", "cdfp_ld3", "cdfp_ld4")

@@ -1,1 +1,1 @@
-"""Drivers of the aircraft's sensors: one module per chip, each talking only through `daq.bus`."""
+"""Drivers of the aircraft's sensors: one module per chip, each talking only through `daq.sensors.bus`."""

@@ -13,10 +13,10 @@ Self-test: the written configuration is read back. Plausibility: full-scale code
 from collections.abc import Callable, Generator
 from typing import TypeVar
 
-from daq.bus import NACK_ERRNOS, I2cBus
 from daq.contract.channels import channels_of
 from daq.contract.scan import RawValue, SensorState
 from daq.sensors.base import SECOND, US, Driver, Reading, SelfTestError, Wait
+from daq.sensors.bus import NACK_ERRNOS, I2cBus
 from daq.sensors.config import AnalogConfig
 
 CONVERSION, CONFIG = 0x00, 0x01

@@ -12,9 +12,9 @@ range; no data-ready bit is stale. Bypass is opened again on every set-up, becau
 from collections.abc import Generator
 from struct import Struct
 
-from daq.bus import I2cBus
 from daq.contract.scan import SensorState
 from daq.sensors.base import MS, Driver, Reading, SelfTestError, Wait, WrongChipError
+from daq.sensors.bus import I2cBus
 from daq.sensors.config import ImuConfig, MagConfig
 from daq.sensors.icm20948 import BYPASS, INT_PIN_CFG, USER_CTRL
 from daq.sensors.mounting import rotation

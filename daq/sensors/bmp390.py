@@ -10,9 +10,9 @@ missing data-ready flag; 0 and 0xFFFFFF are out of range. A chip back in sleep m
 
 from collections.abc import Generator
 
-from daq.bus import I2cBus
 from daq.contract.scan import SensorState
 from daq.sensors.base import MS, SECOND, Driver, Reading, SelfTestError, Wait, WrongChipError
+from daq.sensors.bus import I2cBus
 from daq.sensors.config import StaticConfig
 
 CHIP_ID, ERR, STATUS, DATA, PWR_CTRL, OSR, ODR, FILTER, NVM, CMD = (

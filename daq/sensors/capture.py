@@ -12,9 +12,9 @@ from struct import Struct
 
 import fastcrc
 
-from daq.bus import I2cBus
 from daq.contract.scan import RawValue, SensorState
 from daq.sensors.base import MS, Driver, Reading, SelfTestError, Wait, WrongChipError
+from daq.sensors.bus import I2cBus
 from daq.sensors.config import CaptureConfig
 
 ID, MAP_VERSION, FIRMWARE, CONTROL, TIMEOUT, SNAPSHOT = 0x00, 0x01, 0x02, 0x04, 0x05, 0x10

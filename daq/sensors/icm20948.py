@@ -14,9 +14,9 @@ import math
 from collections.abc import Generator
 from struct import Struct
 
-from daq.bus import I2cBus
 from daq.contract.scan import SensorState
 from daq.sensors.base import MS, Driver, Reading, SelfTestError, Wait, WrongChipError
+from daq.sensors.bus import I2cBus
 from daq.sensors.config import ImuConfig
 from daq.sensors.mounting import Rotation, rotation
 

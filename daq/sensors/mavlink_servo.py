@@ -14,9 +14,9 @@ from struct import Struct
 
 from fastcrc import crc16
 
-from daq.bus import SerialPort
 from daq.contract.scan import RawValue, SensorState
 from daq.sensors.base import MS, SECOND, Driver, Reading, SelfTestError, Wait
+from daq.sensors.bus import SerialPort
 from daq.sensors.config import CaptureConfig
 
 SERVO_OUTPUT_RAW, CRC_EXTRA = 36, 222

@@ -12,9 +12,9 @@ Self-test: two reads that agree; the part has no identity. Plausibility: status 
 
 from collections.abc import Generator
 
-from daq.bus import I2cBus, read_raw
 from daq.contract.scan import SensorState
 from daq.sensors.base import MS, Driver, Reading, SelfTestError, Wait
+from daq.sensors.bus import I2cBus, read_raw
 from daq.sensors.config import PitotConfig
 
 NORMAL, RESERVED, FETCHED, FAULT = range(4)

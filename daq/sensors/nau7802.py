@@ -10,9 +10,9 @@ is stale; end codes are out of range. The first six conversions after set-up are
 
 from collections.abc import Generator
 
-from daq.bus import I2cBus
 from daq.contract.scan import SensorState
 from daq.sensors.base import MS, SECOND, Driver, Reading, SelfTestError, Wait, WrongChipError, signed
+from daq.sensors.bus import I2cBus
 from daq.sensors.config import ThrustConfig
 
 PU_CTRL, CTRL1, CTRL2, ADC, ADC_SETTINGS, PGA_POWER, REVISION = 0x00, 0x01, 0x02, 0x12, 0x15, 0x1C, 0x1F

@@ -1,6 +1,6 @@
 """The edge where real hardware is opened: the only place that knows smbus2.SMBus and serial.Serial.
 
-Everything behind it sees `daq.bus.I2cBus` and `daq.bus.SerialPort`.
+Everything behind it sees `daq.sensors.bus.I2cBus` and `daq.sensors.bus.SerialPort`.
 """
 
 import errno
@@ -9,9 +9,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from daq.bus import I2cBus, SerialPort
 from daq.clock import Clock
 from daq.contract.errors import UserError
+from daq.sensors.bus import I2cBus, SerialPort
 from daq.sensors.config import SensorsConfig
 
 I2C_TIMEOUT = 0x0702  # linux/i2c-dev.h, unit 10 ms

@@ -9,21 +9,21 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from daq.bus import I2cBus, SerialPort
 from daq.contract.channels import GROUP_NAMES
 from daq.contract.errors import UserError
 from daq.sensors.ads1115 import Ads1115
 from daq.sensors.ak09916 import Ak09916
 from daq.sensors.base import Driver
 from daq.sensors.bmp390 import Bmp390
+from daq.sensors.bus import I2cBus, SerialPort
 from daq.sensors.capture import Capture
 from daq.sensors.config import ExtraConfig, SensorsConfig
 from daq.sensors.icm20948 import Icm20948
 from daq.sensors.mavlink_servo import MavlinkServo
 from daq.sensors.ms4525do import Ms4525do
 from daq.sensors.nau7802 import Nau7802
+from daq.sensors.timebase import TimeBase
 from daq.sensors.ublox import Ublox
-from daq.timebase import TimeBase
 
 
 class DriverConfigError(UserError):

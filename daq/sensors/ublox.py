@@ -10,12 +10,12 @@ seconds absent; a fix the receiver itself does not vouch for (gnssFixOK clear, o
 from collections import deque
 from collections.abc import Callable, Generator
 
-from daq.bus import SerialPort
 from daq.contract.scan import RawValue, SensorState
 from daq.sensors.base import MS, SECOND, Driver, Reading, SelfTestError, Wait
+from daq.sensors.bus import SerialPort
 from daq.sensors.config import GnssConfig
+from daq.sensors.timebase import TimeBase
 from daq.sensors.ubx import NAV_PVT, NavPvt, UbxParser, parse_nav_pvt, setup_m8, setup_m9
-from daq.timebase import TimeBase
 
 _SETUP = {"m9": setup_m9, "m8": setup_m8}
 _BACKLOG = 32

@@ -6,9 +6,9 @@ Signal in dBm is RSSI / 1.9 - 127 (SiK firmware, Si4463 scale).
 from contextlib import suppress
 
 from daq.clock import NS, Clock
-from daq.contract.mavlink_codec import RADIO_STATUS_ID, Frame, FrameDecoder, FrameEncoder
-from daq.contract.ports import BytePort
-from daq.preflight import RadioReport
+from daq.service.preflight import RadioReport
+from daq.transport.mavlink_codec import RADIO_STATUS_ID, Frame, FrameDecoder, FrameEncoder
+from daq.transport.ports import BytePort
 
 _STEP_NS = NS // 20
 _FIXED_WING, _STANDBY, _MAVLINK_2 = 1, 3, 3

@@ -10,21 +10,21 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
+from daq.acquisition.sampler import Sampler
 from daq.assembly import Assembly, Edge, assemble
 from daq.clock import RealClock
 from daq.config import LoggerConfig, load_config
 from daq.contract.errors import UserError
-from daq.contract.messages import LogLevel, Statistics
-from daq.contract.ports import BytePort
-from daq.link import open_port
+from daq.contract.recordings.messages import LogLevel, Statistics
 from daq.logger import Opening
-from daq.preflight import Preflight, RadioReport, run_preflight
-from daq.sampler import Sampler
+from daq.recorder.storage import RealStorage
 from daq.sensors.open import Hardware, open_hardware
 from daq.service.notify import Notifier
+from daq.service.preflight import Preflight, RadioReport, run_preflight
 from daq.service.radio_probe import listen
 from daq.service.realtime import GarbageDiscipline, prepare_process
-from daq.storage import RealStorage
+from daq.telemetry.link import open_port
+from daq.transport.ports import BytePort
 
 _LOG = logging.getLogger("sideslip.service")
 _STATUS_EVERY = 10  # watchdog messages

@@ -10,7 +10,7 @@ import click
 if TYPE_CHECKING:
     from estimation.compatibility.result import Compatibility, Factor
     from groundstation.flight import Flight
-    from groundstation.quality import Finding
+    from groundstation.flight.quality import Finding
 
 EXAMPLE = (
     "Example: sideslip check ld1.mcap ld2.mcap --factors +K_alpha,dalpha --figure compatibility.png --json check.json"
@@ -56,7 +56,7 @@ def check(
     from estimation.laboratory import unique_names
     from estimation.models.kinematic import STANDARD_FACTORS
     from groundstation.flight import read_flight, write_flight
-    from groundstation.quality import quality_report, worst
+    from groundstation.flight.quality import quality_report, worst
 
     factors, known = wanted_factors(factors_text)
     craft = load_aircraft(aircraft)

@@ -24,8 +24,8 @@ from estimation.estimators.uncertainty import STILL, TIED, estimates, input_move
 from estimation.models import load_model
 from estimation.models.base import Model
 from groundstation.flight import Flight, MissingColumnError
-from groundstation.noise import noise
-from groundstation.quality import SENSOR_NOISE, Finding
+from groundstation.flight.noise import noise
+from groundstation.flight.quality import SENSOR_NOISE, Finding
 
 Array = NDArray[np.float64]
 

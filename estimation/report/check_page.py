@@ -17,7 +17,7 @@ from estimation.report.tables import CANNOT_TELL, Table, number, significant, wr
 
 if TYPE_CHECKING:
     from groundstation.flight import Flight
-    from groundstation.quality import Finding
+    from groundstation.flight.quality import Finding
 
 UNITS = {"V": "m/s"}
 RECONSTRUCTED = "#0072B2"

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.contract.channels import CHANNEL_BY_NAME
-from daq.contract.reading import Recording, read_recording
+from daq.contract.recordings.reading import Recording, read_recording
 from groundstation.calibration import air_data, curves
 from groundstation.calibration.apply import Calibrator
 from groundstation.calibration.errors import CalibrationError

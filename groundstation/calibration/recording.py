@@ -4,10 +4,10 @@ import hashlib
 from dataclasses import replace
 from pathlib import Path
 
-from daq.contract.accounting import verify_recording
-from daq.contract.commands import parse_pitot_zero
+from daq.contract.link.commands import parse_pitot_zero
 from daq.contract.ranges import count
-from daq.contract.reading import Recording, read_recording
+from daq.contract.recordings.accounting import verify_recording
+from daq.contract.recordings.reading import Recording, read_recording
 from groundstation.calibration.apply import calibrate
 from groundstation.calibration.errors import CalibrationError
 from groundstation.calibration.schema import CalibrationSet, load_calibration

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 
 from daq.contract.channels import COLUMN_BY_NAME
 from groundstation.flight import Flight, Provenance
+from groundstation.flight.plausibility import suspicions
 from groundstation.importers.errors import ImportDataError
 from groundstation.importers.mapping import FileFormat, Map, Source, built_in_map, load_map
 from groundstation.importers.series import Log, Series, credible, grid, native_rate, resample
 from groundstation.importers.tables import RECORD
 from groundstation.importers.units import conversion
-from groundstation.plausibility import suspicions
 
 Array = NDArray[np.float64]
 

@@ -19,7 +19,7 @@ from pathlib import Path
 import rerun as rr
 
 from daq.contract.errors import UserError
-from groundstation.events import LinkStatistics
+from groundstation.receiver.events import LinkStatistics
 from groundstation.viewer import entities as e
 from groundstation.viewer.blueprint import Layout, blueprint
 from groundstation.viewer.scene import LinkSample, Scene

@@ -4,7 +4,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from daq.contract.messages import LogLevel
+from daq.contract.recordings.messages import LogLevel
 from groundstation.flight import Flight, read_flight
 from groundstation.viewer.blueprint import Layout
 from groundstation.viewer.live import ViewerError
@@ -12,7 +12,7 @@ from groundstation.viewer.replay import write_rrd
 from groundstation.viewer.scene import LinkSample
 
 if TYPE_CHECKING:
-    from daq.contract.reading import Recording
+    from daq.contract.recordings.reading import Recording
 
 _LEVELS = {
     LogLevel.UNKNOWN: "INFO",
@@ -50,7 +50,7 @@ def _is_raw(file: Path) -> bool:
 
 
 def _raw(file: Path, target: Path, layout: Layout, calibration: Path | None) -> Path:
-    from daq.contract.reading import read_recording
+    from daq.contract.recordings.reading import read_recording
     from groundstation.calibration.recording import calibrate_recording
 
     flight = calibrate_recording(file, calibration, salvage=True)
@@ -78,7 +78,7 @@ def _raw(file: Path, target: Path, layout: Layout, calibration: Path | None) -> 
 
 def _link(file: Path) -> list[tuple[float, LinkSample]]:
     """Quality of the radio link, where the recording was received over one."""
-    from groundstation.recording import read_link
+    from groundstation.receiver.recording import read_link
 
     def known(value: float | None) -> float:
         return math.nan if value is None else value

@@ -9,7 +9,7 @@ import rerun as rr
 from groundstation.flight import Flight
 from groundstation.viewer import entities as e
 from groundstation.viewer.blueprint import Layout, blueprint
-from groundstation.viewer.letters import drawable
+from groundstation.viewer.glyphs import drawable
 from groundstation.viewer.live import ViewerError
 from groundstation.viewer.scene import LinkSample, Scene
 

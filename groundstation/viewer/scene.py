@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from groundstation.flight import Flight
 from groundstation.viewer import entities as e
 from groundstation.viewer.airframe import airframe_mesh
-from groundstation.viewer.letters import drawable
+from groundstation.viewer.glyphs import drawable
 
 EARTH_RADIUS = 6_371_000.0
 TRACK_POINTS = 400

@@ -3,7 +3,7 @@
 import time
 from collections.abc import Callable
 
-from groundstation.config import ViewConfig
+from groundstation.live.config import ViewConfig
 from groundstation.viewer.live import LOOPBACK, LiveView, ViewerError, ViewOptions, port_is_free
 from groundstation.viewer.window import NativeWindow, WebPage, Window
 

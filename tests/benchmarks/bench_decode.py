@@ -5,13 +5,13 @@ import time
 import numpy as np
 import pytest
 
-from daq.contract.dialect import sideslip_dialect
-from daq.contract.mavlink_codec import FrameDecoder, FrameEncoder, frames_of, padded
-from daq.contract.ports import memory_pair
-from daq.contract.wire import SCAN_FAST_ID, layouts, pack_scan, unpack_scan
-from groundstation.link_config import LinkConfig
-from groundstation.receive import Receiver
-from groundstation.timeline import SystemClock
+from daq.contract.link.dialect import sideslip_dialect
+from daq.contract.link.wire import SCAN_FAST_ID, layouts, pack_scan, unpack_scan
+from daq.transport.mavlink_codec import FrameDecoder, FrameEncoder, frames_of, padded
+from daq.transport.ports import memory_pair
+from groundstation.receiver.link_config import LinkConfig
+from groundstation.receiver.receive import Receiver
+from groundstation.receiver.timeline import SystemClock
 from tests.link_rig import random_scan
 
 COUNT = 20_000

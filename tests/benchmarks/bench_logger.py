@@ -15,10 +15,10 @@ from pathlib import Path
 
 import pytest
 
-from daq.contract.accounting import verify
-from daq.health import HealthSummary
-from firmware_sim.flight import prepare_flight
-from firmware_sim.scenario import load_scenario
+from daq.acquisition.health import HealthSummary
+from daq.contract.recordings.accounting import verify
+from firmware_sim.runs.flight import prepare_flight
+from firmware_sim.world.scenario import load_scenario
 from tests.benchmarks.replayed_bus import RecordingBus, RecordingPort
 
 ROOT = Path(__file__).resolve().parents[2]

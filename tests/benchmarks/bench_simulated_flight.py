@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from firmware_sim.flight import simulate_flight
-from firmware_sim.scenario import load_scenario
+from firmware_sim.runs.flight import simulate_flight
+from firmware_sim.world.scenario import load_scenario
 
 
 @pytest.mark.benchmark

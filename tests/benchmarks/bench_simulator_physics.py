@@ -4,8 +4,8 @@ import time
 
 import pytest
 
-from firmware_sim.scenario import load_scenario
-from firmware_sim.world import simulate_many, simulate_truth
+from firmware_sim.world.scenario import load_scenario
+from firmware_sim.world.world import simulate_many, simulate_truth
 
 
 @pytest.mark.benchmark

@@ -8,14 +8,14 @@ import sys
 import threading
 from pathlib import Path
 
+from daq.acquisition.health import HealthSummary
+from daq.acquisition.sampler import Sampler
 from daq.assembly import Edge
 from daq.clock import RealClock
 from daq.config import load_config
-from daq.contract.ports import memory_pair
-from daq.health import HealthSummary
-from daq.sampler import Sampler
+from daq.recorder.timing import describe
 from daq.service.run import run_until_signal
-from daq.timing import describe
+from daq.transport.ports import memory_pair
 from tests.benchmarks.replayed_bus import ReplayedBus, ReplayedReceiver
 
 _EMPTY_RADIO_S = 10.0

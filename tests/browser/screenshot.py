@@ -104,8 +104,9 @@ def picture(recording: Path, target: Path, **options: Any) -> Path:
 
 def main() -> None:
     """Fly, receive over a lossy radio, and take the picture of the README."""
-    from firmware_sim.scenario import load_scenario
-    from sideslip import DEMO_RADIO, fly_scenario
+    from firmware_sim.world.scenario import load_scenario
+    from sideslip.chain import fly_scenario
+    from sideslip.demo import DEMO_RADIO
 
     target = Path(__file__).parents[2] / "docs" / "pictures" / "view.png"
     with tempfile.TemporaryDirectory() as scratch:

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 import sideslip
-from firmware_sim.scenario import load_scenario
+from firmware_sim.world.scenario import load_scenario
 from sideslip import Flown
 
 

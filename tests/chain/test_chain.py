@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from daq.contract.reading import read_recording
+from daq.contract.recordings.reading import read_recording
 from estimation import laboratory
 from estimation.aircraft import load_aircraft
 from estimation.models import load_model
-from firmware_sim.scenario import load_scenario
-from firmware_sim.simulation import derivatives_of
+from firmware_sim.world.scenario import load_scenario
+from firmware_sim.world.simulation import derivatives_of
 from groundstation.calibration.recording import calibrate_recording
 from groundstation.flight import Flight, read_flight
-from groundstation.replay import Replay, replay_into
+from groundstation.live.replay import Replay, replay_into
 from sideslip import Flown, fly_scenario
 
 STRONG = ("CY_beta", "CY_dr", "Cl_beta", "Cl_p", "Cl_da", "Cn_beta", "Cn_r", "Cn_dr")
@@ -89,9 +89,9 @@ def test_recording_opens_in_the_stock_reader_with_names_in_it(complete: tuple[Pa
 
 
 def test_replayed_telemetry_makes_the_same_flight(lossy: tuple[Path, Flown], tmp_path: Path) -> None:
-    from groundstation.config import GroundConfig
-    from groundstation.receive import Receiver
-    from groundstation.station import Station
+    from groundstation.live.config import GroundConfig
+    from groundstation.live.station import Station
+    from groundstation.receiver.receive import Receiver
 
     folder, flown = lossy
     source = Replay()

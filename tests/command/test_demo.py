@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-import sideslip
+from sideslip.demo import DEMO_HIDDEN
 
 
 @pytest.mark.timeout(900)
@@ -27,5 +27,5 @@ def test_demo(tmp_path: Path) -> None:
         assert abs(found["estimate"] - value) < 4 * found["std_coloured"], name
     gap = json.loads((out / "report" / "gap.json").read_text())
     members = [m["effect"] for m in gap["steps"][0]["set"]]
-    assert sideslip.DEMO_HIDDEN[0] in members
+    assert DEMO_HIDDEN[0] in members
     assert gap["steps"][0]["gap"]["closed"] > 0.7

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 import sideslip
+from sideslip.cli import VERBS
 
 
 def run(*arguments: str, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
@@ -14,7 +15,7 @@ def run(*arguments: str, cwd: Path | None = None) -> subprocess.CompletedProcess
     return subprocess.run(command, capture_output=True, text=True, timeout=100, cwd=cwd, check=False)
 
 
-@pytest.mark.parametrize("verb", list(sideslip.VERBS))
+@pytest.mark.parametrize("verb", list(VERBS))
 def test_every_verb_has_help_with_an_example(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as ended:
         sideslip.main([verb, "--help"])

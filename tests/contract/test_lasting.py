@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from daq.contract.lasting import FIRST_RETRY_NS, LONGEST_RETRY_NS, LastingPort, open_lasting
-from daq.contract.ports import BytePort, PortError, SerialPort, TcpServerPort
-from groundstation.link import open_port
+from daq.transport.ports import BytePort, PortError, SerialPort, TcpServerPort
+from daq.transport.reconnecting_port import FIRST_RETRY_NS, LONGEST_RETRY_NS, LastingPort, open_lasting
+from groundstation.receiver.link import open_port
 
 
 class StepClock:

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from daq.contract.dialect import sideslip_dialect
-from daq.contract.mavlink_codec import Frame, FrameDecoder, FrameEncoder, Junk, frames_of, message_types
-from daq.contract.wire import SCAN_FAST_ID, layouts, pack_scan
+from daq.contract.link.dialect import sideslip_dialect
+from daq.contract.link.wire import SCAN_FAST_ID, layouts, pack_scan
+from daq.transport.mavlink_codec import Frame, FrameDecoder, FrameEncoder, Junk, frames_of, message_types
 from tests.link_rig import random_scan
 
 

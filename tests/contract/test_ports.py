@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from daq.contract.ports import (
+from daq.transport.ports import (
     PortError,
     SerialPort,
     TcpClientPort,

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from daq.contract.channels import CHANNELS, GROUP_NAMES, Channel, Rate
-from daq.contract.dialect import generate, sideslip_dialect
-from daq.contract.scan import GroupStatus, Scan, SensorState
-from daq.contract.wire import (
+from daq.contract.link.dialect import generate, sideslip_dialect
+from daq.contract.link.wire import (
     MAX_FAST_PAYLOAD,
     SCAN_FAST_ID,
     SCAN_RARE_ID,
@@ -19,6 +18,7 @@ from daq.contract.wire import (
     pack_scan,
     unpack_scan,
 )
+from daq.contract.scan import GroupStatus, Scan, SensorState
 from tests.link_rig import random_scan
 
 SENT = tuple(c for c in CHANNELS if c.downlink != "none")

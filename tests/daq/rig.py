@@ -7,19 +7,19 @@ from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
 
+from daq.acquisition.sampler import EventMark, Sampler
 from daq.clock import SimulatedClock
 from daq.contract.scan import Scan, SensorState
-from daq.sampler import EventMark, Sampler
 from daq.sensors.config import SensorsConfig, cdfp_sensors
-from firmware_sim.bus import BusModel
-from firmware_sim.faults import FaultSet, parse_faults
-from firmware_sim.flight import Aircraft, build_aircraft
-from firmware_sim.instruments import TruthSource
-from firmware_sim.scenario import load_scenario
-from firmware_sim.sensor_models import SensorModels
-from firmware_sim.serial import SimulatedSerial
-from firmware_sim.truth import Truth
-from firmware_sim.world import World
+from firmware_sim.hardware.bus import BusModel
+from firmware_sim.hardware.faults import FaultSet, parse_faults
+from firmware_sim.hardware.instruments import TruthSource
+from firmware_sim.hardware.sensor_models import SensorModels
+from firmware_sim.hardware.serial import SimulatedSerial
+from firmware_sim.runs.flight import Aircraft, build_aircraft
+from firmware_sim.world.scenario import load_scenario
+from firmware_sim.world.truth import Truth
+from firmware_sim.world.world import World
 
 UTC0 = 1_795_000_000_000_000_000
 AIRBORNE_S = 30.0

@@ -8,10 +8,10 @@ import numpy as np
 
 from daq.clock import NS, Clock
 from daq.contract.channels import CHANNELS, GROUP_NAMES
-from daq.contract.messages import Event, LogLevel, LogLine, Statistics
-from daq.contract.recording import RecordingInfo, RecordingWriter
+from daq.contract.recordings.messages import Event, LogLevel, LogLine, Statistics
+from daq.contract.recordings.recording import RecordingInfo, RecordingWriter
 from daq.contract.scan import GroupStatus, Scan, SensorState
-from daq.storage import RealStorage, StorageFile
+from daq.recorder.storage import RealStorage, StorageFile
 
 PERIOD_NS = NS // 20
 START_UTC_NS = 1_790_000_000 * NS

@@ -11,13 +11,13 @@ from hypothesis import strategies as st
 
 from daq import commands
 from daq.clock import SimulatedClock
-from daq.contract.accounting import info_mcap, verify
 from daq.contract.channels import CHANNELS
 from daq.contract.ranges import count, ranges, subtract
-from daq.contract.reading import read_recording
-from daq.contract.recording import RecordingError, RecordingWriter
-from daq.recorder import Recorder
-from daq.recorder_config import RecorderConfig
+from daq.contract.recordings.accounting import info_mcap, verify
+from daq.contract.recordings.reading import read_recording
+from daq.contract.recordings.recording import RecordingError, RecordingWriter
+from daq.recorder.config import RecorderConfig
+from daq.recorder.recorder import Recorder
 from groundstation.flight import Flight, Provenance, write_flight
 from tests.daq.synthetic import PERIOD_NS, make_info, make_scan
 

@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from daq.attitude import AttitudeFilter, AttitudeStatus
-from daq.plumb_line import VelocityFix
+from daq.acquisition.attitude import AttitudeFilter, AttitudeStatus
 from daq.sensors.config import AttitudeConfig
+from daq.sensors.gravity_reference import VelocityFix
 
 G = 9.80665
 FIELD = np.array((22e-6, 0.0, 40e-6))  # north and down

@@ -9,9 +9,9 @@ from pydantic import BaseModel
 
 from daq.config import ConfigError, LoggerConfig, ScanConfig, load_config, parse_config, read_calibration
 from daq.sensors.config import cdfp_sensors
-from firmware_sim.atmosphere import Site
-from firmware_sim.registers.ublox import Fix, nav_pvt
-from firmware_sim.sensor_models import GnssModel
+from firmware_sim.hardware.registers.ublox import Fix, nav_pvt
+from firmware_sim.hardware.sensor_models import GnssModel
+from firmware_sim.physics.atmosphere import Site
 
 FIX = Fix(1_790_000_000 * 10**9, 3, 9, 26.5, 80.2, 60.0, (15.0, 0.0, 0.0), 3e-8, 1.0, 1.0, 0.1)
 EXAMPLE = Path(__file__).resolve().parents[2] / "daq/configs/cdfp.toml"

@@ -7,12 +7,12 @@ import pytest
 from pydantic import ValidationError
 
 from daq.clock import NS, SimulatedClock
-from daq.contract.mavlink_codec import Frame, FrameDecoder, frames_of, padded
+from daq.contract.link.wire import SCAN_FAST_ID, layouts, unpack_scan
 from daq.contract.scan import Scan
-from daq.contract.signing import Signer
-from daq.contract.wire import SCAN_FAST_ID, layouts, unpack_scan
-from daq.downlink import Downlink
-from daq.downlink_config import HEARTBEAT_BYTES, SCAN_FRAME_BYTES, DownlinkConfig
+from daq.telemetry.config import HEARTBEAT_BYTES, SCAN_FRAME_BYTES, DownlinkConfig
+from daq.telemetry.downlink import Downlink
+from daq.transport.mavlink_codec import Frame, FrameDecoder, frames_of, padded
+from daq.transport.signing import Signer
 from tests.link_rig import PERIOD_NS, quiet_scan, random_scan
 
 KEY = bytes(range(32))

@@ -3,8 +3,8 @@
 import pytest
 from pydantic import ValidationError
 
+from daq.acquisition.health import GroupHealth, HealthSummary, Watch
 from daq.contract.scan import SensorState
-from daq.health import GroupHealth, HealthSummary, Watch
 from daq.sensors.config import AnalogConfig, HealthConfig, ImuConfig, MagConfig, SensorsConfig, cdfp_sensors
 from daq.sensors.mounting import rotation
 

@@ -6,18 +6,18 @@ from pathlib import Path
 
 import pytest
 
+from daq.acquisition.health import GroupHealth, HealthSummary
+from daq.acquisition.sampler import EventMark, UnfinishedScan
+from daq.acquisition.supervisor import Outcome
 from daq.clock import NS, RealClock, SimulatedClock
-from daq.contract.accounting import verify
-from daq.contract.messages import Event, LogLevel
-from daq.contract.reading import read_recording
+from daq.contract.recordings.accounting import verify
+from daq.contract.recordings.messages import Event, LogLevel
+from daq.contract.recordings.reading import read_recording
 from daq.contract.scan import GroupStatus, Scan, SensorState
-from daq.health import GroupHealth, HealthSummary
 from daq.logger import Control, Logger, Opening
-from daq.recorder import Recorder
-from daq.recorder_config import RecorderConfig
-from daq.sampler import EventMark, UnfinishedScan
-from daq.supervisor import Outcome
-from daq.timing import LoopTiming
+from daq.recorder.config import RecorderConfig
+from daq.recorder.recorder import Recorder
+from daq.recorder.timing import LoopTiming
 from tests.daq.synthetic import START_UTC_NS, make_info
 
 

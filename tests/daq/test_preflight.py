@@ -6,20 +6,20 @@ from pathlib import Path
 
 import pytest
 
+from daq.acquisition.health import GroupHealth, HealthSummary
+from daq.acquisition.sampler import EventMark, UnfinishedScan
+from daq.acquisition.supervisor import Outcome
 from daq.clock import NS, SimulatedClock
 from daq.config import LoggerConfig, PreflightConfig
-from daq.contract.mavlink_codec import FrameDecoder, frames_of
-from daq.contract.ports import memory_pair
 from daq.contract.scan import GroupStatus, Scan, SensorState
-from daq.health import GroupHealth, HealthSummary
-from daq.preflight import Preflight, RadioReport, Verdict, run_preflight
-from daq.recorder_config import RecorderConfig
-from daq.sampler import EventMark, UnfinishedScan
+from daq.recorder.config import RecorderConfig
+from daq.recorder.storage import RealStorage
 from daq.sensors.config import ImuConfig, SensorsConfig
+from daq.service.preflight import Preflight, RadioReport, Verdict, run_preflight
 from daq.service.radio_probe import listen
 from daq.service.run import PreflightRefusal, _opening
-from daq.storage import RealStorage
-from daq.supervisor import Outcome
+from daq.transport.mavlink_codec import FrameDecoder, frames_of
+from daq.transport.ports import memory_pair
 from tests.daq.synthetic import START_UTC_NS, FaultyStorage
 
 GOOD_RADIO = RadioReport(-60, -100, -65, -100, 95)

@@ -7,13 +7,13 @@ from pathlib import Path
 import pytest
 
 from daq.clock import NS, SimulatedClock
-from daq.contract.accounting import verify
-from daq.contract.messages import Event, LogLevel, Statistics
-from daq.contract.reading import read_recording
+from daq.contract.recordings.accounting import verify
+from daq.contract.recordings.messages import Event, LogLevel, Statistics
+from daq.contract.recordings.reading import read_recording
 from daq.contract.scan import encode_scan
-from daq.recorder import Recorder
-from daq.recorder_config import RecorderConfig
-from daq.storage import RealStorage, Storage
+from daq.recorder.config import RecorderConfig
+from daq.recorder.recorder import Recorder
+from daq.recorder.storage import RealStorage, Storage
 from tests.daq.synthetic import PERIOD_NS, FaultyStorage, failing_between, make_info, make_scan
 
 

@@ -13,9 +13,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 
-from daq.contract.accounting import recover, verify
-from daq.contract.reading import read_recording, read_segment
-from daq.contract.recording import RecordingError
+from daq.contract.recordings.accounting import recover, verify
+from daq.contract.recordings.reading import read_recording, read_segment
+from daq.contract.recordings.recording import RecordingError
 from daq.contract.scan import encode_scan
 from tests.daq.synthetic import PER_CHUNK, SCANS, make_scan, write_recording
 

@@ -6,17 +6,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from daq.acquisition.sampler import Sampler
 from daq.clock import SimulatedClock
 from daq.contract.channels import CHANNELS, GROUP_NAMES, channels_of
 from daq.contract.scan import SensorState, decode_scan, encode_scan
-from daq.sampler import Sampler
 from daq.sensors.config import AnalogConfig, ImuConfig, SensorsConfig, ThrustConfig, cdfp_sensors
-from firmware_sim.bus import BusModel
-from firmware_sim.instruments import AT
-from firmware_sim.scenario import load_scenario
-from firmware_sim.truth import Truth
-from firmware_sim.truth_log import TruthLog
-from firmware_sim.world import World
+from firmware_sim.hardware.bus import BusModel
+from firmware_sim.hardware.instruments import AT
+from firmware_sim.hardware.truth_log import TruthLog
+from firmware_sim.world.scenario import load_scenario
+from firmware_sim.world.truth import Truth
+from firmware_sim.world.world import World
 from tests.daq.fakes import FakeBus, FakeChip
 from tests.daq.rig import UTC0, moment, rig, states
 

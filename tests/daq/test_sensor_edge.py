@@ -12,16 +12,23 @@ from pathlib import Path
 import pytest
 from smbus2 import SMBus
 
-from daq.bus import I2cBus, SerialPort
+from daq.acquisition.sampler import Sampler
 from daq.clock import RealClock, SimulatedClock
-from daq.sampler import Sampler
+from daq.sensors.bus import I2cBus, SerialPort
 from daq.sensors.config import BusConfig, GnssConfig, SensorsConfig, cdfp_sensors
 from daq.sensors.open import HardwareError, ReopeningPort, SysfsPulse, open_hardware
 from daq.sensors.registry import DriverConfigError
 from tests.daq.fakes import FakeBus
 
-MAY_IMPORT_HARDWARE = {"daq/bus.py", "daq/sensors/open.py"}
-DRIVER_CODE = ("daq/sensors", "daq/sampler.py", "daq/supervisor.py", "daq/health.py", "daq/attitude.py", "daq/bus.py")
+MAY_IMPORT_HARDWARE = {"daq/sensors/bus.py", "daq/sensors/open.py"}
+DRIVER_CODE = (
+    "daq/sensors",
+    "daq/acquisition/sampler.py",
+    "daq/acquisition/supervisor.py",
+    "daq/acquisition/health.py",
+    "daq/acquisition/attitude.py",
+    "daq/sensors/bus.py",
+)
 
 
 def imported(path: Path) -> set[str]:
@@ -57,7 +64,7 @@ def test_importing_all_drivers_loads_neither_simulator_nor_heavy_libraries(root:
     loaded = run_python(
         """
         import importlib, pkgutil, sys
-        import daq.sampler, daq.sensors
+        import daq.acquisition.sampler, daq.sensors
         for module in pkgutil.iter_modules(daq.sensors.__path__):
             importlib.import_module(f"daq.sensors.{module.name}")
         print(" ".join(sorted({m.split(".")[0] for m in sys.modules})))
@@ -189,7 +196,7 @@ def test_laboratory_adds_a_sensor_by_one_file_and_one_row(root: Path, tmp_path: 
         table.channels_of.__defaults__ = (table.CHANNELS,)
         from daq.clock import SimulatedClock
         from daq.contract.scan import decode_scan, encode_scan
-        from daq.sampler import Sampler
+        from daq.acquisition.sampler import Sampler
         from daq.sensors.config import SensorsConfig
         from tests.daq.fakes import FakeBus, FakeChip
 

@@ -15,11 +15,11 @@ import pytest
 from daq.assembly import Edge
 from daq.clock import RealClock
 from daq.config import ConfigError, ScanConfig, parse_config
-from daq.contract.accounting import verify
-from daq.contract.messages import Statistics
-from daq.contract.reading import read_recording
-from daq.contract.recording import RecordingError
-from daq.recorder import Recorder
+from daq.contract.recordings.accounting import verify
+from daq.contract.recordings.messages import Statistics
+from daq.contract.recordings.reading import read_recording
+from daq.contract.recordings.recording import RecordingError
+from daq.recorder.recorder import Recorder
 from daq.service import realtime
 from daq.service.notify import Notifier
 from daq.service.run import run_until_signal
@@ -168,7 +168,9 @@ def test_unit_file_fits_the_service() -> None:
     assert parser["Install"]["WantedBy"] == "multi-user.target"
 
 
-@pytest.mark.parametrize("module", ["daq.logger", "daq.recorder", "daq.contract.accounting", "daq.commands"])
+@pytest.mark.parametrize(
+    "module", ["daq.logger", "daq.recorder.recorder", "daq.contract.recordings.accounting", "daq.commands"]
+)
 def test_importing_the_logger_drags_nothing_heavy_in(module: str) -> None:
     heavy = (
         "torch",

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from daq.clock import SimulatedClock
-from daq.contract.ports import UdpPort
-from daq.downlink_config import DownlinkConfig
-from daq.link import RadioLink, radio_link
+from daq.telemetry.config import DownlinkConfig
+from daq.telemetry.link import RadioLink, radio_link
+from daq.transport.ports import UdpPort
 from tests.link_rig import PERIOD_NS, START_UTC_NS, FakeLogger, quiet_scan
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from daq.timebase import TimeBase
+from daq.sensors.timebase import TimeBase
 
 NS, MS = 1_000_000_000, 1_000_000
 UTC0 = 1_795_000_000 * NS  # true UTC at monotonic zero

@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.contract import commands as c
-from daq.contract.mavlink_codec import FrameEncoder
-from daq.contract.signing import Signer
-from daq.downlink_config import DownlinkConfig
-from groundstation import events as ev
-from groundstation.link_config import LinkConfig
+from daq.contract.link import commands as c
+from daq.telemetry.config import DownlinkConfig
+from daq.transport.mavlink_codec import FrameEncoder
+from daq.transport.signing import Signer
+from groundstation.receiver import events as ev
+from groundstation.receiver.link_config import LinkConfig
 from tests.link_rig import Rig, quiet_scan
 
 KEY = bytes(range(32))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from daq.vectors import Axes, Vector, cross, dot, plus, times, turned, turned_back
+from daq.sensors.vectors import Axes, Vector, cross, dot, plus, times, turned, turned_back
 
 
 def triple(a: np.ndarray) -> Vector:

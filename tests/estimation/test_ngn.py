@@ -27,9 +27,9 @@ from estimation.estimators.neural_gauss_newton.solve import Problem
 from estimation.estimators.neural_gauss_newton.training import Job, TrainingOptions, mean_square, train_jobs
 from estimation.laboratory import joint_model
 from estimation.models import load_model
-from firmware_sim.aerodynamics import true_derivatives
-from firmware_sim.direct import direct_flights
-from firmware_sim.scenario import load_scenario
+from firmware_sim.physics.aerodynamics import true_derivatives
+from firmware_sim.runs.direct import direct_flights
+from firmware_sim.world.scenario import load_scenario
 from groundstation.flight import Flight, MissingColumnError, read_flight
 from tests.estimation.truth import IXX, IXZ, IYY, IZZ, NOISE, STRONG, TRUE, Case, fly
 

@@ -22,7 +22,7 @@ from estimation.report.modes import modes, modes_with_spread, state_matrix, trim
 from estimation.report.page import write_estimate_report
 from estimation.report.tables import Table, number
 from groundstation.flight import Flight
-from groundstation.quality import quality_report
+from groundstation.flight.quality import quality_report
 
 CRAFT = load_aircraft("cdfp")
 LATERAL = load_model("lateral", CRAFT)

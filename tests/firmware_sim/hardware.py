@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from firmware_sim.bus import BusModel, Chip, SimulatedBus
+from firmware_sim.hardware.bus import BusModel, Chip, SimulatedBus
 
 
 class CountingClock:

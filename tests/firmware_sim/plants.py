@@ -3,13 +3,13 @@
 import numpy as np
 
 from estimation.aircraft import load_aircraft
-from firmware_sim.aerodynamics import true_derivatives
-from firmware_sim.atmosphere import Site
-from firmware_sim.effects.base import Effect
-from firmware_sim.maths import FLOATS, State
-from firmware_sim.motion import Motion
-from firmware_sim.plant import ARMS, ATTITUDE, POSITION, THRUST, Commands, Plant, thrust_available
-from firmware_sim.trim import Trim, level_trim
+from firmware_sim.physics.aerodynamics import true_derivatives
+from firmware_sim.physics.atmosphere import Site
+from firmware_sim.physics.effects.base import Effect
+from firmware_sim.physics.maths import FLOATS, State
+from firmware_sim.physics.motion import Motion
+from firmware_sim.physics.plant import ARMS, ATTITUDE, POSITION, THRUST, Commands, Plant, thrust_available
+from firmware_sim.physics.trim import Trim, level_trim
 
 QUIET = [0.0] * 4
 

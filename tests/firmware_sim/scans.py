@@ -3,14 +3,14 @@
 from collections.abc import Iterable
 from types import SimpleNamespace
 
+from daq.acquisition.sampler import Sampler
 from daq.clock import SimulatedClock
 from daq.contract.scan import Scan, SensorState
-from daq.sampler import Sampler
 from daq.sensors.config import SensorsConfig, cdfp_sensors
-from firmware_sim.faults import FaultSet, parse_faults
-from firmware_sim.flight import START_UTC_NS, Aircraft, build_aircraft
-from firmware_sim.sensor_models import SensorModels
-from firmware_sim.serial import SimulatedSerial
+from firmware_sim.hardware.faults import FaultSet, parse_faults
+from firmware_sim.hardware.sensor_models import SensorModels
+from firmware_sim.hardware.serial import SimulatedSerial
+from firmware_sim.runs.flight import START_UTC_NS, Aircraft, build_aircraft
 from tests.firmware_sim.hardware import Still
 
 ON_BUS = ("imu", "mag", "analog_a", "analog_b", "analog_c", "pitot", "static", "thrust", "capture")

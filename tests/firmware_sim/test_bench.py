@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.contract.reading import read_recording
-from firmware_sim.bench import Bench, BenchRig, Pose, bench_titles, bench_truth, record_bench
-from firmware_sim.calibration_truth import calibration_truth
+from daq.contract.recordings.reading import read_recording
 from firmware_sim.errors import ScenarioError
-from firmware_sim.ground import direction_cosines
-from firmware_sim.sensor_models import SensorModels
+from firmware_sim.hardware.calibration_truth import calibration_truth
+from firmware_sim.hardware.sensor_models import SensorModels
+from firmware_sim.runs.bench_recordings import Bench, BenchRig, Pose, bench_titles, bench_truth, record_bench
+from firmware_sim.world.ground import direction_cosines
 from groundstation.calibration.plan import load_plan
 
 
@@ -62,7 +62,7 @@ def test_load_bench_recording_and_plan_agree(tmp_path: Path) -> None:
 
 
 def test_every_bench_has_a_plan_that_the_fitting_reads() -> None:
-    from firmware_sim.bench import _BENCHES, _plan_text
+    from firmware_sim.runs.bench_recordings import _BENCHES, _plan_text
     from groundstation.calibration.plan import Plan
 
     assert len(bench_titles()) == 7

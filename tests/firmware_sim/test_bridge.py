@@ -1,10 +1,10 @@
 """A simulated radio joined to a real port carries bytes both ways, and outlives a port that is away."""
 
 from daq.clock import SimulatedClock
-from daq.contract.mavlink_codec import FrameDecoder, FrameEncoder
-from daq.contract.ports import MemoryPort, memory_pair
-from firmware_sim.bridge import PortBridge
-from firmware_sim.radio import RadioLink, RadioModel
+from daq.transport.mavlink_codec import FrameDecoder, FrameEncoder
+from daq.transport.ports import MemoryPort, memory_pair
+from firmware_sim.hardware.bridge import PortBridge
+from firmware_sim.hardware.radio import RadioLink, RadioModel
 
 
 class UnreliablePort:

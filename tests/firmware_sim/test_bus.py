@@ -7,7 +7,7 @@ import pytest
 import smbus2
 from smbus2 import i2c_msg
 
-from firmware_sim.bus import BusModel, Disturbance, SimulatedBus
+from firmware_sim.hardware.bus import BusModel, Disturbance, SimulatedBus
 from tests.firmware_sim.hardware import CountingClock
 
 

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from firmware_sim.campaign import Campaign, fly_campaigns, write_campaign
-from firmware_sim.simulation import derivatives_of
+from firmware_sim.runs.campaign import Campaign, fly_campaigns, write_campaign
+from firmware_sim.world.simulation import derivatives_of
 from groundstation.flight import read_flight
 
 

@@ -9,10 +9,10 @@ import pytest
 from daq.contract.channels import COLUMN_BY_NAME
 from estimation import load_model, output_error, simulate
 from estimation.engine.data import Preparation
-from firmware_sim.direct import DIRECT_COLUMNS, DirectNoise, direct_flights, measured, write_csv
-from firmware_sim.scenario import Scenario, load_scenario, scenario_from
-from firmware_sim.simulation import derivatives_of
-from firmware_sim.world import simulate_many
+from firmware_sim.runs.direct import DIRECT_COLUMNS, DirectNoise, direct_flights, measured, write_csv
+from firmware_sim.world.scenario import Scenario, load_scenario, scenario_from
+from firmware_sim.world.simulation import derivatives_of
+from firmware_sim.world.world import simulate_many
 from groundstation.flight import Flight, read_flight
 
 SILENT = DirectNoise(scale=0.0)

@@ -8,16 +8,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from firmware_sim.effects.actuator import History
-from firmware_sim.effects.base import Effect, Sensed
-from firmware_sim.effects.registry import EFFECTS, make_effects
 from firmware_sim.errors import ScenarioError
-from firmware_sim.maths import FLOATS, array_maths
-from firmware_sim.motion import Motion
-from firmware_sim.plant import ARMS, RATES, Commands, Plant
-from firmware_sim.plant import EFFECTS as EFFECT_STATES
-from firmware_sim.scenario import scenario_from
-from firmware_sim.world import simulate_many, simulate_truth
+from firmware_sim.physics.effects.actuator import History
+from firmware_sim.physics.effects.base import Effect, Sensed
+from firmware_sim.physics.effects.registry import EFFECTS, make_effects
+from firmware_sim.physics.maths import FLOATS, array_maths
+from firmware_sim.physics.motion import Motion
+from firmware_sim.physics.plant import ARMS, RATES, Commands, Plant
+from firmware_sim.physics.plant import EFFECTS as EFFECT_STATES
+from firmware_sim.world.scenario import scenario_from
+from firmware_sim.world.world import simulate_many, simulate_truth
 from tests.firmware_sim.plants import QUIET, fly, level_state, motion_of, plain_plant
 
 # Names that a search is expected to know. Three more of that list are in every flight of a six-degree-of-freedom aircraft

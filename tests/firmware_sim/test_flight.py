@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from daq.contract.accounting import verify
-from daq.contract.reading import Recording, read_recording
+from daq.contract.recordings.accounting import verify
+from daq.contract.recordings.reading import Recording, read_recording
 from daq.contract.scan import SensorState
-from firmware_sim.bench import Bench, BenchRig, Pose, bench_truth
 from firmware_sim.errors import ScenarioError
-from firmware_sim.flight import START_UTC_NS, FlightFiles, prepare_flight
-from firmware_sim.scenario import Scenario, load_scenario, scenario_from
-from firmware_sim.sensor_models import SensorModels
-from firmware_sim.truth import TRUTH_COLUMNS, Truth
-from firmware_sim.truth_log import TruthFile, TruthLog
+from firmware_sim.hardware.sensor_models import SensorModels
+from firmware_sim.hardware.truth_log import TruthFile, TruthLog
+from firmware_sim.runs.bench_recordings import Bench, BenchRig, Pose, bench_truth
+from firmware_sim.runs.flight import START_UTC_NS, FlightFiles, prepare_flight
+from firmware_sim.world.scenario import Scenario, load_scenario, scenario_from
+from firmware_sim.world.truth import TRUTH_COLUMNS, Truth
 from groundstation.calibration.recording import calibrate_recording
 from groundstation.calibration.schema import NOMINAL_DIRECTORY
 

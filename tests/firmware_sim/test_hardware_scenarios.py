@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_sim.faults import Kind, parse_faults
-from firmware_sim.radio import parse_radio
-from firmware_sim.scenario import built_in_scenarios, load_scenario
-from firmware_sim.sensor_models import parse_sensors
+from firmware_sim.hardware.faults import Kind, parse_faults
+from firmware_sim.hardware.radio import parse_radio
+from firmware_sim.hardware.sensor_models import parse_sensors
 from firmware_sim.toml_text import toml_text
+from firmware_sim.world.scenario import built_in_scenarios, load_scenario
 
 _KEYS = st.text(min_size=1, max_size=8)
 _PLAIN = st.one_of(

@@ -6,9 +6,9 @@ import pytest
 import serial
 from pymavlink.dialects.v20 import common
 
-from firmware_sim.bridge import PtyBridge, UdpBridge
 from firmware_sim.errors import ScenarioError
-from firmware_sim.radio import RadioLink, RadioModel, expected_loss, parse_radio, radio_status, x25
+from firmware_sim.hardware.bridge import PtyBridge, UdpBridge
+from firmware_sim.hardware.radio import RadioLink, RadioModel, expected_loss, parse_radio, radio_status, x25
 from tests.firmware_sim.hardware import CountingClock
 
 PERFECT = {"latency_ms": 0.0, "jitter_ms": 0.0, "status_period_s": 0.0}

@@ -9,16 +9,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from smbus2 import i2c_msg
 
-from firmware_sim.bus import SimulatedBus
-from firmware_sim.registers import ads1115, bmp390, capture, icm20948, ublox
-from firmware_sim.registers.ads1115 import Ads1115
-from firmware_sim.registers.ak09916 import Ak09916
-from firmware_sim.registers.bmp390 import Bmp390, Trimming, calibration_bytes
-from firmware_sim.registers.capture import Capture, crc8
-from firmware_sim.registers.chip import Inputs
-from firmware_sim.registers.icm20948 import Icm20948
-from firmware_sim.registers.ms4525do import Ms4525do
-from firmware_sim.registers.nau7802 import Nau7802
+from firmware_sim.hardware.bus import SimulatedBus
+from firmware_sim.hardware.registers import ads1115, bmp390, capture, icm20948, ublox
+from firmware_sim.hardware.registers.ads1115 import Ads1115
+from firmware_sim.hardware.registers.ak09916 import Ak09916
+from firmware_sim.hardware.registers.bmp390 import Bmp390, Trimming, calibration_bytes
+from firmware_sim.hardware.registers.capture import Capture, crc8
+from firmware_sim.hardware.registers.chip import Inputs
+from firmware_sim.hardware.registers.icm20948 import Icm20948
+from firmware_sim.hardware.registers.ms4525do import Ms4525do
+from firmware_sim.hardware.registers.nau7802 import Nau7802
 from tests.firmware_sim.hardware import CountingClock, on_bus, quiet_rng, steady
 
 AT_REST = (0.0, 0.0, 9.80665, 0.0, 0.0, 0.0, 294.15)

@@ -8,12 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from daq.contract.errors import UserError
-from firmware_sim.aerodynamics import TABLE_5_ML_MEANS
-from firmware_sim.effects.registry import EFFECTS
 from firmware_sim.errors import ScenarioError
-from firmware_sim.manoeuvres import MANOEUVRE_SETS, SHAPES, Manoeuvre
-from firmware_sim.scenario import Scenario, built_in_scenarios, load_scenario, scenario_from
-from firmware_sim.simulation import derivatives_of, manoeuvres_of
+from firmware_sim.physics.aerodynamics import TABLE_5_ML_MEANS
+from firmware_sim.physics.effects.registry import EFFECTS
+from firmware_sim.pilot.manoeuvres import MANOEUVRE_SETS, SHAPES, Manoeuvre
+from firmware_sim.world.scenario import Scenario, built_in_scenarios, load_scenario, scenario_from
+from firmware_sim.world.simulation import derivatives_of, manoeuvres_of
 
 
 @pytest.mark.parametrize("name", sorted(built_in_scenarios()))

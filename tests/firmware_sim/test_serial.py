@@ -6,12 +6,12 @@ import pytest
 import serial
 from pymavlink.dialects.v20 import common
 
-from firmware_sim.autopilot import Autopilot
-from firmware_sim.gnss import BAUD, GnssReceiver
-from firmware_sim.instruments import Instruments
-from firmware_sim.registers import ublox
-from firmware_sim.sensor_models import SensorModels
-from firmware_sim.serial import BUFFER_BYTES, PseudoTerminal, SimulatedSerial
+from firmware_sim.hardware.autopilot import Autopilot
+from firmware_sim.hardware.gnss import BAUD, GnssReceiver
+from firmware_sim.hardware.instruments import Instruments
+from firmware_sim.hardware.registers import ublox
+from firmware_sim.hardware.sensor_models import SensorModels
+from firmware_sim.hardware.serial import BUFFER_BYTES, PseudoTerminal, SimulatedSerial
 from tests.firmware_sim.hardware import CountingClock, Still, truth_at_rest
 
 START_UTC_NS = 1_780_000_000_000_000_000

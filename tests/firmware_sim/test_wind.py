@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from firmware_sim.maths import FLOATS, array_maths
-from firmware_sim.wind import GUST_STATES, gusts_for, stationary_start
+from firmware_sim.physics.maths import FLOATS, array_maths
+from firmware_sim.physics.wind import GUST_STATES, gusts_for, stationary_start
 
 SPEED, SPAN, LEVEL = 17.0, 1.5, math.radians(1.0)
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from firmware_sim.errors import ScenarioError
-from firmware_sim.scenario import Scenario, load_scenario, scenario_from
-from firmware_sim.simulation import Simulation
-from firmware_sim.truth import TRUTH_COLUMNS
-from firmware_sim.world import World, simulate_many, simulate_truth, write_truth_csv
+from firmware_sim.world.scenario import Scenario, load_scenario, scenario_from
+from firmware_sim.world.simulation import Simulation
+from firmware_sim.world.truth import TRUTH_COLUMNS
+from firmware_sim.world.world import World, simulate_many, simulate_truth, write_truth_csv
 
 SHORT = {
     "flight": {"duration_s": 6.0, "manoeuvres": "rich"},

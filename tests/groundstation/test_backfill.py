@@ -5,14 +5,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.backfill import FRAGMENT_BYTES, MAX_FRAGMENTS, MAX_WANTED, ScanStore, pack_scans
 from daq.contract.channels import CHANNELS, GROUP_NAMES
-from daq.contract.reading import join, read_segments
+from daq.contract.recordings.reading import join, read_segments
 from daq.contract.scan import GroupStatus, Scan, SensorState, encode_scan
-from daq.downlink_config import DownlinkConfig
-from groundstation.backfill import group_numbers, unpack_scans
-from groundstation.journal import Journal, Kind
-from groundstation.link_config import LinkConfig
+from daq.telemetry.backfill import FRAGMENT_BYTES, MAX_FRAGMENTS, MAX_WANTED, ScanStore, pack_scans
+from daq.telemetry.config import DownlinkConfig
+from groundstation.receiver.backfill import group_numbers, unpack_scans
+from groundstation.receiver.link_config import LinkConfig
+from groundstation.receiver.session_log import Journal, Kind
 from tests.link_rig import Rig, quiet_scan, random_scan
 
 
@@ -81,7 +81,7 @@ def test_interrupted_backfill_goes_on_where_it_was(tmp_path: Path) -> None:
     rig.ground.close()
     again = Rig.__new__(Rig)
     again.__dict__.update(rig.__dict__)
-    from groundstation.receive import Receiver
+    from groundstation.receiver.receive import Receiver
 
     again.ground = Receiver(config, {"memory": rig._ground_end}, rig.clock, folder=tmp_path)
     again.rest(7)
@@ -96,7 +96,7 @@ def test_interrupted_backfill_goes_on_where_it_was(tmp_path: Path) -> None:
 
 
 def test_a_ground_station_started_again_counts_what_it_had_as_received(tmp_path: Path) -> None:
-    from groundstation.receive import Receiver
+    from groundstation.receiver.receive import Receiver
 
     config = LinkConfig(ports=("memory",), backfill="lost")
     rig = Rig(tmp_path, ground=config)

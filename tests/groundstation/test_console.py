@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.contract.mavlink_codec import FrameEncoder
-from groundstation.config import GroundConfig
-from groundstation.console import Console, Lines
-from groundstation.link_config import LinkConfig
-from groundstation.station import Station
+from daq.transport.mavlink_codec import FrameEncoder
+from groundstation.live.config import GroundConfig
+from groundstation.live.console import Console, Lines
+from groundstation.live.station import Station
+from groundstation.receiver.link_config import LinkConfig
 from tests.link_rig import Rig, quiet_scan
 
 

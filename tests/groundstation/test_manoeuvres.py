@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from groundstation.flight import Flight, FlightError
-from groundstation.manoeuvres import cut, find_manoeuvres
+from groundstation.flight.manoeuvres import cut, find_manoeuvres
 
 T = np.arange(1200) * 0.05
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from groundstation.flight import Flight, Provenance
-from groundstation.plausibility import suspicions
-from groundstation.quality import Finding, quality_report, worst
+from groundstation.flight.plausibility import suspicions
+from groundstation.flight.quality import Finding, quality_report, worst
 
 Columns = dict[str, np.ndarray]
 

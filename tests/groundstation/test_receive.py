@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.contract.ports import memory_pair
-from daq.contract.scan_map import ScanMap
-from groundstation import events as ev
-from groundstation.link_config import LinkConfig
-from groundstation.receive import Receiver
-from groundstation.tlog import TlogError, info_tlog, read_tlog
+from daq.contract.link.scan_map import ScanMap
+from daq.transport.ports import memory_pair
+from groundstation.receiver import events as ev
+from groundstation.receiver.link_config import LinkConfig
+from groundstation.receiver.receive import Receiver
+from groundstation.receiver.tlog import TlogError, info_tlog, read_tlog
 from tests.link_rig import Rig, random_scan
 
 LISTEN = LinkConfig(ports=("memory",), backfill="off")
@@ -137,7 +137,7 @@ def test_restart_of_the_aircraft_begins_new_books(tmp_path: Path, boot: int) -> 
 
 
 def test_two_aircraft_stay_apart(tmp_path: Path) -> None:
-    from daq.downlink_config import DownlinkConfig
+    from daq.telemetry.config import DownlinkConfig
 
     one = Rig(tmp_path / "a", ground=LISTEN)
     two = Rig(tmp_path / "b", aircraft=DownlinkConfig(system_id=2, budget_bytes_per_s=20_000))
@@ -177,7 +177,7 @@ def test_clock_relation_and_latency() -> None:
 
 
 def test_signal_strength_reaches_the_report() -> None:
-    from daq.contract.mavlink_codec import FrameEncoder
+    from daq.transport.mavlink_codec import FrameEncoder
 
     rig = Rig(None)
     fly(rig, 20)
@@ -263,7 +263,7 @@ def test_stock_reader_reads_the_log(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
 
 def test_hostile_input_never_raises(tmp_path: Path) -> None:
-    from daq.contract.mavlink_codec import FrameEncoder, message_types
+    from daq.transport.mavlink_codec import FrameEncoder, message_types
 
     rng = np.random.default_rng(8)
     rig = Rig(tmp_path)
@@ -293,8 +293,8 @@ def test_scan_map_ranges_match_a_set() -> None:
 
 
 def test_a_full_disk_does_not_end_reception(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from groundstation.journal import Journal
-    from groundstation.tlog import TlogWriter
+    from groundstation.receiver.session_log import Journal
+    from groundstation.receiver.tlog import TlogWriter
 
     rig = Rig(tmp_path, ground=LISTEN)
     fly(rig, 40)
@@ -320,8 +320,8 @@ def test_a_full_disk_does_not_end_reception(tmp_path: Path, monkeypatch: pytest.
 def test_a_disk_that_is_full_at_the_end_is_told_and_the_scans_stay_in_the_journal(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from groundstation.journal import Journal
-    from groundstation.recording import ReceivedWriter
+    from groundstation.receiver.recording import ReceivedWriter
+    from groundstation.receiver.session_log import Journal
 
     rig = Rig(tmp_path, ground=LISTEN)
     fly(rig, 60)
@@ -373,7 +373,7 @@ def test_trouble_is_told_once_and_its_end_too(tmp_path: Path) -> None:
 
 
 def test_link_quality_of_a_received_recording_is_shown(tmp_path: Path) -> None:
-    from groundstation.recording import read_link
+    from groundstation.receiver.recording import read_link
 
     rig = Rig(tmp_path, down=damager("lost", 0.1), ground=LISTEN)
     fly(rig, 300)

@@ -5,8 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.contract.mavlink_codec import Frame, FrameDecoder, FrameEncoder
-from daq.contract.signing import (
+from daq.telemetry.config import DownlinkConfig
+from daq.transport.mavlink_codec import Frame, FrameDecoder, FrameEncoder
+from daq.transport.signing import (
     Signer,
     SigningError,
     SigningState,
@@ -16,9 +17,8 @@ from daq.contract.signing import (
     save_state,
     stamp_of,
 )
-from daq.downlink_config import DownlinkConfig
-from groundstation import events as ev
-from groundstation.link_config import LinkConfig
+from groundstation.receiver import events as ev
+from groundstation.receiver.link_config import LinkConfig
 from tests.link_rig import Rig, quiet_scan
 
 KEY = bytes(range(32))
@@ -42,7 +42,7 @@ def signed(count: int, now: int = NOW, key: bytes = KEY) -> list[bytes]:
 
 
 def test_stock_implementation_accepts_our_signature_and_we_accept_its() -> None:
-    from daq.contract.dialect import sideslip_dialect
+    from daq.contract.link.dialect import sideslip_dialect
 
     stock = sideslip_dialect.MAVLink(None, srcSystem=1, srcComponent=1)
     stock.signing.secret_key = KEY

@@ -4,8 +4,8 @@ import os
 import sys
 from pathlib import Path
 
-from firmware_sim.flight import prepare_flight
-from firmware_sim.scenario import load_scenario
+from firmware_sim.runs.flight import prepare_flight
+from firmware_sim.world.scenario import load_scenario
 
 
 def main(folder: Path, speed: float, seed: int) -> None:

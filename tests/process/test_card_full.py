@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 
 from daq.clock import SimulatedClock
-from daq.contract.accounting import verify
-from daq.contract.reading import read_recording, read_segment
+from daq.contract.recordings.accounting import verify
+from daq.contract.recordings.reading import read_recording, read_segment
 from daq.contract.scan import encode_scan
-from daq.recorder import Recorder
-from daq.recorder_config import RecorderConfig
+from daq.recorder.config import RecorderConfig
+from daq.recorder.recorder import Recorder
 from tests.daq.synthetic import PERIOD_NS, make_info, make_scan
 
 SIZE_KB = 400

@@ -7,7 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from daq.contract.reading import read_recording
+from daq.contract.recordings.reading import read_recording
 
 
 def free_tcp_port() -> int:

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from firmware_sim.scenario import load_scenario
+from firmware_sim.world.scenario import load_scenario
 from groundstation.flight import read_flight
-from groundstation.tlog import read_tlog
+from groundstation.receiver.tlog import read_tlog
 from sideslip import fly_scenario
 
 

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from daq.contract.accounting import recover, verify
-from daq.contract.reading import read_recording
+from daq.contract.recordings.accounting import recover, verify
+from daq.contract.recordings.reading import read_recording
 
 ROOT = Path(__file__).resolve().parents[2]
 SPEED = 4.0

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from daq.clock import RealClock
-from daq.contract.ports import TcpServerPort
-from daq.downlink_config import DownlinkConfig
-from daq.link import radio_link
-from groundstation import events as ev
+from daq.telemetry.config import DownlinkConfig
+from daq.telemetry.link import radio_link
+from daq.transport.ports import TcpServerPort
+from groundstation.receiver import events as ev
 from tests.link_rig import FakeLogger, Rig, quiet_scan
 
 MAVPROXY = Path(sys.executable).with_name("mavproxy.py")

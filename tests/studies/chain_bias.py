@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from firmware_sim.flight import simulate_flight
-from firmware_sim.scenario import load_scenario
+from firmware_sim.runs.flight import simulate_flight
+from firmware_sim.world.scenario import load_scenario
 from groundstation.calibration.recording import calibrate_recording
 from groundstation.calibration.schema import NOMINAL_DIRECTORY
 from groundstation.flight import read_flight

@@ -19,9 +19,9 @@ from estimation.compatibility.problem import Problem
 from estimation.compatibility.reconstruction import compatibility
 from estimation.compatibility.result import Factor
 from estimation.models.kinematic import MEASUREMENTS, STANDARD_FACTORS, compatibility_model
-from firmware_sim.direct import DirectNoise, direct_flights
-from firmware_sim.flight import simulate_flight
-from firmware_sim.scenario import Scenario, load_scenario
+from firmware_sim.runs.direct import DirectNoise, direct_flights
+from firmware_sim.runs.flight import simulate_flight
+from firmware_sim.world.scenario import Scenario, load_scenario
 from groundstation.calibration.recording import calibrate_recording
 from groundstation.calibration.schema import NOMINAL_DIRECTORY
 from groundstation.flight import Flight

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
-from daq.contract.mavlink_codec import Frame, FrameDecoder
-from daq.contract.reading import join, read_segments
+from daq.contract.recordings.reading import join, read_segments
 from daq.contract.scan import encode_scan
-from groundstation.link_config import LinkConfig
+from daq.transport.mavlink_codec import Frame, FrameDecoder
+from groundstation.receiver.link_config import LinkConfig
 from tests.link_rig import Rig, quiet_scan
 
 KINDS = ("flip", "dropped byte", "burst", "all and copies")

@@ -8,11 +8,11 @@ import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
-from daq.contract.accounting import verify
-from daq.contract.reading import read_recording, read_segment
-from daq.contract.recording import RecordingError
-from firmware_sim.flight import prepare_flight
-from firmware_sim.scenario import load_scenario
+from daq.contract.recordings.accounting import verify
+from daq.contract.recordings.reading import read_recording, read_segment
+from daq.contract.recordings.recording import RecordingError
+from firmware_sim.runs.flight import prepare_flight
+from firmware_sim.world.scenario import load_scenario
 
 
 def cut(data: bytes, rng: random.Random) -> bytes:

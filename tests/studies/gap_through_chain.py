@@ -13,7 +13,7 @@ from pathlib import Path
 from estimation.gap.effects import catalogue
 from estimation.gap.workflow import run_gap
 from estimation.models.load import load_model
-from firmware_sim.campaign import Campaign
+from firmware_sim.runs.campaign import Campaign
 from groundstation.flight import Flight, read_flight
 from sideslip import fly_scenario
 

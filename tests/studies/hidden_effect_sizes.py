@@ -11,9 +11,9 @@ import sys
 import numpy as np
 
 from estimation import load_model, output_error
-from firmware_sim.campaign import Campaign, fly_campaigns
-from firmware_sim.direct import ORDINARY_NOISE
-from firmware_sim.effects.registry import EFFECTS
+from firmware_sim.physics.effects.registry import EFFECTS
+from firmware_sim.runs.campaign import Campaign, fly_campaigns
+from firmware_sim.runs.direct import ORDINARY_NOISE
 from groundstation.flight import Flight
 
 OUTPUTS = ("beta", "p", "r", "phi", "ay")

@@ -20,15 +20,15 @@ from typing import Any
 import numpy as np
 
 from daq.clock import SimulatedClock
-from daq.contract.ports import memory_pair
-from daq.contract.reading import join, read_segments
-from daq.downlink_config import DownlinkConfig
-from groundstation import events as ev
-from groundstation.config import GroundConfig
-from groundstation.link_config import LinkConfig
-from groundstation.receive import Receiver
-from groundstation.station import Station
-from groundstation.tlog import read_tlog
+from daq.contract.recordings.reading import join, read_segments
+from daq.telemetry.config import DownlinkConfig
+from daq.transport.ports import memory_pair
+from groundstation.live.config import GroundConfig
+from groundstation.live.station import Station
+from groundstation.receiver import events as ev
+from groundstation.receiver.link_config import LinkConfig
+from groundstation.receiver.receive import Receiver
+from groundstation.receiver.tlog import read_tlog
 from groundstation.viewer.live import LiveView, ViewOptions, free_port
 from groundstation.viewer.window import NativeWindow
 from tests.aircraft_process import AircraftProcess, resident_mb

@@ -26,9 +26,9 @@ from estimation.aircraft import load_aircraft
 from estimation.estimators.neural_gauss_newton import estimate_ngn
 from estimation.laboratory import NEURAL, run_method
 from estimation.models import load_model
-from firmware_sim.aerodynamics import TABLE_5_ML_MEANS, true_derivatives
-from firmware_sim.direct import DirectNoise, direct_flights
-from firmware_sim.scenario import load_scenario
+from firmware_sim.physics.aerodynamics import TABLE_5_ML_MEANS, true_derivatives
+from firmware_sim.runs.direct import DirectNoise, direct_flights
+from firmware_sim.world.scenario import load_scenario
 from groundstation.flight import Flight, read_flight
 from tests.studies import second_truth
 

@@ -2,7 +2,7 @@
 
 `python -m tests.studies.output_error_statistics [SET ...] [--seeds 200] [--method ml|fem]`: every set below unless named.
 Flights of three simulators that share no code: `tests.estimation.truth` (made), `tests.studies.second_truth` (second) and
-`firmware_sim.direct` (sim). Each flight is fitted by itself, and every four of one aircraft together with coefficients at
+`firmware_sim.runs.direct` (sim). Each flight is fitted by itself, and every four of one aircraft together with coefficients at
 rest of their own. The last result is kept in docs/estimation.md.
 """
 
@@ -16,9 +16,9 @@ import numpy as np
 from estimation.estimators.filter_error import filter_error
 from estimation.estimators.output_error import OutputErrorOptions, output_error, prepared
 from estimation.models import load_model
-from firmware_sim.direct import direct_flights
-from firmware_sim.scenario import load_scenario
-from firmware_sim.simulation import derivatives_of
+from firmware_sim.runs.direct import direct_flights
+from firmware_sim.world.scenario import load_scenario
+from firmware_sim.world.simulation import derivatives_of
 from groundstation.flight import Flight
 from tests.estimation.truth import DEG, NOISE, STRONG, TRUE, Case, fly
 from tests.studies import second_truth

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from daq.contract.channels import CHANNEL_BY_NAME
-from firmware_sim.bench import record_bench
-from firmware_sim.calibration_truth import calibration_truth
-from firmware_sim.sensor_models import SensorModels
+from firmware_sim.hardware.calibration_truth import calibration_truth
+from firmware_sim.hardware.sensor_models import SensorModels
+from firmware_sim.runs.bench_recordings import record_bench
 from groundstation.calibration.bench import fit_bench, fitted_set
 from groundstation.calibration.errors import CalibrationError
 from groundstation.calibration.fits import fit_sphere, fit_vectors

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from daq.contract.reading import read_recording
-from firmware_sim.flight import simulate_flight
-from firmware_sim.scenario import load_scenario
+from daq.contract.recordings.reading import read_recording
+from firmware_sim.runs.flight import simulate_flight
+from firmware_sim.world.scenario import load_scenario
 from groundstation.calibration.apply import calibrate
 from groundstation.calibration.errors import CalibrationError
 from groundstation.calibration.recording import calibrate_recording, embedded_calibration
 from groundstation.calibration.schema import NOMINAL_DIRECTORY
-from groundstation.commands_data import calibrate as calibrate_verb
+from groundstation.cli.data import calibrate as calibrate_verb
 from groundstation.flight import Flight, read_flight, write_flight
 
 # column: largest mean error, and largest rms error, after the first 8 s. Biases are those the logger's power-up draws.

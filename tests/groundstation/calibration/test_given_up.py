@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
-from daq.contract.accounting import verify
-from firmware_sim.flight import simulate_flight
-from firmware_sim.scenario import load_scenario
+from daq.contract.recordings.accounting import verify
+from firmware_sim.runs.flight import simulate_flight
+from firmware_sim.world.scenario import load_scenario
 from groundstation.calibration.recording import calibrate_recording
 
 

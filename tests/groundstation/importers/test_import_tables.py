@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from groundstation.commands_data import import_
+from groundstation.cli.data import import_
 from groundstation.flight import read_flight, write_flight
 from groundstation.importers.errors import ImportDataError
 from groundstation.importers.mapping import load_map

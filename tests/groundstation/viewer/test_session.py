@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from groundstation.config import ViewConfig
+from groundstation.live.config import ViewConfig
 from groundstation.viewer.live import ViewerError, free_port
 from groundstation.viewer.session import SessionViews
 from groundstation.viewer.window import WebPage

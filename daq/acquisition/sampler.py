@@ -1,0 +1,330 @@
+"""The sampler: one call reads all sensors once, whatever state they are in; another makes a scan of what was read.
+
+Reading keeps to the scan's time. Finishing, the attitude above all, can wait, so that several scans are finished together.
+
+A scan is cooperative. Each due sensor is a sample in stages; whoever has to wait (a converter converting) lets others use
+the bus. Converters are started first and the IMU is read while the first inputs, the vanes, are being converted, so
+what is compared in flight is also taken together. Nothing here waits longer than the scan's budget, and no trouble of
+a sensor leaves `take`: it becomes a state in the scan and a sentence in `health`.
+
+A group that is not due in a scan (`every` > 1) is missing from that scan's `groups`. Values are recorded for the states
+ok, recovering, out of range and stuck (they are what the chip said); for all others the channels are unset.
+Offsets may be negative: a conversion begun in one scan can end in the next, and a GPS fix is older than its message.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from daq.acquisition.attitude_source import AttitudeSource
+from daq.acquisition.health import HealthSummary, Record
+from daq.acquisition.supervisor import Outcome, Supervisor
+from daq.clock import Clock
+from daq.contract.channels import GROUP_NAMES
+from daq.contract.scan import GroupStatus, RawValue, Scan, SensorState
+from daq.sensors.bus import I2cBus, SerialPort
+from daq.sensors.config import SensorsConfig
+from daq.sensors.registry import Surroundings, build_drivers
+from daq.sensors.timebase import TimeBase
+
+BUDGET = 0.8
+"""Share of the scan interval that the sensors may use."""
+
+AUDIT_INTERVAL_NS = 50_000_000
+BUS_HELD_AFTER = 2
+BUS_RETRY_NS = 100_000_000
+BUS_RETRY_LIMIT_NS = 1_000_000_000
+START_LIMIT_NS = 6_000_000_000
+SHARED_RATE_HZ = 50.0
+"""At scan rates above twice this all groups but the IMU are read so often only, unless the configuration says `every`."""
+
+# Order of precedence on the bus. Converters first: they work while the others are read.
+_ORDER = ("analog_a", "analog_b", "analog_c", "imu", "pitot", "capture", "mag", "static", "thrust")
+_BEGUN_FIRST = frozenset(_ORDER[:5])  # these are begun before any converter is served again
+
+
+@dataclass(frozen=True, slots=True)
+class EventMark:
+    """An event marked on board. source: `switch` for the pilot's event switch."""
+
+    time_monotonic_ns: int
+    scan_number: int
+    source: str
+
+
+class UnfinishedScan(NamedTuple):
+    """What was read in one scan: `Scan` with the outcomes of the groups that were due, before the attitude is computed."""
+
+    number: int
+    time_monotonic_ns: int
+    time_utc_ns: int
+    utc_accuracy_ns: int
+    lateness_us: int
+    outcomes: dict[str, Outcome]
+
+
+def _ignore(_: EventMark) -> None:
+    return
+
+
+class Sampler:
+    """Reads all fitted sensors once per `take`; `finish` wants what was taken, each once and in order.
+
+    bus, serial: the I2C bus and the GPS receiver's port, real or simulated; None where nothing fitted needs them.
+    autopilot: serial port of the `mavlink_servo` driver. pulse: returns the monotonic time of the newest
+    pulse-per-second edge [ns], or None. on_event: told about every edge of the event switch.
+    Raises DriverConfigError when the configuration asks for a driver or port that is not there.
+    """
+
+    def __init__(
+        self,
+        config: SensorsConfig,
+        bus: I2cBus | None,
+        serial: SerialPort | None,
+        clock: Clock,
+        *,
+        rate_hz: float = 20.0,
+        autopilot: SerialPort | None = None,
+        pulse: Callable[[], int | None] | None = None,
+        on_event: Callable[[EventMark], None] = _ignore,
+    ) -> None:
+        self.on_event = on_event
+        self._config = config
+        self._clock = clock
+        self._pulse = pulse
+        self._period_ns = round(1e9 / rate_hz)
+        self._budget_ns = round(BUDGET * self._period_ns)
+        latency = config.gnss.arrival_s if config.gnss else 0.0
+        self.timebase = TimeBase(round(latency * 1e9), self._period_ns)
+        around = Surroundings(bus, serial, autopilot, clock.monotonic_ns, self.timebase)
+        now = clock.monotonic_ns()
+        self._supervisors = {
+            group: Supervisor(driver, config.section(group), config.health, self._every(group, driver, rate_hz), now)
+            for group, driver in build_drivers(config, around).items()
+        }
+        ranked = sorted(self._supervisors.values(), key=lambda s: _ORDER.index(s.group) if s.group in _ORDER else 99)
+        self._on_bus = [s for s in ranked if s.driver.uses_i2c]
+        self._on_serial = [s for s in ranked if not s.driver.uses_i2c]
+        self._all = (*self._on_serial, *self._on_bus)
+        self._off = {g: GroupStatus(SensorState.OFF) for g in GROUP_NAMES if g not in config.fitted}
+        self._attitude = AttitudeSource(config, rate_hz / self._imu_every(), now) if config.attitude else None
+        self._bus_held = ""
+        self._bus_retry_ns = 0
+        self._bus_pause_ns = BUS_RETRY_NS
+        self._audit_turn = 0
+        self._last_audit_ns = now
+
+    def _every(self, group: str, driver: "object", rate_hz: float) -> int:
+        chosen: int | None = self._config.section(group).every
+        if chosen is not None:
+            return chosen
+        highest = getattr(driver, "max_rate_hz", rate_hz)
+        if group != "imu" and getattr(driver, "uses_i2c", False) and rate_hz > 2 * SHARED_RATE_HZ:
+            highest = min(highest, SHARED_RATE_HZ)
+        return max(1, math.ceil(rate_hz / highest - 1e-9))
+
+    def _imu_every(self) -> int:
+        return self._supervisors["imu"].every if "imu" in self._supervisors else 1
+
+    # -- start ------------------------------------------------------------------------------------------------
+
+    def start(self) -> HealthSummary:
+        """Set all sensors up, once each, waiting for them (a few seconds); those that fail are tried again later."""
+        limit = self._clock.monotonic_ns() + START_LIMIT_NS
+        waiting = [s for s in self._supervisors.values() if not s.up]
+        while waiting and self._clock.monotonic_ns() < limit:
+            supervisor = min((s for s in waiting if not self._waits_for(s, waiting)), key=lambda s: s.next_try_ns)
+            self._clock.sleep_until(supervisor.next_try_ns)
+            supervisor.setup_step(self._clock.monotonic_ns(), trusted=True)
+            if supervisor.up or not supervisor.setting_up:
+                waiting.remove(supervisor)
+        self._rehearse()
+        return self.health()
+
+    def _rehearse(self) -> None:
+        """Two rounds over all sensors, thrown away: what they say about their timing is then as in flight."""
+        up = [s for s in self._on_bus if s.up]
+        for _ in range(2):
+            now = self._clock.monotonic_ns()
+            self._run(up, now, {})
+            for supervisor in self._on_serial:
+                self._read_serial(supervisor, 0, {})
+            self._clock.sleep_until(now + self._period_ns)
+        for supervisor in self._supervisors.values():
+            supervisor.rehearsed()
+
+    def _waits_for(self, supervisor: Supervisor, others: list[Supervisor]) -> bool:
+        """Whether a sensor's turn comes only after another one that is still to be set up."""
+        return any(other.group == supervisor.driver.needs for other in others)
+
+    # -- scan -------------------------------------------------------------------------------------------------
+
+    def take(self, number: int, deadline_ns: int) -> UnfinishedScan:
+        """Read all sensors, now. `deadline_ns`: when that should have begun on the monotonic clock."""
+        start = self._clock.monotonic_ns()
+        if self._pulse is not None and (edge := self._pulse()) is not None:
+            self.timebase.observe_pulse(edge)
+        outcomes: dict[str, Outcome] = {}
+        self._read_bus(number, start, outcomes)
+        for supervisor in self._on_serial:
+            self._read_serial(supervisor, number, outcomes)
+        self._maintain(start)
+        for outcome in outcomes.values():
+            for time_ns in outcome.events:
+                self.on_event(EventMark(time_ns, number, "switch"))
+        utc, accuracy = self.timebase.utc(start)
+        lateness_us = min(max(0, start - deadline_ns) // 1000, 2**32 - 1)
+        return UnfinishedScan(number, start, utc, accuracy, lateness_us, outcomes)
+
+    def finish(self, taken: UnfinishedScan) -> Scan:
+        """The scan, with the attitude at its instant."""
+        number, start, utc, accuracy, lateness_us, outcomes = taken
+        groups = dict(self._off)
+        values: dict[str, RawValue] = {}
+        for group, outcome in outcomes.items():
+            groups[group] = GroupStatus(outcome.state, (outcome.time_ns - start) // 1000)
+            values.update(outcome.values)
+        if self._attitude is not None and "imu" in outcomes:
+            attitude = self._attitude.update(outcomes, start)
+            groups["attitude"] = GroupStatus(attitude.state, (attitude.time_ns - start) // 1000)
+            values.update(attitude.values)
+        return Scan(number, start, utc, accuracy, lateness_us, groups, values)
+
+    def _due(self, supervisor: Supervisor, number: int) -> bool:
+        return supervisor.starved or (number + self._phase(supervisor)) % supervisor.every == 0
+
+    def _phase(self, supervisor: Supervisor) -> int:
+        """Sensors read less often take turns instead of all falling into the same scan."""
+        return self._on_bus.index(supervisor) if supervisor in self._on_bus else 0
+
+    def _read_bus(self, number: int, start: int, outcomes: dict[str, Outcome]) -> None:
+        due = []
+        for supervisor in self._on_bus:
+            if supervisor.ready_ns is not None:
+                due.append(supervisor)
+            elif supervisor.every == 1 or self._due(supervisor, number):
+                if supervisor.up:
+                    due.append(supervisor)
+                else:
+                    outcomes[supervisor.group] = supervisor.lost(start)
+        if self._bus_held and start < self._bus_retry_ns:
+            self._pass_over(due, start, outcomes)
+            return
+        self._run(due, start, outcomes)
+
+    def _run(self, due: list[Supervisor], start: int, outcomes: dict[str, Outcome]) -> None:
+        """Take all due samples as far as the budget allows; a sample begun but not finished goes on in the next scan."""
+        clock, limit = self._clock, start + self._budget_ns
+        waiting = list(due)
+        timeouts = 0
+        now = start
+        while waiting and now <= limit:
+            supervisor = self._next(waiting, now)
+            ready = supervisor.ready_ns
+            if ready is None:
+                supervisor.starved = False
+                supervisor.begin(now)
+            elif ready > now:
+                if ready > limit:
+                    return
+                clock.sleep_until(ready)
+                now = clock.monotonic_ns()
+            outcome = supervisor.advance(now, may_retry=now < limit)
+            now = clock.monotonic_ns()
+            if outcome is not None:
+                outcomes[supervisor.group] = outcome
+                waiting.remove(supervisor)
+            if supervisor.timed_out:
+                timeouts += 1
+                supervisor.excuse()
+                if timeouts >= BUS_HELD_AFTER or self._bus_held:
+                    self._hold_bus(now)
+                    self._pass_over(waiting, now, outcomes)
+                    return
+            elif self._bus_held:
+                self._bus_held, self._bus_pause_ns = "", BUS_RETRY_NS
+        for supervisor in waiting:
+            if supervisor.ready_ns is None:
+                supervisor.starved = True
+                outcomes[supervisor.group] = supervisor.passed_over("scan ran out of time", SensorState.STALE, now)
+
+    @staticmethod
+    def _next(waiting: list[Supervisor], now: int) -> Supervisor:
+        """Who has the bus next: the urgent and the starved if not begun, then whoever can go on, else waits least."""
+        willing: Supervisor | None = None
+        soonest, soonest_ns = waiting[0], math.inf
+        for supervisor in waiting:
+            ready = supervisor.ready_ns
+            if ready is None:
+                if supervisor.starved or supervisor.group in _BEGUN_FIRST:
+                    return supervisor
+                willing = willing or supervisor
+            elif ready <= now:
+                willing = willing or supervisor
+            elif ready < soonest_ns:
+                soonest, soonest_ns = supervisor, ready
+        return willing or soonest
+
+    def _hold_bus(self, now: int) -> None:
+        self._bus_held = "I2C bus is held low: transfers time out"
+        self._bus_retry_ns = now + self._bus_pause_ns
+        self._bus_pause_ns = min(2 * self._bus_pause_ns, BUS_RETRY_LIMIT_NS)
+
+    def _pass_over(self, waiting: list[Supervisor], now: int, outcomes: dict[str, Outcome]) -> None:
+        for supervisor in waiting:
+            outcomes[supervisor.group] = supervisor.passed_over(self._bus_held, SensorState.ABSENT, now)
+
+    def _read_serial(self, supervisor: Supervisor, number: int, outcomes: dict[str, Outcome]) -> None:
+        if supervisor.every != 1 and not self._due(supervisor, number):
+            return
+        now = self._clock.monotonic_ns()
+        if not supervisor.up:
+            outcomes[supervisor.group] = supervisor.lost(now)
+            return
+        supervisor.begin(now)
+        outcome = supervisor.advance(now, may_retry=False)
+        if outcome is not None:
+            outcomes[supervisor.group] = outcome
+
+    def _maintain(self, start: int) -> None:
+        """With what is left of the budget: one set-up step of a lost sensor, and now and then one audit."""
+        now = self._clock.monotonic_ns()
+        down = [s for s in self._all if not s.up]
+        if down and now < start + self._budget_ns:
+            self._set_up(down, now)
+        if self._on_bus and not self._bus_held and start - self._last_audit_ns >= AUDIT_INTERVAL_NS:
+            self._last_audit_ns = start
+            self._audit_turn = (self._audit_turn + 1) % len(self._on_bus)
+            if self._clock.monotonic_ns() < start + self._budget_ns:
+                self._on_bus[self._audit_turn].audit(now)
+
+    def _set_up(self, down: list[Supervisor], now: int) -> None:
+        """One step for the sensor that has waited longest, of those that can be reached."""
+        ready = [
+            s
+            for s in down
+            if s.next_try_ns <= now and not self._waits_for(s, down) and not (self._bus_held and s.driver.uses_i2c)
+        ]
+        if ready:
+            min(ready, key=lambda s: s.next_try_ns).setup_step(now)
+
+    # -- reports ----------------------------------------------------------------------------------------------
+
+    def health(self) -> HealthSummary:
+        """State of every group in table order."""
+        records = {g: s.record for g, s in self._supervisors.items()}
+        if self._attitude is not None:
+            records["attitude"] = self._attitude.record
+        now = self._clock.monotonic_ns()
+        off = {g: Record(g, SensorState.OFF, now, required=False) for g in self._off}
+        groups = tuple((records.get(g) or off[g]).snapshot() for g in GROUP_NAMES)
+        return HealthSummary(now, groups, self._bus_held)
+
+    def metadata(self) -> dict[str, str]:
+        """What the ground needs to use the counts, `group.key` -> text; goes into every recording."""
+        flat = {"sensors.rate_hz": repr(round(1e9 / self._period_ns, 6))}
+        for group, supervisor in self._supervisors.items():
+            flat[f"{group}.every"] = str(supervisor.every)
+            flat.update({f"{group}.{key}": text for key, text in supervisor.driver.metadata().items()})
+        return flat

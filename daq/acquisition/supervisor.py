@@ -1,0 +1,251 @@
+"""One sensor under supervision: reads it, judges it, loses it, finds it again, and never lets it stop the scan.
+
+A sensor that fails is read again up to three times in the same scan; failing in two scans in a row it is given up and
+tried anew at growing intervals, at most one short set-up step in a scan. After its return a number of good samples are
+marked recovering before they count. Every exception of a driver that means trouble with hardware ends here as a state.
+"""
+
+from collections.abc import Generator, Mapping
+from typing import NamedTuple
+
+from daq.acquisition.health import WELL, Record, Watch
+from daq.contract.channels import channels_of
+from daq.contract.scan import RawValue, SensorState
+from daq.sensors.base import NO_VALUES, SECOND, Driver, Reading, SensorError, Wait
+from daq.sensors.bus import TIMEOUT_ERRNOS
+from daq.sensors.config import HealthConfig, SensorSection
+
+REPETITIONS = 3
+"""How often a sample that failed is begun again within a scan, while the scan's budget lasts."""
+
+GIVE_UP_AFTER = 2
+"""Failed scans in a row after which a sensor is no longer read but tried anew."""
+
+EXCUSES = 20
+"""Time-outs in a row that are put down to the bus before a sensor is given up for holding it."""
+
+_OK = SensorState.OK
+
+# A value of these states is what the chip said and is recorded; of the others there is none, or only an old one.
+VALUES_RECORDED = frozenset({SensorState.OK, SensorState.OUT_OF_RANGE, SensorState.STUCK, SensorState.RECOVERING})
+
+
+class Outcome(NamedTuple):
+    """What a group contributes to a scan. Times are monotonic [ns]."""
+
+    state: SensorState
+    detail: str = ""
+    time_ns: int = 0
+    values: Mapping[str, RawValue] = NO_VALUES
+    events: tuple[int, ...] = ()
+
+
+class Supervisor:
+    """A driver with its health. All calls carry the time; none waits and none raises for a hardware fault."""
+
+    def __init__(self, driver: Driver, section: SensorSection, config: HealthConfig, every: int, now_ns: int) -> None:
+        self.driver = driver
+        self.group = driver.group
+        self.every = every
+        self.record = Record(self.group, SensorState.ABSENT, now_ns, section.required)
+        self.starved = False  # a scan ran out of time before this sensor's turn: it goes first in the next
+        self.ready_ns: int | None = None  # when the sample under way can go on [ns]; None when there is none
+        self.timed_out = False  # the last transfer ended in a time-out: the bus itself may be held
+        self.up = False  # set up and being read
+        self._config = config
+        self._watch = Watch(tuple(c.name for c in channels_of(self.group)), config)
+        self._staged = type(driver).stages is not Driver.stages
+        self._setup: Generator[Wait, None, None] | None = None
+        self._sample: Generator[Wait, None, Reading] | None = None
+        self._repetitions = 0  # left to the sample under way
+        self._failures = 0
+        self._excused = 0
+        self._next_try_ns = now_ns
+        self._pause_ns = round(config.retry_s * SECOND)
+        self._untrusted = 0
+        self._stale_since_ns: int | None = None
+        self._lost_state = SensorState.ABSENT
+        self._lost_detail = "not set up yet"
+
+    # -- set-up -----------------------------------------------------------------------------------------------
+
+    @property
+    def setting_up(self) -> bool:
+        """In the middle of a set-up."""
+        return self._setup is not None
+
+    @property
+    def next_try_ns(self) -> int:
+        """When a sensor that is down wants its next set-up step [ns]."""
+        return self._next_try_ns
+
+    def setup_step(self, now_ns: int, trusted: bool = False) -> None:
+        """One step of setting the chip up; `trusted` skips the recovering samples (first start)."""
+        if self._setup is None:
+            self._setup = self.driver.initialise()
+        try:
+            self._next_try_ns = now_ns + next(self._setup)
+        except StopIteration:
+            self._setup = None
+            self._come_up(trusted, now_ns)
+        except SensorError as error:
+            self._setup_failed(SensorState.FAULT, str(error), now_ns)
+        except OSError as error:
+            self.timed_out = error.errno in TIMEOUT_ERRNOS
+            self._setup_failed(SensorState.ABSENT, f"does not answer: {error.strerror or error}", now_ns)
+
+    def _come_up(self, trusted: bool, now_ns: int) -> None:
+        self.up = True
+        self._failures = 0
+        self._pause_ns = round(self._config.retry_s * SECOND)
+        self._untrusted = 0 if trusted else self._config.trust_after
+        self._stale_since_ns = None
+        self._watch.forget()
+        self.record.setups += 1
+        self.record.turn(SensorState.OK if trusted else SensorState.RECOVERING, now_ns)
+
+    def _setup_failed(self, state: SensorState, detail: str, now_ns: int) -> None:
+        self._setup = None
+        self._lost_state, self._lost_detail = state, detail
+        self.record.turn(state, now_ns, detail)
+        self._next_try_ns = now_ns + self._pause_ns
+        self._pause_ns = min(2 * self._pause_ns, round(self._config.retry_limit_s * SECOND))
+
+    def _go_down(self, state: SensorState, detail: str, now_ns: int) -> None:
+        self.up = False
+        self._setup = None
+        self._lost_state, self._lost_detail = state, detail
+        self._next_try_ns = now_ns
+
+    def rehearsed(self) -> None:
+        """What was read so far was a rehearsal: keep its timing, forget its samples."""
+        self.driver.keep_timing()
+        self._watch.forget()
+        self.starved = False
+        self.record.forget_scans()
+
+    # -- reading ----------------------------------------------------------------------------------------------
+
+    def begin(self, now_ns: int) -> None:
+        """Begin a sample; `advance` does the work."""
+        if self._staged:
+            self._sample = self.driver.stages()
+        self.ready_ns = now_ns
+        self._repetitions = REPETITIONS
+
+    def advance(self, now_ns: int, may_retry: bool) -> Outcome | None:
+        """Take the sample one stage further; the outcome when it is finished, else None."""
+        self.timed_out = False
+        try:
+            if self._sample is not None:
+                self.ready_ns = now_ns + next(self._sample)
+                return None
+            reading = self.driver.read()
+            self.ready_ns = None
+            return self._finished(reading, now_ns)
+        except StopIteration as finished:
+            self._end_sample()
+            return self._finished(finished.value, now_ns)
+        except SensorError as error:
+            self._end_sample()
+            self._go_down(SensorState.FAULT, str(error), now_ns)
+            return self._outcome(SensorState.FAULT, str(error), now_ns)
+        except OSError as error:
+            return self._failed(error, now_ns, may_retry)
+
+    def _end_sample(self) -> None:
+        self._sample = self.ready_ns = None
+
+    def _failed(self, error: OSError, now_ns: int, may_retry: bool) -> Outcome | None:
+        self._end_sample()
+        self.timed_out = error.errno in TIMEOUT_ERRNOS
+        if may_retry and self._repetitions and not self.timed_out:
+            left = self._repetitions - 1
+            self.begin(now_ns)
+            self._repetitions = left
+            self.record.retries += 1
+            return None
+        detail = f"does not answer: {error.strerror or error}"
+        self._failures += 1
+        if self._failures >= GIVE_UP_AFTER or (self.timed_out and self._excused >= EXCUSES):
+            self._go_down(SensorState.ABSENT, detail, now_ns)
+        return self._outcome(SensorState.ABSENT, detail, now_ns)
+
+    def _finished(self, reading: Reading, started_ns: int) -> Outcome:
+        self._failures = self._excused = 0
+        if self.driver.repeated:
+            self.record.retries += self.driver.repeated
+            self.driver.repeated = 0
+        values, state, detail, time_ns, events = reading
+        if time_ns is None:
+            time_ns = started_ns
+        if state is not _OK:
+            self._chip_complains(state, detail, started_ns)
+            return self._outcome(state, detail, time_ns, reading)
+        # The chip has nothing to say: now the verdict of the watch, then whether the sensor is trusted again.
+        self._stale_since_ns = None
+        verdict = self._watch.judge(values, time_ns)
+        if verdict is not WELL:
+            return self._outcome(verdict.state, verdict.detail, time_ns, reading)
+        if self._untrusted > 0:
+            self._untrusted -= 1
+            return self._outcome(SensorState.RECOVERING, "answers again", time_ns, reading)
+        self.record.note(_OK, "", time_ns)
+        return Outcome(_OK, "", time_ns, values, events)
+
+    def _chip_complains(self, state: SensorState, detail: str, now_ns: int) -> None:
+        if state is SensorState.FAULT:
+            self._go_down(state, detail, now_ns)
+        elif state in (SensorState.STALE, SensorState.ABSENT):
+            self._check_staleness(state, detail, now_ns)
+        else:
+            self._stale_since_ns = None
+
+    def _check_staleness(self, state: SensorState, detail: str, now_ns: int) -> None:
+        """A chip that answers without new samples for long has lost its settings, or hangs: set it up anew."""
+        if self._stale_since_ns is None:
+            self._stale_since_ns = now_ns
+        waited = now_ns - self._stale_since_ns
+        if waited >= 4 * self._config.stale_s * SECOND or (
+            waited >= self._config.stale_s * SECOND and not self._intact()
+        ):
+            self._stale_since_ns = None
+            if state is SensorState.ABSENT:
+                self._go_down(state, detail, now_ns)
+            else:
+                self._go_down(SensorState.FAULT, "no new samples; being set up again", now_ns)
+
+    def _intact(self) -> bool:
+        """Whether the chip does not say that it lost its settings; silence is for the next reading to judge."""
+        try:
+            return self.driver.intact()
+        except OSError:
+            return True
+
+    def excuse(self) -> None:
+        """The last failure was perhaps the bus's, not the sensor's: a few of them are not counted."""
+        if self._excused < EXCUSES:
+            self._excused += 1
+            self._failures = 0
+
+    def audit(self, now_ns: int) -> None:
+        """Look whether the chip still has its settings; a brown-out can reset one without silencing it."""
+        if self.up and self.ready_ns is None and not self._intact():
+            self._go_down(SensorState.FAULT, "lost its settings (supply dip); being set up again", now_ns)
+
+    def passed_over(self, reason: str, state: SensorState, now_ns: int) -> Outcome:
+        """The outcome of a scan in which the sensor could not be read at all, through no fault of its own."""
+        if self._sample is not None:
+            self._sample.close()
+        self._end_sample()
+        return self._outcome(state, reason, now_ns)
+
+    def lost(self, now_ns: int) -> Outcome:
+        """The outcome of a scan while the sensor is down."""
+        return self._outcome(self._lost_state, self._lost_detail, now_ns)
+
+    def _outcome(self, state: SensorState, detail: str, time_ns: int, reading: Reading | None = None) -> Outcome:
+        self.record.note(state, detail, time_ns)
+        if reading is None or state not in VALUES_RECORDED:
+            return Outcome(state, detail, time_ns, events=reading.events if reading else ())
+        return Outcome(state, detail, time_ns, reading.values, reading.events)

@@ -1,0 +1,1 @@
+"""What air and ground agree on over the radio: wire format, dialect, command numbers, scan maps."""

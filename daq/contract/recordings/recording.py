@@ -1,0 +1,257 @@
+"""The raw recording: an MCAP file that opens in any MCAP reader and says by itself what it is.
+
+A session is one or more segments, `<session>_000.mcap` and so on. Each segment begins with everything needed to
+understand it alone: who recorded what with which software and configuration, the channel table, the calibration
+files. Then come chunks of sealed protobuf messages on five topics. Chunks carry a CRC, each message a seal, attachments
+a CRC, our metadata a digest, and the whole data section a CRC, so there is no byte whose alteration goes unnoticed.
+
+Chunks are not compressed unless asked for: one bad bit then costs one scan instead of the second around it.
+Message times: log_time is monotonic time, publish_time is UTC (monotonic while UTC is unknown).
+"""
+
+import hashlib
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from typing import IO, Any, NamedTuple
+
+from mcap.writer import CompressionType, Writer
+
+from daq.contract.channels import CHANNELS, COLUMNS, GROUPS
+from daq.contract.errors import UserError
+from daq.contract.recordings import messages as m
+from daq.contract.scan import SCAN_TOPIC, SCHEMA_NAME, Scan, decode_scan, encode_scan, file_descriptor_set
+
+INFO_NAME = "sideslip.recording"
+"""Name of the metadata record, and stem of the attachment, with the recording's identity."""
+
+INFO_ATTACHMENT = f"{INFO_NAME}.json"
+CHANNELS_ATTACHMENT = "channels.json"
+CONFIG_ATTACHMENT = "config.toml"
+CALIBRATION_PREFIX = "calibration/"
+DETAIL_NAME = "sideslip.detail"
+"""Name of metadata records that add to the identity while recording (a sensor found late and its factory data)."""
+
+SCHEMA_OF_TOPIC: Mapping[str, str] = {
+    SCAN_TOPIC: SCHEMA_NAME,
+    m.EVENT_TOPIC: m.EVENT_SCHEMA,
+    m.LOG_TOPIC: m.LOG_SCHEMA,
+    m.STATISTICS_TOPIC: m.STATISTICS_SCHEMA,
+    m.HEALTH_TOPIC: m.HEALTH_SCHEMA,
+}
+
+
+class RecordingError(UserError):
+    """A recording that cannot be read or written."""
+
+
+class Entry(NamedTuple):
+    """One message as it stands in the file."""
+
+    topic: str
+    log_time_ns: int
+    publish_time_ns: int
+    sequence: int
+    data: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingInfo:
+    """Identity of a recording.
+
+    source: real | simulated | replayed. role: onboard | received (by the ground station, gaps expected) | recovered.
+    details: facts found at run time, such as a pressure sensor's factory coefficients. attachments: file name -> bytes;
+    `config.toml` and `calibration/...` among them.
+    """
+
+    session: str
+    source: str
+    aircraft: str = ""
+    role: str = "onboard"
+    segment: int = 0
+    scan_rate_hz: float = 20.0
+    started_utc_ns: int = 0
+    software: str = ""
+    details: Mapping[str, str] = field(default_factory=dict)
+    attachments: Mapping[str, bytes] = field(default_factory=dict)
+
+    @property
+    def calibration(self) -> dict[str, bytes]:
+        """The embedded calibration files by name."""
+        start = len(CALIBRATION_PREFIX)
+        return {k[start:]: v for k, v in self.attachments.items() if k.startswith(CALIBRATION_PREFIX)}
+
+    @property
+    def config_text(self) -> str:
+        """The embedded configuration; empty when the recording has none."""
+        return self.attachments.get(CONFIG_ATTACHMENT, b"").decode("utf-8")
+
+
+def software_version() -> str:
+    """Version of the installed software, as recordings quote it."""
+    try:
+        return version("sideslip")
+    except PackageNotFoundError:
+        return "not installed"
+
+
+@cache
+def channel_table() -> bytes:
+    """The channel table as JSON, so that a recording explains its channels for good."""
+    rows = {
+        "groups": [{"name": g.name, "title": g.title, "device": g.device} for g in GROUPS],
+        "channels": [
+            {
+                "name": c.name,
+                "group": c.group,
+                "raw_type": c.raw_type,
+                "unit": c.unit,
+                "meaning": c.meaning,
+                "scale": c.scale,
+                "offset": c.offset,
+                "rate": c.rate.value,
+                "columns": list(c.columns),
+            }
+            for c in CHANNELS
+        ],
+        "columns": [{"name": c.name, "unit": c.unit, "meaning": c.meaning} for c in COLUMNS],
+    }
+    return json.dumps(rows, indent=1, ensure_ascii=False).encode()
+
+
+def info_to_metadata(info: RecordingInfo) -> dict[str, str]:
+    """Identity as MCAP metadata, with a digest over all of it."""
+    fields = {
+        "session": info.session,
+        "segment": str(info.segment),
+        "source": info.source,
+        "role": info.role,
+        "aircraft": info.aircraft,
+        "software": info.software,
+        "scan_rate_hz": repr(info.scan_rate_hz),
+        "started_utc_ns": str(info.started_utc_ns),
+        "channel_table_sha256": hashlib.sha256(channel_table()).hexdigest(),
+        **{f"sha256 {name}": hashlib.sha256(data).hexdigest() for name, data in sorted(info.attachments.items())},
+        **{f"detail {name}": value for name, value in sorted(info.details.items())},
+    }
+    return with_digest(fields)
+
+
+def info_from_metadata(fields: Mapping[str, str]) -> RecordingInfo:
+    """Identity from metadata whose digest has been checked; attachments are added by the reader."""
+    return RecordingInfo(
+        session=fields["session"],
+        source=fields["source"],
+        aircraft=fields["aircraft"],
+        role=fields["role"],
+        segment=int(fields["segment"]),
+        scan_rate_hz=float(fields["scan_rate_hz"]),
+        started_utc_ns=int(fields["started_utc_ns"]),
+        software=fields["software"],
+        details={k.removeprefix("detail "): v for k, v in fields.items() if k.startswith("detail ")},
+    )
+
+
+def with_digest(fields: Mapping[str, str]) -> dict[str, str]:
+    """Metadata with a SHA-256 over its fields added, since MCAP metadata has no checksum."""
+    return {**fields, "sha256": metadata_digest(fields)}
+
+
+def metadata_digest(fields: Mapping[str, str]) -> str:
+    """Digest of metadata fields, the digest itself left out."""
+    plain = {k: v for k, v in fields.items() if k != "sha256"}
+    return hashlib.sha256(json.dumps(plain, sort_keys=True).encode()).hexdigest()
+
+
+def scan_entry(scan: Scan, data: bytes | None = None) -> Entry:
+    """A scan as a message; `data` when it has been encoded already."""
+    encoded = encode_scan(scan) if data is None else data
+    utc = scan.time_utc_ns or scan.time_monotonic_ns
+    return Entry(SCAN_TOPIC, scan.time_monotonic_ns, utc, scan.number, encoded)
+
+
+def message_entry(message: m.Message, sequence: int = 0) -> Entry:
+    """An event, log line, health report or statistics as a message."""
+    topic, encode = _ENCODERS[type(message)]
+    utc = message.time_utc_ns or message.time_monotonic_ns
+    return Entry(topic, message.time_monotonic_ns, utc, sequence, encode(message))
+
+
+def entry_of(topic: str, data: bytes) -> Entry:
+    """The message around sealed bytes of a known topic, its times and number taken from the content."""
+    if topic == SCAN_TOPIC:
+        return scan_entry(decode_scan(data), data)
+    content = DECODERS[topic](data)
+    utc = content.time_utc_ns or content.time_monotonic_ns
+    return Entry(topic, content.time_monotonic_ns, utc, getattr(content, "number", 0), data)
+
+
+_ENCODERS: dict[type, tuple[str, Callable[[Any], bytes]]] = {
+    m.Event: (m.EVENT_TOPIC, m.encode_event),
+    m.LogLine: (m.LOG_TOPIC, m.encode_log),
+    m.Health: (m.HEALTH_TOPIC, m.encode_health),
+    m.Statistics: (m.STATISTICS_TOPIC, m.encode_statistics),
+}
+DECODERS: dict[str, Callable[[bytes], Any]] = {
+    m.EVENT_TOPIC: m.decode_event,
+    m.LOG_TOPIC: m.decode_log,
+    m.HEALTH_TOPIC: m.decode_health,
+    m.STATISTICS_TOPIC: m.decode_statistics,
+}
+
+
+class RecordingWriter:
+    """Writes one segment to a binary stream; everything but messages is written at once, at the start.
+
+    The stream needs write, tell and flush. Errors of the stream pass through; after one the segment must be given up,
+    since the MCAP writer has already forgotten what it failed to write.
+    """
+
+    def __init__(self, stream: IO[bytes], info: RecordingInfo, *, compress: bool = False) -> None:
+        info = replace(info, software=info.software or software_version())
+        kind = CompressionType.ZSTD if compress else CompressionType.NONE
+        self._writer = Writer(stream, compression=kind, enable_crcs=True, enable_data_crcs=True)
+        self._writer.start(profile="sideslip", library=f"sideslip {info.software}")
+        identity = info_to_metadata(info)
+        self._writer.add_metadata(INFO_NAME, identity)
+        self._attach(info.started_utc_ns, INFO_ATTACHMENT, json.dumps(identity, indent=1).encode())
+        self._attach(info.started_utc_ns, CHANNELS_ATTACHMENT, channel_table())
+        for name, data in info.attachments.items():
+            self._attach(info.started_utc_ns, name, data)
+        self._channels: dict[str, int] = {}
+        for topic, schema in SCHEMA_OF_TOPIC.items():
+            files = file_descriptor_set() if topic == SCAN_TOPIC else m.schema_files(schema)
+            schema_id = self._writer.register_schema(schema, "protobuf", files.SerializeToString(deterministic=True))
+            self._channels[topic] = self._writer.register_channel(topic, "protobuf", schema_id)
+
+    def write(self, entry: Entry) -> None:
+        """Add a message to the chunk in progress."""
+        self._writer.add_message(
+            self._channels[entry.topic], entry.log_time_ns, entry.data, entry.publish_time_ns, entry.sequence
+        )
+
+    def write_scan(self, scan: Scan) -> None:
+        """Add a scan."""
+        self.write(scan_entry(scan))
+
+    def write_message(self, message: m.Message) -> None:
+        """Add an event, log line, health report or statistics."""
+        self.write(message_entry(message))
+
+    def add_detail(self, details: Mapping[str, str]) -> None:
+        """Add facts found after the start."""
+        self._writer.add_metadata(DETAIL_NAME, with_digest(dict(details)))
+
+    def flush(self) -> None:
+        """Close the chunk in progress and hand everything to the stream."""
+        self._writer.flush()
+
+    def finish(self) -> None:
+        """Write the index and the end mark; the stream stays open."""
+        self._writer.finish()
+
+    def _attach(self, time_ns: int, name: str, data: bytes) -> None:
+        media = {"json": "application/json", "toml": "application/toml"}.get(name.rsplit(".", 1)[-1], "text/plain")
+        self._writer.add_attachment(time_ns, time_ns, name, media, data)

@@ -1,0 +1,383 @@
+"""The recorder: takes scans without ever making the scan loop wait, and gets them onto the card.
+
+`Recorder` is what the scan loop sees: bounded memory, counters, no blocking. Behind it one thread writes segments and
+another waits for the card (fdatasync), so that a stalled card delays neither the scans nor the writing.
+Until the card has confirmed them, messages stay in memory; when a file fails they go into the next one, in the
+next directory if need be. What cannot be kept is counted, with its scan numbers, in the recording itself.
+"""
+
+import logging
+import math
+import threading
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import cast
+
+from daq.clock import NS, Clock
+from daq.contract.recordings.messages import Event, Health, LogLevel, LogLine, Message, Statistics
+from daq.contract.recordings.recording import Entry, RecordingInfo, message_entry, scan_entry
+from daq.contract.scan import SCAN_TOPIC, Scan
+from daq.recorder.config import RecorderConfig
+from daq.recorder.segment import Segment, Syncer
+from daq.recorder.segment_files import SegmentFiles
+from daq.recorder.slot_counts import Books
+from daq.recorder.storage import RealStorage, Storage
+from daq.recorder.timing import Histogram, LoopTiming
+
+_LOG = logging.getLogger("sideslip.recorder")
+
+_MESSAGE_ROOM = 256  # places in memory for events and log lines beyond those for scans
+_IDLE_S = 0.2  # so long after a chunk should have been full, the writer looks by itself what there is to do
+_LAST_WORDS_S = 2.0  # given to the writer to end after it has been told to give up
+
+
+class Recorder:
+    """Records a session. All public methods return at once and may be called from any thread.
+
+    info: identity of the session; its segment number is filled in. directories come from the configuration; `folder`
+    is appended to each (a directory for each session). timing: the scan loop's histograms, reported in the recording.
+    """
+
+    def __init__(
+        self,
+        config: RecorderConfig,
+        info: RecordingInfo,
+        clock: Clock,
+        *,
+        folder: str = "",
+        storage: Storage | None = None,
+        timing: LoopTiming | None = None,
+    ) -> None:
+        self.session = info.session
+        self._config = config
+        self._info = info
+        self._clock = clock
+        self._timing = timing or LoopTiming()
+        self._capacity = math.ceil(config.queue_s * info.scan_rate_hz)
+        self._lock = threading.RLock()
+        self._news = threading.Condition(self._lock)
+        self._inbox: deque[Scan | Message] = deque()
+        self._books = Books()
+        self._pending: deque[Entry] = deque()  # encoded, in order, not yet in a file
+        self._returned: deque[Entry] = deque()  # were in a file that failed after it was closed
+        self._details: dict[str, str] = {}
+        self._new_details: dict[str, str] = {}
+        self._abandoned: list[int] = []
+        self._free: dict[str, int] = {}  # free_bytes of the card, as far as it is known
+        self._segment: Segment | None = None
+        self._reported_ns: int | None = None
+        self._write_latency = Histogram()
+        self._complaints: deque[str] = deque(maxlen=8)  # the last ones, so as not to repeat them while retrying
+        self._closing = False
+        self._given_up = False
+        self._syncer = Syncer(self._sync_failed, clock, config.sync)
+        self._files = SegmentFiles(
+            config,
+            info,
+            storage or RealStorage(),
+            folder=folder,
+            keep=self._capacity + _MESSAGE_ROOM,
+            close_later=self._syncer.close_later,
+            complain=self._complain,
+        )
+        # A chunk spans this much message time from its first to its last scan.
+        self._chunk_ns = max(0, round((config.flush_s - 1 / info.scan_rate_hz) * NS))
+        # The writer is woken by the scan that completes a chunk: a wake-up costs more than writing a scan.
+        self._chunk_full_ns: int | None = None  # message time of that scan; None until the chunk's first has come
+        self._chunk_is_full = False
+        self._patience_s = config.flush_s + _IDLE_S
+        self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
+
+    # ------------------------------------------------------------------------------------------ for the scan loop
+
+    def start(self) -> None:
+        """Begin to record."""
+        self._syncer.start()
+        self._thread.start()
+
+    def scan(self, scan: Scan) -> bool:
+        """Take a scan; False when the memory is full and the scan was dropped (and counted)."""
+        with self._lock:
+            books = self._books
+            held = books.offer(scan.number)
+            if held > books.high_water:
+                books.high_water = min(held, self._capacity)
+            if held > self._capacity or self._given_up:
+                books.drop(scan.number)
+                return False
+            self._inbox.append(scan)
+            if self._chunk_full_ns is None:
+                self._chunk_full_ns = scan.time_monotonic_ns + self._chunk_ns
+            if not self._chunk_is_full and scan.time_monotonic_ns >= self._chunk_full_ns:
+                self._chunk_is_full = True
+                self._news.notify_all()
+        return True
+
+    def event(self, event: Event) -> None:
+        """Record an event marker."""
+        self._take_message(event)
+
+    def health(self, health: Health) -> None:
+        """Record a health report."""
+        self._take_message(health)
+
+    def log(self, level: LogLevel, name: str, text: str) -> None:
+        """Record a log line, stamped now."""
+        self._take_message(LogLine(self._clock.monotonic_ns(), max(0, self._clock.utc_ns()), level, name, text))
+
+    def detail(self, details: Mapping[str, str]) -> None:
+        """Add facts to the identity, in this segment and all later ones (a sensor's factory data)."""
+        with self._news:
+            self._new_details.update(details)
+
+    def busy(self) -> bool:
+        """Whether the writer is more than a flush behind; a simulated clock waits on this (`follow`)."""
+        with self._news:
+            return self._books.pending > max(4, self._config.flush_s * self._info.scan_rate_hz)
+
+    def statistics(self, *, final: bool = False) -> Statistics:
+        """The books and the timing as they are now."""
+        with self._news:
+            books = replace(self._books, absent=list(self._books.absent))
+        return Statistics(
+            time_monotonic_ns=self._clock.monotonic_ns(),
+            time_utc_ns=max(0, self._clock.utc_ns()),
+            session=self.session,
+            segment=max(0, self._files.next_number - 1),
+            final=final,
+            extra={f"abandoned_{n}": 1 for n in self._abandoned} | self._free,
+            **books.counts(),
+            **self._timing.counts(),
+            write_latency=tuple(self._write_latency.counts),
+            sync_latency=tuple(self._syncer.latency.counts),
+        )
+
+    @property
+    def path(self) -> Path | None:
+        """The file being written, if there is one."""
+        segment = self._segment
+        return segment.path if segment else None
+
+    def close(self, timeout_s: float = 60.0) -> Statistics:
+        """Write what is in memory, end the recording in order and return its books.
+
+        While the card fails this keeps trying for `timeout_s` of the clock; what is left then is counted as lost.
+        """
+        with self._news:
+            self._closing = True
+            self._news.notify_all()
+        deadline = self._clock.monotonic_ns() + round(timeout_s * NS)
+        if not self._wait_for(self._thread, deadline):
+            self._given_up = True
+            self._wait_for(self._thread, deadline + round(_LAST_WORDS_S * NS))
+        self._syncer.stop()
+        self._wait_for(self._syncer.thread, deadline)
+        self._count_lost()
+        return self.statistics(final=True)
+
+    def _wait_for(self, thread: threading.Thread, deadline_ns: int) -> bool:
+        """Wait for a thread to end; False when the card still holds it in a system call at the deadline."""
+        while thread.is_alive():
+            thread.join(0.005)
+            now = self._clock.monotonic_ns()
+            if thread.is_alive():
+                if now >= deadline_ns:
+                    return False
+                self._clock.sleep_until(now + NS // 10)
+        return True
+
+    # ------------------------------------------------------------------------------------------ bookkeeping
+
+    def _take_message(self, message: Message) -> None:
+        with self._news:
+            if len(self._inbox) <= self._capacity + _MESSAGE_ROOM and not self._given_up:
+                self._inbox.append(message)
+
+    # ------------------------------------------------------------------------------------------ the writer's thread
+
+    def _run(self) -> None:
+        self._write_pending()  # nothing yet: but the file is there from the start
+        while not self._given_up:
+            items, closing = self._wait_for_news()
+            self._pending.extend(_entry(item) for item in items)
+            done = self._write_pending()
+            if closing and done and self._is_empty() and self._close_segment(final=True):
+                return
+            if not done:
+                self._clock.sleep_until(self._clock.monotonic_ns() + round(self._config.retry_s * NS))
+
+    def _wait_for_news(self) -> tuple[list[Scan | Message], bool]:
+        segment = self._segment
+        begun_ns = segment.chunk_started_ns if segment is not None else None
+        with self._news:
+            if not self._inbox:
+                self._chunk_full_ns = None if begun_ns is None else begun_ns + self._chunk_ns
+            self._news.wait_for(
+                lambda: self._chunk_is_full or self._closing or self._returned or self._failed(), self._patience_s
+            )
+            items = list(self._inbox)
+            self._inbox.clear()
+            self._chunk_is_full = False
+            return items, self._closing
+
+    def _is_empty(self) -> bool:
+        with self._news:
+            return not (self._inbox or self._returned or self._pending)
+
+    def _failed(self) -> bool:
+        return self._segment is not None and self._segment.failure is not None
+
+    def _write_pending(self) -> bool:
+        """Write everything pending; False when no file can be written at present."""
+        with self._news:
+            self._pending.extendleft(reversed(self._returned))
+            self._returned.clear()
+        while self._pending or self._segment is None or self._failed():
+            if self._segment is None and not self._open_segment():
+                return False
+            segment = cast(Segment, self._segment)
+            try:
+                self._fill(segment)
+            except OSError as error:
+                self._abandon(segment, error)
+                if not segment.flushes:
+                    return False
+        return self._flush_if_idle()
+
+    def _fill(self, segment: Segment) -> None:
+        """Put pending messages into the segment, flushing and rotating as they come due; OSError when it fails."""
+        if segment.failure is not None:
+            raise segment.failure
+        self._write_details(segment)
+        while self._pending:
+            entry = self._pending[0]
+            if segment.started_ns is not None and entry.log_time_ns - segment.started_ns >= self._config.segment_s * NS:
+                self._close_segment(final=False)
+                return
+            segment.add(entry)
+            self._pending.popleft()
+            if entry.topic == SCAN_TOPIC:
+                with self._news:
+                    self._books.written += 1
+            if entry.log_time_ns - (segment.chunk_started_ns or 0) >= self._chunk_ns:
+                self._flush(segment)
+
+    def _flush(self, segment: Segment) -> None:
+        now = self._clock.monotonic_ns()
+        if self._reported_ns is None or now - self._reported_ns >= self._config.statistics_s * NS:
+            self._reported_ns = now
+            self._free = {"free_bytes": self._files.free_bytes(segment)}
+            segment.writer.write_message(self.statistics())
+        ended = (segment.chunk_started_ns or 0) + self._chunk_ns
+        segment.writer.flush()
+        segment.flushes += 1
+        segment.chunk_started_ns = None
+        self._write_latency.add((self._clock.monotonic_ns() - now) // 1000)
+        due = ended - segment.synced_ns >= self._config.sync_s * NS - self._chunk_ns // 2
+        if due and self._syncer.request(segment):
+            segment.synced_ns = ended
+
+    def _flush_if_idle(self) -> bool:
+        """Flush a chunk that has waited too long because nothing came after it; False when the file fails."""
+        segment = self._segment
+        if segment is None or segment.chunk_started_ns is None:
+            return True
+        waited = self._clock.monotonic_ns() - segment.chunk_started_ns
+        if waited >= self._patience_s * NS:
+            try:
+                self._flush(segment)
+            except OSError as error:
+                self._abandon(segment, error)
+                return False
+        return True
+
+    def _write_details(self, segment: Segment) -> None:
+        with self._news:
+            fresh = {k: v for k, v in self._new_details.items() if self._details.get(k) != v}
+            self._new_details = {}
+        if fresh:
+            self._details.update(fresh)  # first, so that the next segment has them even if this one fails now
+            segment.writer.add_detail(fresh)
+
+    # ------------------------------------------------------------------------------------------ segments
+
+    def _open_segment(self) -> bool:
+        """Open the next segment; False when no directory takes it at present."""
+        with self._news:
+            self._details.update(self._new_details)
+            self._new_details = {}
+        self._segment = self._files.open(self._details)
+        return self._segment is not None
+
+    def _close_segment(self, *, final: bool) -> bool:
+        """End the segment in order; its messages stay in memory until the card has them. False when it failed."""
+        segment = self._segment
+        if segment is None:
+            return True
+        try:
+            segment.writer.write_message(self.statistics(final=final))
+            segment.writer.finish()
+        except OSError as error:
+            self._abandon(segment, error)
+            return False
+        self._segment = None
+        over = self._syncer.retire(segment)
+        while final and not over.is_set() and not self._given_up:
+            over.wait(_IDLE_S)
+        with self._news:
+            return not self._returned
+
+    def _abandon(self, segment: Segment, error: OSError) -> None:
+        """Give a file up after an error; what the card has not confirmed goes into the next one."""
+        self._segment = None
+        self._complain(f"{segment.path} given up ({error.strerror or error}); recording goes on in a new file")
+        entries = self._take_back(segment)
+        self._pending.extendleft(reversed(entries))
+        if segment.flushes:
+            self._syncer.close_later(segment.file)
+        else:
+            self._files.remove(segment.path, segment.file)
+
+    def _sync_failed(self, segment: Segment, error: OSError, finished: bool) -> None:
+        """In the sync thread: the card did not take a segment's content."""
+        if finished:
+            entries = self._take_back(segment)
+            text = f"{segment.path} did not reach the card ({error.strerror or error}); its last part is written again"
+            _LOG.error(text)
+        with self._news:
+            if finished:
+                self._returned.extend(entries)
+            else:
+                segment.failure = error
+            self._news.notify_all()
+
+    def _take_back(self, segment: Segment) -> list[Entry]:
+        entries = segment.take_back()
+        with self._news:
+            self._books.write_errors += 1
+            self._books.written -= sum(1 for e in entries if e.topic == SCAN_TOPIC)
+            self._abandoned.append(segment.number)
+        return entries
+
+    def _count_lost(self) -> None:
+        """At the very end: scans still in memory could not be written."""
+        with self._news:
+            numbers = [i.number for i in self._inbox if isinstance(i, Scan)]
+            numbers += [e.sequence for e in (*self._pending, *self._returned) if e.topic == SCAN_TOPIC]
+            self._books.lose(numbers)
+            self._inbox.clear()
+
+    def _complain(self, text: str, level: LogLevel = LogLevel.ERROR) -> None:
+        """Say something in the journal and in the next file; while the same thing keeps failing, only once."""
+        if text in self._complaints:
+            return
+        self._complaints.append(text)
+        _LOG.log(logging.WARNING if level is LogLevel.WARNING else logging.ERROR, text)
+        line = LogLine(self._clock.monotonic_ns(), max(0, self._clock.utc_ns()), level, "recorder", text)
+        self._pending.append(message_entry(line))
+
+
+def _entry(item: Scan | Message) -> Entry:
+    return scan_entry(item) if isinstance(item, Scan) else message_entry(item)

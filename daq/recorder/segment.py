@@ -1,0 +1,164 @@
+"""One file of a recording while it is written, and the thread that waits for the card to have it."""
+
+import logging
+import threading
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, cast
+
+from daq.clock import Clock
+from daq.contract.recordings.recording import Entry, RecordingInfo, RecordingWriter
+from daq.recorder.storage import StorageFile
+from daq.recorder.timing import Histogram
+
+_LOG = logging.getLogger("sideslip.recorder")
+
+
+class Segment:
+    """A file in progress, with the messages in it that the card has not confirmed yet."""
+
+    def __init__(self, path: Path, file: StorageFile, info: RecordingInfo, *, compress: bool, keep: int) -> None:
+        self.path = path
+        self.number = info.segment
+        self.file = file
+        self.writer = RecordingWriter(cast(IO[bytes], file), info, compress=compress)
+        self.started_ns: int | None = None  # message time of the first message
+        self.chunk_started_ns: int | None = None
+        self.synced_ns = 0  # message time up to which a sync has been asked for
+        self.flushes = 0
+        self.failure: OSError | None = None  # found by the sync thread
+        self._keep = keep
+        self._lock = threading.Lock()
+        self._unconfirmed: deque[Entry] = deque()
+        self._total = 0  # messages ever added; the last of them are the unconfirmed ones
+
+    def add(self, entry: Entry) -> None:
+        """Add a message to the chunk in progress and keep it until confirmed; OSError when the file fails."""
+        self.writer.write(entry)
+        with self._lock:
+            self._total += 1
+            self._unconfirmed.append(entry)
+            if len(self._unconfirmed) > self._keep:
+                self._unconfirmed.popleft()  # the system has had it for minutes, and memory is bounded
+        if self.started_ns is None:
+            self.started_ns = self.synced_ns = entry.log_time_ns
+        if self.chunk_started_ns is None:
+            self.chunk_started_ns = entry.log_time_ns
+
+    @property
+    def total(self) -> int:
+        """Messages added so far."""
+        return self._total
+
+    def confirm(self, total: int) -> None:
+        """The card has the first `total` messages: they need not be kept."""
+        with self._lock:
+            while self._unconfirmed and self._total - len(self._unconfirmed) < total:
+                self._unconfirmed.popleft()
+
+    def take_back(self) -> list[Entry]:
+        """The messages not confirmed, in order; they are the caller's from now on."""
+        with self._lock:
+            entries = list(self._unconfirmed)
+            self._unconfirmed.clear()
+            return entries
+
+
+@dataclass(frozen=True, slots=True)
+class _Job:
+    file: StorageFile
+    segment: Segment | None = None  # to be synced
+    total: int = 0
+    over: threading.Event | None = None  # close the file after the sync, and say so
+
+
+class Syncer:
+    """Waits for the card in a thread of its own: fdatasync of segments, and the closing of files.
+
+    failed: called from this thread with a segment and its error; the flag says whether the segment was finished.
+    """
+
+    def __init__(self, failed: Callable[[Segment, OSError, bool], None], clock: Clock, sync: bool) -> None:
+        self.latency = Histogram()
+        self._failed = failed
+        self._clock = clock
+        self._sync = sync
+        self._jobs: deque[_Job] = deque()
+        self._busy_with: Segment | None = None
+        self._news = threading.Condition()
+        self._stopping = False
+        self._thread = threading.Thread(target=self._run, name="recorder-sync", daemon=True)
+
+    def start(self) -> None:
+        """Begin to work."""
+        self._thread.start()
+
+    def request(self, segment: Segment) -> bool:
+        """Have what a segment holds now confirmed; False, and nothing happens, while that is under way already."""
+        with self._news:
+            if self._busy_with is segment or any(j.segment is segment for j in self._jobs):
+                return False
+        self._add(_Job(segment.file, segment, segment.total))
+        return True
+
+    def retire(self, segment: Segment) -> threading.Event:
+        """Sync a finished segment and close its file; the event is set when that is over."""
+        over = threading.Event()
+        self._add(_Job(segment.file, segment, segment.total, over))
+        return over
+
+    def close_later(self, file: StorageFile) -> None:
+        """Close a file that is of no more use; closing may block on a bad card."""
+        self._add(_Job(file))
+
+    def stop(self) -> None:
+        """End the thread after the jobs it has; returns at once."""
+        with self._news:
+            self._stopping = True
+            self._news.notify_all()
+
+    @property
+    def thread(self) -> threading.Thread:
+        """The thread, to be waited for after `stop`."""
+        return self._thread
+
+    def _add(self, job: _Job) -> None:
+        with self._news:
+            self._jobs.append(job)
+            self._news.notify_all()
+
+    def _run(self) -> None:
+        while True:
+            with self._news:
+                self._busy_with = None
+                self._news.wait_for(lambda: self._jobs or self._stopping)
+                if not self._jobs:
+                    return
+                job = self._jobs.popleft()
+                self._busy_with = job.segment
+            if job.segment is not None:
+                self._confirm(job.segment, job.total, finished=job.over is not None)
+            if job.segment is None or job.over is not None:
+                _close(job.file)
+            if job.over is not None:
+                job.over.set()
+
+    def _confirm(self, segment: Segment, total: int, *, finished: bool) -> None:
+        started = self._clock.monotonic_ns()
+        if self._sync:
+            try:
+                segment.file.sync()
+            except OSError as error:
+                self._failed(segment, error, finished)
+                return
+        segment.confirm(total)
+        self.latency.add((self._clock.monotonic_ns() - started) // 1000)
+
+
+def _close(file: StorageFile) -> None:
+    try:
+        file.close()
+    except OSError as error:  # whatever is of worth in it was synced before, or is being written again
+        _LOG.warning("closing a file: %s", error.strerror or error)

@@ -1,0 +1,107 @@
+"""Where the files of a session go: numbered one after another, in the first directory that takes one.
+
+A file that cannot be opened or begun is a sentence and another try, never an exception.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+
+from daq.contract.recordings.messages import LogLevel
+from daq.contract.recordings.recording import RecordingInfo
+from daq.recorder.config import RecorderConfig
+from daq.recorder.segment import Segment
+from daq.recorder.storage import Storage, StorageFile
+
+
+class SegmentFiles:
+    """Opens the segments of a session.
+
+    folder: appended to each configured directory. keep: messages a segment remembers until the card has confirmed them.
+    close_later: takes a file that is of no more use. complain: takes what went wrong, in words.
+    """
+
+    def __init__(
+        self,
+        config: RecorderConfig,
+        info: RecordingInfo,
+        storage: Storage,
+        *,
+        folder: str,
+        keep: int,
+        close_later: Callable[[StorageFile], None],
+        complain: Callable[[str, LogLevel], None],
+    ) -> None:
+        self.next_number = 0
+        self._config = config
+        self._info = info
+        self._storage = storage
+        self._folder = folder
+        self._keep = keep
+        self._close_later = close_later
+        self._complain = complain
+
+    def open(self, details: Mapping[str, str]) -> Segment | None:
+        """The next segment, its head written with the session's identity and `details`; None when no directory takes it."""
+        for root in self._config.directories:
+            self._make_room(root)
+            segment = self._open_in(root, details)
+            if segment is not None:
+                return segment
+        return None
+
+    def free_bytes(self, segment: Segment) -> int:
+        """Space left where a segment is."""
+        return self._storage.free_bytes(segment.path.parent)
+
+    def remove(self, path: Path, file: StorageFile) -> None:
+        """Remove a file that holds nothing of worth."""
+        self._close_later(file)
+        try:
+            self._storage.remove(path)
+        except OSError as error:
+            self._fails(f"{path} cannot be removed", error)
+            self.next_number += 1
+
+    def _open_in(self, root: Path, details: Mapping[str, str]) -> Segment | None:
+        try:
+            path, file = self._create(root / self._folder)
+        except OSError as error:
+            self._fails(f"{root}: no new file can be opened", error)
+            return None
+        info = replace(self._info, segment=self.next_number, details={**self._info.details, **details})
+        try:
+            segment = Segment(path, file, info, compress=self._config.compress, keep=self._keep)
+            segment.writer.flush()
+        except OSError as error:
+            self._fails(f"{root}: a new file cannot be written", error)
+            self.remove(path, file)
+            return None
+        self.next_number += 1
+        return segment
+
+    def _create(self, directory: Path) -> tuple[Path, StorageFile]:
+        while True:
+            path = directory / f"{self._info.session}_{self.next_number:03d}.mcap"
+            try:
+                return path, self._storage.create(path)
+            except FileExistsError:
+                self.next_number += 1
+
+    def _make_room(self, root: Path) -> None:
+        """Remove the oldest recordings, never those of this session, if that is allowed and space is short."""
+        if not self._config.remove_oldest:
+            return
+        wanted = self._config.keep_free_mb * 1e6
+        try:
+            for path in self._storage.recordings(root):
+                if self._storage.free_bytes(root) >= wanted:
+                    return
+                if not path.name.startswith(f"{self._info.session}_"):
+                    self._storage.remove(path)
+                    self._complain(f"{path} removed to make room", LogLevel.WARNING)
+        except OSError as error:
+            self._fails(f"{root}: no room could be made", error)
+
+    def _fails(self, what: str, error: OSError) -> None:
+        self._complain(f"{what} ({error.strerror or error})", LogLevel.ERROR)

@@ -1,0 +1,351 @@
+"""The downlink: scans and status to the ground within what the radio carries, never making the scan loop wait.
+
+`offer` is called with every scan, `service` after each. Scans are picked by time, so that their average rate is exact;
+what was sent is remembered and reported, so that the ground can tell a scan lost on the link from one never sent.
+The rate follows the radio's own report of its buffer (RADIO_STATUS), which anybody could forge: it can lower the rate
+to 2 Hz at worst, and the heartbeat goes on regardless.
+"""
+
+import math
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from daq.clock import NS, Clock
+from daq.contract.link.scan_map import BLOCK, ScanMap
+from daq.contract.link.wire import SCAN_FAST_ID, SCAN_RARE_ID, SCAN_SLOW_ID, layouts, pack_scan
+from daq.contract.recordings.messages import Event
+from daq.contract.scan import Scan
+from daq.telemetry.config import MIN_RATE_HZ, DownlinkConfig, max_rate
+from daq.telemetry.flight_state import flight_evidence
+from daq.telemetry.send_queue import Item, Outbox, item
+from daq.telemetry.standard_messages import attitude, gps_raw, sys_status
+from daq.transport.mavlink_codec import FrameEncoder
+from daq.transport.ports import BytePort
+from daq.transport.signing import Signer
+
+LOW_BUFFER, HIGH_BUFFER = 20, 90
+"""RADIO_STATUS txbuf [% free] below which the rate is halved, above which it is raised."""
+_STEP_UP = 1.25
+_ADAPT_NS = NS // 2  # two reports closer together than this count as one
+_RECOVER_NS = 5 * NS  # without reports for so long, the rate is raised again step by step
+_RECENT_SCANS = 40
+_MAP_REPEATS = 3
+_MAP_DELAY = 64  # scans to wait after a block ends, so that what is queued has been sent or dropped
+_PAUSE_NS = NS
+_TEXT_CHARS = 50
+
+
+@dataclass(frozen=True, slots=True)
+class OnboardStatus:
+    """What the logger tells the ground about itself."""
+
+    recording: bool = False
+    slots: int = 0
+    written: int = 0
+    dropped: int = 0
+    lost: int = 0
+    missed: int = 0
+    queue: int = 0
+    free_bytes: int | None = None
+    lateness_p99_us: int = 0
+    write_errors: int = 0
+
+
+@dataclass
+class UplinkCounts:
+    """Refusals, as LINK_STATISTICS reports them."""
+
+    rejected_frames: int = 0
+    rejected_commands: int = 0
+
+
+class Downlink:
+    """Sends to one ground link. All methods belong to the scan loop's thread.
+
+    boot: random number of this start of the logger (1 to 255). status: asked at a low rate for the logger's state.
+    """
+
+    def __init__(
+        self,
+        config: DownlinkConfig,
+        port: BytePort,
+        clock: Clock,
+        *,
+        boot: int,
+        signer: Signer | None = None,
+        status: Callable[[], OnboardStatus] = OnboardStatus,
+    ) -> None:
+        self.boot = boot & 255 or 1
+        self.config = config
+        self.sent = ScanMap()
+        self.offered = ScanMap()
+        self.refusals = UplinkCounts()
+        self.recent: deque[Scan] = deque(maxlen=_RECENT_SCANS)
+        self._clock = clock
+        self._layouts = layouts()
+        self.status = status
+        self.recording: Callable[[], bool] = lambda: self.status().recording
+        encoder = FrameEncoder(config.system_id, config.component_id, signer)
+        self.outbox = Outbox(port, encoder, config.budget_bytes_per_s, config.scan_queue)
+        self._wanted_rate = config.rate_hz
+        self._factor = 1.0
+        self._adapted_ns = 0
+        self._radio_ns: int | None = None
+        self._next_fast = 0.0
+        self._next_slow = 0.0
+        self._next_rare = 0.0
+        self._first: int | None = None
+        self._last = 0
+        self._text_id = 0
+        self._next_heartbeat: int | None = None
+        self._timers = _Timers(
+            {
+                "ATTITUDE": config.attitude_rate_hz,
+                "GPS_RAW_INT": config.gnss_rate_hz,
+                "SYS_STATUS": config.sys_status_rate_hz,
+                "LINK_STATISTICS": config.statistics_rate_hz,
+                "LOGGER_STATUS": config.statistics_rate_hz,
+            }
+        )
+        self._gnss: Scan | None = None
+        self._scans_come = False  # since the last service
+        self._pauses_told = 0
+        self._pause_ns = 0
+        self._open: list[int] = []  # numbers of scans queued and not gone yet
+
+    # -------------------------------------------------------------------------------------------------- scans
+
+    @property
+    def rate_hz(self) -> float:
+        """Present scan rate [Hz]."""
+        return max(MIN_RATE_HZ, self._wanted_rate * self._factor)
+
+    def set_rate(self, rate_hz: float) -> bool:
+        """Wish for another rate [Hz]; False, and no change, when it is below 2 Hz or the byte budget has no room."""
+        if not MIN_RATE_HZ <= rate_hz <= max_rate(self.config.budget_bytes_per_s):
+            return False
+        self._wanted_rate = rate_hz
+        return True
+
+    def offer(self, scan: Scan) -> None:
+        """Take a scan; it is queued for sending when its time has come."""
+        number, time = scan.number, scan.time
+        self.offered.add(number)
+        self._scans_come = True
+        self.recent.append(scan)
+        if self._first is None:
+            self._first = number
+        self._last = number
+        if "gnss_fix" in scan.values:
+            self._gnss = scan
+        if number % BLOCK == _MAP_DELAY:
+            self._report_maps(number // BLOCK)
+        if time < self._next_fast - 1e-6:
+            return
+        period = 1.0 / self.rate_hz
+        late = time - self._next_fast > period
+        self._next_fast = (time if late else self._next_fast) + period
+        self._send_scan(scan, time)
+
+    def _send_scan(self, scan: Scan, time: float) -> None:
+        # Slow parts go before the fast one, so that the ground has the scan complete when the fast one arrives.
+        table = self._layouts
+        items = []
+        if time >= self._next_slow:
+            items.append(Item(SCAN_SLOW_ID, pack_scan(table[SCAN_SLOW_ID], scan, self.boot)))
+            self._next_slow = time + 1.0 / self.config.slow_rate_hz / self._factor
+        if time >= self._next_rare and (self._gnss is scan or time >= self._next_rare + 1.0):
+            items.append(Item(SCAN_RARE_ID, pack_scan(table[SCAN_RARE_ID], scan, self.boot)))
+            self._next_rare = time + 1.0 / self.config.gnss_rate_hz / self._factor
+        fast = pack_scan(table[SCAN_FAST_ID], scan, self.boot)
+        number = scan.number
+        items.append(Item(SCAN_FAST_ID, fast, lambda: self._settle(number, True), lambda: self._settle(number, False)))
+        self._open.append(number)
+        self.outbox.put_scan(items)
+
+    def _settle(self, number: int, sent: bool) -> None:
+        self._open.remove(number)
+        if sent:
+            self.sent.add(number)
+
+    @property
+    def settled(self) -> int:
+        """Last scan of which, and of all before it, it is known whether it was sent."""
+        return min(self._open) - 1 if self._open else self._last
+
+    def _report_maps(self, block: int) -> None:
+        for i in range(max(0, block - _MAP_REPEATS), block):
+            self.outbox.put_low(self.sent_map(i))
+
+    def sent_map(self, block: int) -> Item:
+        """The SENT_MAP message of a block of scan numbers."""
+        every = (1 << BLOCK) - 1
+        absent = (~self.offered.word(block) & every).to_bytes(BLOCK // 8, "little")
+        return item(
+            "SENT_MAP",
+            first_number=block * BLOCK,
+            last_number=max(0, self.settled),
+            boot=self.boot,
+            sent=self.sent.to_bytes(block),
+            absent=absent,
+        )
+
+    # -------------------------------------------------------------------------------------------------- service
+
+    def service(self, now_ns: int) -> None:
+        """Send what is due at `now_ns` (monotonic)."""
+        if self._next_heartbeat is None or now_ns >= self._next_heartbeat:
+            late = self._next_heartbeat is None or now_ns - self._next_heartbeat > NS
+            self._next_heartbeat = (now_ns if late else self._next_heartbeat or now_ns) + NS
+            self.outbox.put_urgent(self._heartbeat())
+        if self._factor < 1.0:
+            self._recover(now_ns)
+        if self._scans_come:
+            self._scans_come, self._pauses_told, self._pause_ns = False, 0, now_ns
+        elif self._pauses_told < _MAP_REPEATS and self.recent:
+            self._report_pause(now_ns)
+        if now_ns >= self._timers.soonest and not self.outbox.has_low:
+            self._queue_due(now_ns)
+        self.outbox.service(now_ns)
+
+    def _report_pause(self, now_ns: int) -> None:
+        """When scans stop coming, say a few times what was sent, so that the ground's books close."""
+        if now_ns >= self._pause_ns + (_PAUSE_NS << self._pauses_told):
+            self._pauses_told += 1
+            block = self._last // BLOCK
+            self.outbox.put_low(self.sent_map(block))
+            self._report_maps(block)
+            self.outbox.put_low(self.statistics())
+
+    def _queue_due(self, now_ns: int) -> None:
+        name = self._timers.due(now_ns, self._factor)
+        made = self._build(name) if name else None
+        if made is not None:
+            self.outbox.put_low(made)
+
+    def _build(self, name: str) -> Item | None:
+        last = self.recent[-1] if self.recent else None
+        match name:
+            case "ATTITUDE":
+                return attitude(last)
+            case "GPS_RAW_INT":
+                return gps_raw(self._gnss)
+            case "SYS_STATUS":
+                return sys_status(last, self.recording(), self.config.supply_volts_per_count)
+            case "LINK_STATISTICS":
+                return self.statistics()
+            case _:
+                return self._logger_status()
+
+    def _heartbeat(self) -> Item:
+        fixed_wing, generic, active, standby = 1, 0, 4, 3
+        state = active if self.recording() else standby
+        return item("HEARTBEAT", type=fixed_wing, autopilot=generic, system_status=state, mavlink_version=3)
+
+    def statistics(self) -> Item:
+        """The LINK_STATISTICS message of now."""
+        box = self.outbox
+        return item(
+            "LINK_STATISTICS",
+            bytes_sent=box.bytes_sent,
+            first_number=self._first or 0,
+            last_number=self._last,
+            scans_offered=len(self.offered),
+            scans_sent=len(self.sent),
+            scans_dropped=box.scans_dropped,
+            frames_sent=box.frames_sent,
+            boot=self.boot,
+            rate_centihz=min(65535, round(self.rate_hz * 100)),
+            rejected_frames=min(65535, self.refusals.rejected_frames),
+            rejected_commands=min(65535, self.refusals.rejected_commands),
+        )
+
+    def _logger_status(self) -> Item:
+        s = self.status()
+        return item(
+            "LOGGER_STATUS",
+            free_bytes=2**64 - 1 if s.free_bytes is None else s.free_bytes,
+            slots=s.slots,
+            written=s.written,
+            dropped=s.dropped,
+            lost=s.lost,
+            missed=s.missed,
+            boot=self.boot,
+            queue=min(65535, s.queue),
+            lateness_p99_us=min(65535, s.lateness_p99_us),
+            write_errors=min(65535, s.write_errors),
+            recording=int(s.recording),
+            in_flight=int(flight_evidence(self.recent) is not None),
+        )
+
+    def text(self, severity: int, words: str) -> None:
+        """Send a STATUSTEXT; severity as in syslog (0 emergency to 7 debug). Long ones go in numbered pieces."""
+        pieces = [words[i : i + _TEXT_CHARS] for i in range(0, len(words), _TEXT_CHARS)] or [""]
+        if len(pieces) > 1 and len(pieces[-1]) == _TEXT_CHARS:
+            pieces.append("")  # a piece shorter than the field ends the text
+        if len(pieces) > 1:
+            self._text_id = self._text_id % 65535 + 1
+        for i, piece in enumerate(pieces):
+            number = self._text_id if len(pieces) > 1 else 0
+            self.outbox.put_urgent(item("STATUSTEXT", severity=severity, text=piece, id=number, chunk_seq=i))
+
+    def event(self, event: Event) -> None:
+        """Tell the ground of a recorded event."""
+        self.outbox.put_urgent(
+            item(
+                "SCAN_EVENT",
+                time_monotonic_ns=event.time_monotonic_ns,
+                number=event.number,
+                boot=self.boot,
+                origin=event.origin[:16],
+                text=event.text.encode()[:60].decode("utf-8", "ignore"),
+            )
+        )
+
+    # -------------------------------------------------------------------------------------------------- adaptation
+
+    def radio_status(self, txbuf: int, now_ns: int) -> None:
+        """Follow the radio's report of its free buffer [%]."""
+        if self._radio_ns is not None and now_ns - self._radio_ns < _ADAPT_NS:
+            return
+        self._radio_ns = self._adapted_ns = now_ns
+        if txbuf < LOW_BUFFER:
+            self._set_factor(self._factor / 2)
+        elif txbuf > HIGH_BUFFER:
+            self._set_factor(self._factor * _STEP_UP)
+
+    def _recover(self, now_ns: int) -> None:
+        if now_ns - self._adapted_ns > _RECOVER_NS:
+            self._adapted_ns = now_ns
+            self._set_factor(self._factor * _STEP_UP)
+
+    def _set_factor(self, factor: float) -> None:
+        least = MIN_RATE_HZ / self._wanted_rate
+        self._factor = min(1.0, max(least, factor))
+        self.outbox.budget = self.config.budget_bytes_per_s * self._factor
+
+
+class _Timers:
+    """Which periodic message is due; of several, the one most overdue in periods of its own."""
+
+    def __init__(self, rates_hz: dict[str, float]) -> None:
+        self._periods = {name: NS / rate for name, rate in rates_hz.items()}
+        self._next: dict[str, float] = {}
+        self.soonest = -math.inf  # when the next message is due [ns]
+
+    def due(self, now_ns: int, factor: float) -> str | None:
+        if not self._next:
+            # Spread over their periods, so that they do not come in a bunch for ever.
+            count = len(self._periods)
+            self._next = {n: now_ns + p * i / count for i, (n, p) in enumerate(self._periods.items())}
+        best, most = None, -math.inf
+        for name, due in self._next.items():
+            overdue = (now_ns - due) / self._periods[name]
+            if overdue >= 0 and overdue > most:
+                best, most = name, overdue
+        if best is not None:
+            period = self._periods[best] / factor
+            self._next[best] = max(self._next[best] + period, now_ns)
+        self.soonest = min(self._next.values())
+        return best

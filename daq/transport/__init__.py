@@ -1,0 +1,1 @@
+"""Bytes and frames between two ends, used by both: ports that never wait, MAVLink framing, signing."""

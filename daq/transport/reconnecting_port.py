@@ -1,0 +1,167 @@
+"""Ports that come back: a TCP peer that restarts, a serial adapter that is unplugged and put in again.
+
+Opening may take long (a host that does not answer, a slow driver), so it happens in a thread of its own; reading and
+writing still never wait. While the port is away both raise OSError with a sentence that can be shown as it is.
+"""
+
+import errno
+import threading
+import time
+from collections.abc import Callable
+from typing import Protocol
+
+from daq.transport.ports import BytePort, PortError, SerialPort, TcpClientPort, open_socket_port, parse_port
+
+FIRST_RETRY_NS = 500_000_000
+LONGEST_RETRY_NS = 8_000_000_000
+_READ_BYTES = 65536
+_NOBODY_THERE = (
+    errno.ECONNREFUSED, errno.ENETUNREACH, errno.EHOSTUNREACH, errno.ENETDOWN, errno.ETIMEDOUT, errno.EAGAIN,
+)  # fmt: skip
+
+
+class ClosingPort(BytePort, Protocol):
+    """A port that knows when its other end, or its device, has gone."""
+
+    @property
+    def is_open(self) -> bool:
+        """Whether it can still be of use."""
+        ...
+
+
+class LastingPort:
+    """A port that is opened again, with growing pauses, whenever it is lost.
+
+    open_again: makes a new port or raises OSError or PortError; called in a thread. port: the port as first opened; None
+    when there is nobody there yet, and `why`.
+    """
+
+    def __init__(
+        self,
+        open_again: Callable[[], ClosingPort],
+        port: ClosingPort | None,
+        *,
+        why: str = "",
+        now_ns: Callable[[], int] = time.monotonic_ns,
+    ) -> None:
+        self._open_again = open_again
+        self._now_ns = now_ns
+        self._port = port
+        self._why = why
+        self._pause_ns = FIRST_RETRY_NS
+        self._next_ns = now_ns() + FIRST_RETRY_NS
+        self._attempt: _Attempt | None = None
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the other end is there at present."""
+        return self._port is not None
+
+    def read(self, limit: int = _READ_BYTES) -> bytes:
+        """Bytes that have arrived; OSError while the port is away."""
+        port = self._usable()
+        try:
+            data = port.read(limit)
+        except OSError as error:
+            raise self._lost(error.strerror or str(error)) from error
+        if not data and not port.is_open:
+            raise self._lost("the other end has gone")
+        if data:
+            self._pause_ns = FIRST_RETRY_NS
+        return data
+
+    def write(self, data: bytes) -> int:
+        """Hand over bytes; OSError while the port is away."""
+        port = self._usable()
+        try:
+            taken = port.write(data)
+        except OSError as error:
+            raise self._lost(error.strerror or str(error)) from error
+        if not port.is_open:
+            raise self._lost("the other end has gone")
+        return taken
+
+    def close(self) -> None:
+        """Give the port back; waits for an attempt to open that is under way."""
+        if self._attempt is not None:
+            self._attempt.thread.join()
+            if self._attempt.port is not None:
+                self._attempt.port.close()
+            self._attempt = None
+        if self._port is not None:
+            self._port.close()
+            self._port = None
+
+    def _usable(self) -> ClosingPort:
+        if self._port is None:
+            self._try()
+        if self._port is None:
+            raise self._away()
+        return self._port
+
+    def _try(self) -> None:
+        if self._attempt is not None:
+            if self._attempt.thread.is_alive():
+                return
+            self._port, self._attempt = self._attempt.port, None
+        elif self._now_ns() >= self._next_ns:
+            self._next_ns = self._now_ns() + self._pause_ns
+            self._pause_ns = min(LONGEST_RETRY_NS, 2 * self._pause_ns)
+            self._attempt = _Attempt(self._open_again)
+
+    def _lost(self, why: str) -> OSError:
+        if self._port is not None:
+            self._port.close()
+        self._port, self._why = None, why
+        self._next_ns = self._now_ns() + self._pause_ns
+        return self._away()
+
+    def _away(self) -> OSError:
+        return OSError(errno.ENOTCONN, f"away ({self._why}); it is opened again as soon as it is back")
+
+
+class _Attempt:
+    """One try to open a port, in a thread."""
+
+    def __init__(self, open_again: Callable[[], ClosingPort]) -> None:
+        self.port: ClosingPort | None = None
+        self._open_again = open_again
+        self.thread = threading.Thread(target=self._run, name="port-opening", daemon=True)
+        self.thread.start()
+
+    def _run(self) -> None:
+        try:
+            self.port = self._open_again()
+        except (OSError, PortError):
+            self.port = None
+
+
+def open_lasting(text: str, open_serial: Callable[[str, int], SerialPort]) -> BytePort:
+    """Open a port by its description. PortError says what is wrong with the description or the port.
+
+    A TCP peer that is not there yet is no error: it is tried again. open_serial: opens a device at a baud rate, for the
+    contract itself knows no hardware library; raises OSError or ValueError.
+    """
+    spec = parse_port(text)
+    if spec.kind == "serial":
+
+        def again() -> SerialPort:
+            return open_serial(spec.address, spec.number)
+
+        try:
+            return LastingPort(again, again())
+        except (OSError, ValueError) as error:
+            raise PortError(
+                f"serial port {spec.address} cannot be opened ({error}); check the name, or who uses it"
+            ) from error
+    if spec.kind == "tcp":
+
+        def connect() -> TcpClientPort:
+            return TcpClientPort(spec.address, spec.number)
+
+        try:
+            return LastingPort(connect, connect())
+        except OSError as error:
+            if error.errno in _NOBODY_THERE or isinstance(error, TimeoutError):
+                return LastingPort(connect, None, why=error.strerror or "no answer")
+    return open_socket_port(spec)

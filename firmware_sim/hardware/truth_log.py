@@ -1,0 +1,84 @@
+"""Keeping the truth that the instruments were shown: in memory for a test, in a file for a flight."""
+
+import csv
+import math
+from bisect import bisect_right
+from collections import deque
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_sim.hardware.instruments import GRID_S, HISTORY_S, TruthSource
+from firmware_sim.world.truth import TRUTH_COLUMNS, Truth
+
+_TIME = TRUTH_COLUMNS.index("time")
+_TURNING = (TRUTH_COLUMNS.index("phi"), TRUTH_COLUMNS.index("psi"))
+
+
+class TruthLog:
+    """A truth source that keeps the flight columns of all it has shown."""
+
+    def __init__(self, source: TruthSource) -> None:
+        self._source = source
+        self._rows: list[list[float]] = []
+
+    def advance(self, to_time: float) -> Truth:
+        """The truth at `to_time` [s]."""
+        truth = self._source.advance(to_time)
+        self._rows.append(_row(truth))
+        return truth
+
+    def at(self, times: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
+        """TRUTH_COLUMNS at `times` [s], straight between the grid points, (times,) each."""
+        rows = np.array(self._rows, float).T
+        columns = {}
+        for i, (name, values) in enumerate(zip(TRUTH_COLUMNS, rows, strict=True)):
+            line = np.interp(times, rows[_TIME], np.unwrap(values) if i in _TURNING else values)
+            columns[name] = (line + math.pi) % (2.0 * math.pi) - math.pi if i in _TURNING else line
+        columns["time"] = np.asarray(times, float)
+        return columns
+
+
+def _row(truth: Truth) -> list[float]:
+    columns = truth.columns()
+    return [columns[name] for name in TRUTH_COLUMNS]
+
+
+class TruthFile:
+    """A truth source that remembers the flight columns of its last seconds, and writes them down where asked."""
+
+    def __init__(self, source: TruthSource, path: Path) -> None:
+        self.path = path
+        self._source = source
+        self._rows: deque[list[float]] = deque(maxlen=round(2.0 * HISTORY_S / GRID_S))
+        self._file = path.open("w", newline="", encoding="utf-8")
+        self._writer = csv.writer(self._file)
+        self._writer.writerow(TRUTH_COLUMNS)
+
+    def advance(self, to_time: float) -> Truth:
+        """The truth at `to_time` [s]."""
+        truth = self._source.advance(to_time)
+        self._rows.append(_row(truth))
+        return truth
+
+    def at(self, time: float) -> list[float]:
+        """TRUTH_COLUMNS at a time of the last seconds [s], straight between the grid points."""
+        k = bisect_right(self._rows, time, key=lambda row: row[_TIME])
+        after = self._rows[min(k, len(self._rows) - 1)]
+        before = self._rows[max(k - 1, 0)]
+        span = after[_TIME] - before[_TIME]
+        share = (time - before[_TIME]) / span if span > 0.0 else 0.0
+        row = [a + share * (b - a) for a, b in zip(before, after, strict=True)]
+        for i in _TURNING:  # the short way round
+            row[i] = before[i] + share * math.remainder(after[i] - before[i], 2.0 * math.pi)
+        row[_TIME] = time
+        return row
+
+    def write(self, time: float) -> None:
+        """Put the truth of `time` into the file."""
+        self._writer.writerow([f"{value:.10g}" for value in self.at(time)])
+
+    def close(self) -> None:
+        """End the file."""
+        self._file.close()

@@ -1,0 +1,34 @@
+"""All hidden effects by name."""
+
+from collections.abc import Mapping, Sequence
+
+from firmware_sim.errors import ScenarioError
+from firmware_sim.physics.effects import (
+    actuator,
+    aerodynamic,
+    environment,
+    inertial,
+    propulsion,
+    sensor,
+    uncatalogued,
+    unsteady,
+)
+from firmware_sim.physics.effects.base import Effect
+from firmware_sim.physics.maths import Value
+
+_MODULES = (aerodynamic, unsteady, inertial, propulsion, actuator, sensor, environment, uncatalogued)
+
+EFFECTS: Mapping[str, type[Effect]] = {
+    effect.name: effect
+    for module in _MODULES
+    for effect in vars(module).values()
+    if isinstance(effect, type) and issubclass(effect, Effect) and "name" in vars(effect)
+}
+
+
+def make_effects(hidden: Sequence[tuple[str, Value]]) -> tuple[Effect, ...]:
+    """Effects by (name, scale); raises ScenarioError for an unknown name."""
+    unknown = [name for name, _ in hidden if name not in EFFECTS]
+    if unknown:
+        raise ScenarioError(f"hidden: no effect named {unknown[0]!r}; known are {', '.join(sorted(EFFECTS))}")
+    return tuple(EFFECTS[name](scale) for name, scale in hidden)

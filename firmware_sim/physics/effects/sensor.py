@@ -1,0 +1,149 @@
+"""Hidden instrument errors: where the record departs from the motion though the aircraft flies true.
+
+They bend `Sensed`, what flawless instruments at the CG are shown; noise, quantisation, declared bias and scale come later,
+in the instruments themselves.
+"""
+
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from firmware_sim.physics.effects.actuator import History
+from firmware_sim.physics.effects.base import Effect, Sensed
+from firmware_sim.physics.maths import State
+
+if TYPE_CHECKING:
+    from firmware_sim.physics.motion import Motion
+
+
+class _SensorEffect(Effect):
+    group = "sensor"
+
+
+class VaneScale(_SensorEffect):
+    """The sideslip vane reads too much by a fraction, the linkage's or the sidewash's."""
+
+    name, title, unit, typical = "beta_scale", "sideslip vane scale", "1", 0.08
+
+    def sense(self, s: Sensed, m: "Motion", x: State) -> None:
+        s.beta = s.beta * (1.0 + self.size)
+
+
+class VaneBias(_SensorEffect):
+    """The sideslip vane is turned on its mount."""
+
+    name, title, unit, typical = "beta_bias", "sideslip vane bias", "rad", 0.006
+    group = "exactly absorbed"
+
+    def sense(self, s: Sensed, m: "Motion", x: State) -> None:
+        s.beta = s.beta + self.size
+
+
+class VaneLag(_SensorEffect):
+    """A heavy or damped vane: first-order lag of `size` s."""
+
+    name, title, unit, typical = "beta_lag", "sideslip vane lags", "s", 0.08
+    states = 1
+
+    def start(self, m: "Motion", x: State) -> None:
+        x[self.at] = m.beta
+
+    def derivatives(self, m: "Motion", x: State, dx: State) -> None:
+        dx[self.at] = (m.beta - x[self.at]) / self.xp.maximum(self.size, 1e-3)
+
+    def sense(self, s: Sensed, m: "Motion", x: State) -> None:
+        s.beta = s.beta + (x[self.at] - m.beta)
+
+
+class VanePosition(_SensorEffect):
+    """The vanes stand `size` m ahead of where they are believed to be: yaw and pitch rates add to the local flow."""
+
+    name, title, unit, typical = "vane_position", "vanes ahead of their place", "m", 0.35
+
+    def sense(self, s: Sensed, m: "Motion", x: State) -> None:
+        s.beta = s.beta + self.size * m.r / m.V
+        s.alpha = s.alpha - self.size * m.q / m.V
+
+
+class AccelerometerAboveCg(_SensorEffect):
+    """The accelerometer sits `size` m below the CG (+z), uncorrected: it feels rolling and pitching accelerations."""
+
+    name, title, unit, typical = "imu_lever_arm", "accelerometer away from the CG", "m", 0.08
+
+    def sense(self, s: Sensed, m: "Motion", x: State) -> None:
+        z = self.size
+        s.ax = s.ax + (m.p * m.r + m.q_dot) * z
+        s.ay = s.ay + (m.q * m.r - m.p_dot) * z
+        s.az = s.az - (m.p * m.p + m.q * m.q) * z
+
+
+class GyroMisalignment(_SensorEffect):
+    """The gyro is turned about the pitch axis by `size` rad: it mixes roll and yaw rate."""
+
+    name, title, unit, typical = "gyro_misalignment", "gyro turned in its mount", "rad", 0.03
+
+    def sense(self, s: Sensed, m: "Motion", x: State) -> None:
+        c, n = self.xp.cos(self.size), self.xp.sin(self.size)
+        s.p, s.r = c * s.p - n * s.r, c * s.r + n * s.p
+
+
+class GyroScale(_SensorEffect):
+    """The roll gyro reads too much by a fraction."""
+
+    name, title, unit, typical = "gyro_scale", "roll gyro scale", "1", 0.03
+
+    def sense(self, s: Sensed, m: "Motion", x: State) -> None:
+        s.p = s.p * (1.0 + self.size)
+
+
+class AttitudeLag(_SensorEffect):
+    """The attitude filter follows bank and pitch with a first-order lag of `size` s."""
+
+    name, title, unit, typical = "attitude_lag", "attitude lags", "s", 0.10
+    states = 2
+
+    def start(self, m: "Motion", x: State) -> None:
+        x[self.at], x[self.at + 1] = self._angles(m)
+
+    def _angles(self, m: "Motion") -> tuple[object, object]:
+        xp = self.xp
+        return xp.atan2(m.c23, m.c33), xp.asin(xp.clip(-m.c13, -1.0, 1.0))
+
+    def derivatives(self, m: "Motion", x: State, dx: State) -> None:
+        tau = self.xp.maximum(self.size, 1e-3)
+        for i, angle in enumerate(self._angles(m)):
+            dx[self.at + i] = (angle - x[self.at + i]) / tau
+
+    def sense(self, s: Sensed, m: "Motion", x: State) -> None:
+        phi, theta = self._angles(m)
+        s.phi = s.phi + (x[self.at] - phi)
+        s.theta = s.theta + (x[self.at + 1] - theta)
+
+
+class AirspeedScale(_SensorEffect):
+    """The pitot tube stands in disturbed air: speed too high by a fraction."""
+
+    name, title, unit, typical = "airspeed_scale", "airspeed scale", "1", 0.05
+
+    def sense(self, s: Sensed, m: "Motion", x: State) -> None:
+        s.V = s.V * (1.0 + self.size)
+
+
+class InertialUnitLate(_SensorEffect):
+    """Rates and accelerations come `size` s late: buffered somewhere before they are stamped."""
+
+    name, title, unit, typical = "time_skew", "inertial channels late", "s", 0.07
+    CHANNELS: ClassVar[tuple[str, ...]] = ("ax", "ay", "az", "p", "q", "r")
+
+    def start(self, m: "Motion", x: State) -> None:
+        longest = float(np.max(np.abs(self.size))) + 0.02
+        step = self.plant.step_size
+        self._past = {c: History(longest, step, getattr(m, c), self.xp) for c in self.CHANNELS}
+
+    def commit(self, m: "Motion", x: State) -> None:
+        for channel, past in self._past.items():
+            past.push(m.t, getattr(m, channel))
+
+    def sense(self, s: Sensed, m: "Motion", x: State) -> None:
+        for channel, past in self._past.items():
+            setattr(s, channel, getattr(s, channel) + past.at(m.t - self.size) - getattr(m, channel))

@@ -1,0 +1,1 @@
+"""Who moves the controls: manoeuvres and the simulated pilot."""

@@ -1,0 +1,1 @@
+"""Whole runs: a flight through the real logger, bench recordings, campaigns, and flights without the hardware."""

@@ -1,0 +1,88 @@
+"""A campaign: several flights of one aircraft at different speeds, some to learn from and some to hold out.
+
+All flights share the aircraft (its derivatives drawn once) and what is hidden; each has a plan, gusts and noise of its
+own. Made for studies and for the benchmark of the gap workflow; the direct sensor model stands in for the bus.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_sim.runs.direct import ORDINARY_NOISE, DirectNoise, direct_flights, write_csv
+from firmware_sim.world.scenario import Scenario, load_scenario
+
+TRAINING_SPEEDS = (14.5, 16.5, 19.0)
+HOLDOUT_SPEEDS = (17.0,)
+
+
+@dataclass(frozen=True, slots=True)
+class Campaign:
+    """What to fly: hidden effects as (name, size as a multiple of the typical one), gusts, plan, scatter and seed."""
+
+    hidden: tuple[tuple[str, float], ...] = ()
+    seed: int = 0
+    gust_deg: float = 0.15
+    manoeuvres: str = "rich"
+    scatter: float = 0.15
+    duration_s: float = 30.0
+    training_speeds: Sequence[float] = TRAINING_SPEEDS
+    holdout_speeds: Sequence[float] = HOLDOUT_SPEEDS
+
+    def scenarios(self) -> list[tuple[Scenario, int]]:
+        """Scenario and seed of each flight, training flights first."""
+        base = load_scenario("quiet")
+        speeds = [*self.training_speeds, *self.holdout_speeds]
+        headings = np.random.default_rng([self.seed, 51]).uniform(0.0, 360.0, len(speeds))
+        return [
+            (
+                base.altered(
+                    title="campaign",
+                    flight={
+                        "speed_m_s": speed,
+                        "heading_deg": float(heading),
+                        "manoeuvres": self.manoeuvres,
+                        "duration_s": self.duration_s,
+                        "derivative_scatter": self.scatter,
+                        "derivative_seed": self.seed,
+                    },
+                    wind={"gust_deg": self.gust_deg},
+                    hidden=[{"name": name, "size": size} for name, size in self.hidden],
+                ),
+                1000 * self.seed + k,
+            )
+            for k, (speed, heading) in enumerate(zip(speeds, headings, strict=True))
+        ]
+
+
+@dataclass(frozen=True, slots=True)
+class FlownCampaign:
+    """Flight columns of a campaign, each a mapping of name to (samples,)."""
+
+    training: list[dict[str, NDArray[np.float64]]]
+    holdout: list[dict[str, NDArray[np.float64]]]
+
+
+def fly_campaigns(campaigns: Sequence[Campaign], noise: DirectNoise = ORDINARY_NOISE) -> list[FlownCampaign]:
+    """Fly many campaigns side by side; those that hide the same names share the arrays."""
+    planned = [campaign.scenarios() for campaign in campaigns]
+    flat = [item for plan in planned for item in plan]
+    flown = iter(direct_flights([s for s, _ in flat], [seed for _, seed in flat], noise))
+    out = []
+    for campaign, plan in zip(campaigns, planned, strict=True):
+        flights = [next(flown) for _ in plan]
+        first = len(campaign.training_speeds)
+        out.append(FlownCampaign(flights[:first], flights[first:]))
+    return out
+
+
+def write_campaign(flown: FlownCampaign, folder: Path) -> tuple[list[Path], list[Path]]:
+    """Write flight_0.csv, flight_1.csv, ... into `folder`; returns training and held-out paths."""
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = []
+    for k, columns in enumerate([*flown.training, *flown.holdout]):
+        paths.append(folder / f"flight_{k}.csv")
+        write_csv(paths[-1], columns)
+    return paths[: len(flown.training)], paths[len(flown.training) :]

@@ -1,0 +1,287 @@
+"""A whole simulated flight: world, instruments, chips and radio under the real logger.
+
+This is where the simulated aircraft is put together. Sampler, logger, recorder and downlink are those that fly; they get a
+simulated bus, serial port, card, clock and radio, and cannot tell. The ground end of the radio is handed out, so that
+whoever runs the flight connects a ground station to it.
+"""
+
+import datetime as dt
+import tomllib
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+from daq.acquisition.sampler import UnfinishedScan
+from daq.assembly import Assembly, Edge, assemble
+from daq.clock import SimulatedClock
+from daq.config import LoggerConfig, parse_config
+from daq.contract.recordings.messages import Statistics
+from daq.sensors.bus import SerialPort
+from firmware_sim.errors import ScenarioError
+from firmware_sim.hardware.autopilot import Autopilot
+from firmware_sim.hardware.board import Board, build_board
+from firmware_sim.hardware.bus import SimulatedBus
+from firmware_sim.hardware.card import SimulatedCard
+from firmware_sim.hardware.faults import ADDRESSES, Events, FaultSet, PowerTaker, parse_faults
+from firmware_sim.hardware.gnss import GnssReceiver
+from firmware_sim.hardware.instruments import Instruments, TruthSource
+from firmware_sim.hardware.radio import RadioLink, parse_radio
+from firmware_sim.hardware.sensor_models import SensorModels, merged, parse_sensors
+from firmware_sim.hardware.serial import PseudoTerminal, SimulatedSerial
+from firmware_sim.hardware.truth_log import TruthFile
+from firmware_sim.toml_text import toml_text
+from firmware_sim.world.scenario import Scenario
+from firmware_sim.world.world import World
+
+START_UTC_NS = int(dt.datetime(2026, 6, 1, 6, 30, tzinfo=dt.UTC).timestamp()) * 1_000_000_000
+"""UTC at which every simulated flight begins, so that the same seed gives the same recording."""
+
+SERVE_STEP_NS = 50_000_000
+
+CONFIG_FILE = Path(__file__).parents[2] / "daq" / "configs" / "cdfp.toml"
+
+
+@dataclass(frozen=True, slots=True)
+class Aircraft:
+    """The simulated hardware: everything that is not our code."""
+
+    clock: SimulatedClock
+    instruments: Instruments
+    faults: FaultSet
+    board: Board
+    bus: SimulatedBus
+    gnss: GnssReceiver
+    autopilot: Autopilot
+    events: Events
+
+    def newest_pulse(self) -> int | None:
+        """The pulse-per-second line of the GPS, as the kernel would tell it now."""
+        return self.gnss.newest_pulse(self.clock.monotonic_ns())
+
+
+def build_aircraft(
+    source: TruthSource, models: SensorModels, faults: FaultSet, clock: SimulatedClock, seed: int
+) -> Aircraft:
+    """Instruments, chips, bus and GPS of an aircraft that moves as `source` says, time zero being the clock's now."""
+    origin = clock.monotonic_ns()
+    instruments = Instruments(source, models, seed, origin)
+    board = build_board(instruments, faults)
+    bus = SimulatedBus(clock, board.chips, instruments.models.bus, faults.disturb)
+    gnss = GnssReceiver(instruments, clock.utc_ns(), faults.gnss_corrupt)
+    autopilot = Autopilot(instruments)
+    powered: dict[str, PowerTaker] = {device: board.chips[address] for device, address in ADDRESSES.items()}
+    events = Events(faults, {**powered, "gnss": gnss, "autopilot": autopilot}, clock.step_utc, origin)
+    events.at(origin)
+    if events.any_left:
+        clock.on_advance(events.at)
+    return Aircraft(clock, instruments, faults, board, bus, gnss, autopilot, events)
+
+
+@dataclass(frozen=True, slots=True)
+class FlightFiles:
+    """What a simulated flight has left."""
+
+    folder: Path
+    recordings: tuple[Path, ...]
+    truth: Path
+    scenario: Path
+    books: Statistics
+
+
+@dataclass
+class SimulatedFlight:
+    """A flight ready to be flown: `run` flies it, `serve` keeps the radio alive afterwards, `close` ends everything.
+
+    radio: both ends of the link; a ground station reads and writes `radio.ground`. each_scan: called before every scan
+    with monotonic time [ns], in the flight's thread: the place to run a ground station in step. cancelled: set it to end
+    early. A context manager that closes.
+    """
+
+    scenario: Scenario
+    folder: Path
+    config: LoggerConfig
+    clock: SimulatedClock
+    aircraft: Aircraft
+    radio: RadioLink
+    assembly: Assembly
+    truth: TruthFile
+    duration_s: float
+    each_scan: Callable[[int], None] = field(default=lambda now_ns: None)
+    cancelled: bool = False
+    scan_times: list[float] = field(default_factory=list)
+    closers: list[Callable[[], None]] = field(default_factory=list)
+
+    def run(self) -> FlightFiles:
+        """Fly to the end, or until `cancelled`, and write the files beside the recording."""
+        self.clock.drive()
+        end_ns = self.clock.monotonic_ns() + round(self.duration_s * 1e9)
+
+        def stop() -> bool:
+            now = self.clock.monotonic_ns()
+            self.each_scan(now)
+            return self.cancelled or now >= end_ns
+
+        books = self.assembly.logger.run(stop)
+        self.truth.close()
+        scenario = self.folder / "scenario.toml"
+        table = self.scenario.model_dump(exclude_defaults=True, mode="json")
+        table.setdefault("flight", {})["seed"] = self.scenario.flight.seed
+        scenario.write_text(toml_text(table), encoding="utf-8")
+        recordings = tuple(sorted((self.folder / "onboard").glob("*.mcap")))
+        return FlightFiles(self.folder, recordings, self.truth.path, scenario, books)
+
+    def serve(self, until: Callable[[], bool], limit_s: float = 600.0) -> bool:
+        """After landing: no scans, but the radio goes on (backfill, log download) until `until()`; False at the limit."""
+        link, logger = self.assembly.link, self.assembly.logger
+        end_ns = self.clock.monotonic_ns() + round(limit_s * 1e9)
+        while not until():
+            now = self.clock.monotonic_ns()
+            if now >= end_ns:
+                return False
+            if link is not None:
+                link.service(now)
+                link.uplink.service(now, logger)
+            self.each_scan(now)
+            self.clock.advance(SERVE_STEP_NS)
+        return True
+
+    def close(self) -> None:
+        """Give all ports back."""
+        if self.assembly.link is not None:
+            self.assembly.link.close()
+        self.truth.close()
+        for close in self.closers:
+            close()
+        self.closers.clear()
+
+    def __enter__(self) -> "SimulatedFlight":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def note_scans(self) -> None:
+        """Write the truth of every scan, recorded or not, and keep its time."""
+        sampler, times, truth = self.assembly.sampler, self.scan_times, self.truth
+        plain = sampler.take
+
+        def noted(number: int, deadline_ns: int) -> UnfinishedScan:
+            taken = plain(number, deadline_ns)
+            time = taken.time_monotonic_ns * 1e-9
+            times.append(time)
+            truth.write(time)
+            return taken
+
+        sampler.take = noted  # type: ignore[method-assign]  # the logger holds this very object
+
+
+def prepare_flight(
+    scenario: Scenario,
+    folder: Path,
+    *,
+    seed: int | None = None,
+    speed: float | None = None,
+    config_file: Path = CONFIG_FILE,
+    calibration: Path | None = None,
+    source: TruthSource | None = None,
+    duration_s: float | None = None,
+    gnss_port: Literal["memory", "pty"] = "memory",
+) -> SimulatedFlight:
+    """Put a flight together; nothing has been flown when this returns.
+
+    seed: of everything random; the scenario's by default. speed: simulated seconds a second, None as fast as it goes.
+    config_file: the logger's configuration, of which `[logger]` of the scenario replaces keys. calibration: directory
+    embedded in the recording. source: something else than the scenario's flight to look at (a bench). gnss_port: the
+    GPS on a serial port in memory, or on a real pseudo-terminal opened by pyserial.
+    Raises ScenarioError for a mistake in the scenario's tables, ConfigError for one in the configuration.
+    """
+    if seed is not None:
+        scenario = scenario.altered(flight={"seed": seed})
+    seed = scenario.flight.seed
+    models = parse_sensors(scenario.sensors, scenario.name)
+    faults = FaultSet(parse_faults(scenario.faults, scenario.name), 0, seed)
+    radio_model = parse_radio(scenario.radio, scenario.name)
+    config, text = logger_config(scenario, folder, config_file, calibration)
+    _refuse_old_recordings(folder)
+    clock = SimulatedClock(START_UTC_NS, speed=speed)
+    world = TruthFile(source or World(scenario, seed), folder / "truth.csv")
+    aircraft = build_aircraft(world, models, faults, clock, seed)
+    radio = RadioLink(radio_model, clock.monotonic_ns, seed, faults.radio_lost)
+    gnss, closers = _gnss_port(aircraft, gnss_port)
+    capture = config.sensors.capture
+    edge = Edge(
+        clock,
+        aircraft.bus,
+        gnss,
+        "simulated",
+        autopilot=SimulatedSerial(aircraft.autopilot, clock.monotonic_ns)
+        if capture is not None and capture.driver == "mavlink_servo"
+        else None,
+        pulse=aircraft.newest_pulse if models.gnss.pulse else None,
+        radio=radio.air if config.downlink is not None else None,
+        storage=SimulatedCard(faults, clock),
+    )
+    session = f"{scenario.name}_{seed}"
+    assembly = assemble(config, text, edge, session=session, folder="", boot=1 + seed % 255)
+    assembly.recorder.detail({"simulation.scenario": scenario.name, "simulation.seed": str(seed)})
+    clock.follow(assembly.recorder.busy)
+    flight = SimulatedFlight(
+        scenario=scenario,
+        folder=folder,
+        config=config,
+        clock=clock,
+        aircraft=aircraft,
+        radio=radio,
+        assembly=assembly,
+        truth=world,
+        duration_s=scenario.total_s if duration_s is None else duration_s,
+        closers=closers,
+    )
+    flight.note_scans()
+    return flight
+
+
+def simulate_flight(scenario: Scenario, folder: Path, **options: Any) -> FlightFiles:
+    """Fly a scenario with nobody on the ground; options as `prepare_flight`."""
+    with prepare_flight(scenario, folder, **options) as flight:
+        return flight.run()
+
+
+def _gnss_port(aircraft: Aircraft, kind: Literal["memory", "pty"]) -> tuple[SerialPort, list[Callable[[], None]]]:
+    if kind == "memory":
+        port = SimulatedSerial(aircraft.gnss, aircraft.clock.monotonic_ns)
+        return port, [port.close]
+    import serial
+
+    terminal = PseudoTerminal(aircraft.gnss)
+    device = serial.Serial(terminal.path, 115_200, timeout=0)
+    aircraft.clock.on_advance(terminal.pump)
+    return device, [device.close, terminal.close]
+
+
+def logger_config(
+    scenario: Scenario, folder: Path, config_file: Path, calibration: Path | None
+) -> tuple[LoggerConfig, str]:
+    """The logger's configuration for a simulated flight, and its text: the file with the scenario's `[logger]` in it.
+
+    The text goes into the recording, so it names folders as another machine could read them, not where they lie here.
+    """
+    table = merged(tomllib.loads(config_file.read_text(encoding="utf-8")), scenario.logger)
+    table.setdefault("aircraft", {})["name"] = scenario.flight.aircraft
+    table.pop("calibration", None)
+    if table.get("downlink"):
+        table["downlink"].pop("port", None)
+    here: dict[str, Any] = {"recorder": {"directories": [str((folder / "onboard").resolve())]}}
+    told: dict[str, Any] = {"recorder": {"directories": ["onboard"]}}
+    if calibration is not None:
+        here["calibration"] = str(calibration.resolve())
+        told["calibration"] = calibration.name
+    return parse_config(toml_text(merged(table, here)), config_file), toml_text(merged(table, told))
+
+
+def _refuse_old_recordings(folder: Path) -> None:
+    onboard = folder / "onboard"
+    if any(onboard.glob("*.mcap")):
+        raise ScenarioError(f"{onboard} already holds a recording; give --out another directory or remove it")
+    onboard.mkdir(parents=True, exist_ok=True)

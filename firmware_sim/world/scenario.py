@@ -1,0 +1,208 @@
+"""A scenario: everything that decides a simulated flight, as a TOML file.
+
+The tables flown here are [flight], [wind], [derivatives], [[manoeuvre]], [[hidden]], [ground] and [site]; the tables
+[sensors], [[faults]], [radio] and [logger] belong to instruments, bus, radio and logger, and are passed through as they stand.
+"""
+
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+
+from firmware_sim.errors import ScenarioError
+from firmware_sim.pilot.manoeuvres import AXES, MANOEUVRE_SETS, SHAPES, Axis, Manoeuvre, Shape
+from firmware_sim.toml_text import toml_text
+
+BUILT_IN_FOLDER = Path(__file__).parents[1] / "scenarios"
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class FlightTable(_Table):
+    """[flight]: how long, how fast, how high, which plan."""
+
+    aircraft: str = "cdfp"
+    duration_s: float = Field(default=30.0, gt=0.0, le=7200.0)
+    speed_m_s: float = Field(default=17.0, ge=11.0, le=28.0)
+    height_m: float = Field(default=60.0, ge=5.0, le=3000.0)
+    heading_deg: float = 40.0
+    seed: int = Field(default=1, ge=0)
+    manoeuvres: str = "rich"
+    repeat_every_s: float = Field(default=30.0, gt=0.0)
+    hand_deg: float = Field(default=0.0, ge=0.0, le=2.0, description="unsteadiness of the pilot's hand, 1 sigma")
+    derivative_scatter: float = Field(
+        default=0.0, ge=0.0, le=0.5, description="true derivatives off by up to this fraction"
+    )
+    derivative_seed: int | None = Field(
+        default=None, ge=0, description="same number, same aircraft; the flight's seed by default"
+    )
+    integration_hz: int = Field(default=200, ge=200, le=2000, multiple_of=50)
+
+    @field_validator("manoeuvres")
+    @classmethod
+    def _known_set(cls, name: str) -> str:
+        if name not in MANOEUVRE_SETS:
+            raise ValueError(f"no such set of manoeuvres; known are {', '.join(MANOEUVRE_SETS)}")
+        return name
+
+
+class WindTable(_Table):
+    """[wind]: steady wind and gusts. gust_deg is the sideslip angle of the lateral gust at trim speed, 1 sigma."""
+
+    speed_m_s: float = Field(default=0.0, ge=0.0, le=15.0)
+    from_deg: float = 0.0
+    gust_deg: float = Field(default=0.0, ge=0.0, le=3.0)
+
+
+class GroundTable(_Table):
+    """[ground]: stillness before and after the flight; launch and landing are scripted, not flown."""
+
+    before_s: float = Field(default=0.0, ge=0.0)
+    after_s: float = Field(default=0.0, ge=0.0)
+    launch_s: float = Field(default=25.0, ge=8.0)
+    landing_s: float = Field(default=25.0, ge=8.0)
+
+
+class SiteTable(_Table):
+    """[site]: place and weather of the field; see atmosphere.Site."""
+
+    latitude_deg: float = Field(default=26.51, ge=-85.0, le=85.0)
+    longitude_deg: float = Field(default=80.23, ge=-180.0, le=180.0)
+    elevation_m: float = Field(default=0.0, ge=-300.0, le=4000.0)
+    temperature_offset_k: float = Field(default=11.8, ge=-60.0, le=40.0)
+
+
+class ManoeuvreTable(_Table):
+    """[[manoeuvre]]: one stick input; given any, they replace the set of [flight]."""
+
+    axis: Axis
+    shape: Shape
+    start_s: float = Field(ge=0.0)
+    amplitude: float = Field(description="degrees of surface, or throttle 0..1")
+    width_s: float = Field(gt=0.0)
+    harmonics: tuple[int, ...] = ()
+
+    @model_validator(mode="after")
+    def _multisine_has_harmonics(self) -> "ManoeuvreTable":
+        if self.shape == "multisine" and not self.harmonics:
+            raise ValueError("a multisine needs harmonics")
+        return self
+
+    def manoeuvre(self) -> Manoeuvre:
+        """As flown."""
+        return Manoeuvre(self.axis, self.shape, self.start_s, self.amplitude, self.width_s, self.harmonics)
+
+
+class HiddenTable(_Table):
+    """[[hidden]]: a hidden effect by name, and its size as a multiple of the typical one."""
+
+    name: str
+    size: float = 1.0
+
+
+class Scenario(_Table):
+    """A whole scenario; see the tables."""
+
+    name: str = "unnamed"
+    title: str = ""
+    flight: FlightTable = FlightTable()
+    wind: WindTable = WindTable()
+    ground: GroundTable = GroundTable()
+    site: SiteTable = SiteTable()
+    derivatives: Mapping[str, float] = Field(default_factory=dict)
+    manoeuvre: tuple[ManoeuvreTable, ...] = ()
+    hidden: tuple[HiddenTable, ...] = ()
+    sensors: Mapping[str, Any] = Field(default_factory=dict)
+    faults: tuple[Mapping[str, Any], ...] = ()
+    radio: Mapping[str, Any] = Field(default_factory=dict)
+    logger: Mapping[str, Any] = Field(default_factory=dict)
+
+    @field_validator("hidden")
+    @classmethod
+    def _known_effects(cls, hidden: tuple[HiddenTable, ...]) -> tuple[HiddenTable, ...]:
+        from firmware_sim.physics.effects.registry import EFFECTS
+
+        for i, item in enumerate(hidden):
+            if item.name not in EFFECTS:
+                raise ValueError(
+                    f"entry {i + 1}: no effect named {item.name!r}; known are {', '.join(sorted(EFFECTS))}"
+                )
+        return hidden
+
+    @property
+    def total_s(self) -> float:
+        """Length of the recording [s], ground phases included."""
+        total = self.flight.duration_s
+        if self.ground.before_s > 0.0:
+            total += self.ground.before_s + self.ground.launch_s
+        if self.ground.after_s > 0.0:
+            total += self.ground.after_s + self.ground.landing_s
+        return total
+
+    def altered(self, **tables: Any) -> "Scenario":
+        """A copy with some keys replaced, e.g. altered(flight={"seed": 4}, hidden=[{"name": "Cn_da"}]).
+
+        Tables given as mappings are merged key by key; everything else is replaced. Checked like a file.
+        """
+        data = self.model_dump()
+        for key, value in tables.items():
+            if isinstance(value, Mapping) and isinstance(data.get(key), Mapping):
+                data[key] = {**data[key], **value}
+            else:
+                data[key] = value
+        return scenario_from(data, self.name)
+
+    def toml(self) -> str:
+        """The scenario as a TOML text that load_scenario reads back to the same scenario."""
+        return toml_text(self.model_dump(exclude_defaults=True, mode="json"))
+
+
+def scenario_from(data: Mapping[str, Any], where: str) -> Scenario:
+    """A checked scenario; raises ScenarioError naming the key."""
+    try:
+        return Scenario.model_validate(data)
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"]) or "(top level)"
+        hint = f"; axes are {', '.join(AXES)}, shapes {', '.join(SHAPES)}" if key.startswith("manoeuvre.") else ""
+        raise ScenarioError(f"scenario {where}: {key}: {first['msg'].removeprefix('Value error, ')}{hint}") from error
+
+
+def built_in_scenarios() -> dict[str, str]:
+    """Names of the built-in scenarios and their titles."""
+    return {path.stem: load_scenario(path).title for path in sorted(BUILT_IN_FOLDER.glob("*.toml"))}
+
+
+def load_scenario(name_or_path: str | Path) -> Scenario:
+    """Read a built-in scenario by name, or a TOML file; `hidden_NAME` flies the rich plan with effect NAME hidden.
+
+    Raises ScenarioError for an unknown name, an unreadable file, or naming the key that is wrong.
+    """
+    text = str(name_or_path)
+    path = BUILT_IN_FOLDER / f"{text}.toml"
+    if not path.is_file():
+        if text.startswith("hidden_"):
+            effect = text.removeprefix("hidden_")
+            rich = load_scenario("rich").altered(
+                title=f"rich manoeuvres with {effect} hidden",
+                hidden=[{"name": effect}],
+                wind={"gust_deg": 0.15},
+                flight={"derivative_scatter": 0.15},
+            )
+            return rich.model_copy(update={"name": text})
+        path = Path(text)
+    if not path.is_file():
+        known = ", ".join(sorted(p.stem for p in BUILT_IN_FOLDER.glob("*.toml")))
+        raise ScenarioError(
+            f"scenario {text!r}: no such file and no built-in of that name (built in: {known}, hidden_NAME)"
+        )
+    try:
+        data = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ScenarioError(f"scenario {path}: not a TOML file: {error}") from error
+    data.setdefault("name", path.stem)
+    return scenario_from(data, str(path))

@@ -1,0 +1,171 @@
+"""Command line of the data side: `sideslip calibrate`, `bench` and `import`."""
+
+import json
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+if TYPE_CHECKING:
+    from groundstation.flight import Flight
+
+
+_JSON = click.option("--json", "report", type=click.Path(path_type=Path), help="Write the same as JSON.")
+
+
+def write_json(report: Path | None, content: Any) -> None:
+    if report is not None:
+        report.parent.mkdir(parents=True, exist_ok=True)
+        report.write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+
+
+def _say(flight: "Flight", output: Path, report: Path | None) -> None:
+    rate = 1 / flight.sample_interval
+    measured = sum(flight.measured(c) for c in flight.columns)
+    click.echo(
+        f"{output}: {len(flight)} samples, {flight.time[-1] - flight.time[0]:.1f} s at {rate:.1f} Hz, "
+        f"{len(flight.segments)} segment{'s' if len(flight.segments) > 1 else ''}, {measured} columns measured"
+    )
+    for note in flight.notes:
+        click.echo(f"  note: {note}")
+    content = {
+        "flight": str(output),
+        "samples": len(flight),
+        "duration_s": float(flight.time[-1] - flight.time[0]),
+        "rate_hz": rate,
+        "segments": len(flight.segments),
+        "columns": [c for c in flight.columns if flight.measured(c)],
+        "notes": list(flight.notes),
+        "provenance": {
+            "source": flight.provenance.source,
+            "sha256": flight.provenance.sha256,
+            **flight.provenance.detail,
+        },
+    }
+    write_json(report, content)
+
+
+def _write(flight: "Flight", output: Path, split: bool, report: Path | None) -> None:
+    """Write the flight and say so; with `split`, each stretch without gap to a file of its own, OUTPUT_1, OUTPUT_2, ..."""
+    from groundstation.flight import write_flight
+
+    if not split or len(flight.segments) < 2:
+        write_flight(flight, output)
+        _say(flight, output, report)
+        return
+    for number, rows in enumerate(flight.segments, start=1):
+        target = output.with_stem(f"{output.stem}_{number}")
+        if rows.stop - rows.start < 2:
+            click.echo(f"{target}: not written: a single sample between two gaps")
+            continue
+        part = flight.part(rows, f"{flight.name}_{number}")
+        write_flight(part, target)
+        _say(part, target, report and report.with_stem(f"{report.stem}_{number}"))
+
+
+_SPLIT = click.option("--split", is_flag=True, help="Write each stretch without a gap in time to a file of its own.")
+
+
+@click.command()
+@click.argument("raw", type=click.Path(path_type=Path))
+@click.option(
+    "-o", "--output", type=click.Path(path_type=Path), required=True, help="Flight to write: .mcap, .csv or .parquet."
+)
+@click.option(
+    "--calibration",
+    type=click.Path(path_type=Path),
+    help="Directory of calibration files, or 'cdfp'; instead of the embedded set.",
+)
+@click.option("--align/--no-align", default=None, help="Bring all sensors to one time base [default: when complete].")
+@click.option("--salvage", is_flag=True, help="Use what is intact of a damaged recording.")
+@_SPLIT
+@_JSON
+def calibrate(
+    raw: Path,
+    output: Path,
+    calibration: Path | None,
+    align: bool | None,
+    salvage: bool,
+    split: bool,
+    report: Path | None,
+) -> None:
+    """Turn the counts of a raw recording RAW into a flight in SI units.
+
+    RAW is a recording or the directory of its segments. Doing it again gives the same bits.
+
+    Example: sideslip calibrate recordings/nominal -o nominal.mcap
+    """
+    from groundstation.calibration.recording import calibrate_recording
+
+    _write(calibrate_recording(raw, calibration, align=align, salvage=salvage), output, split, report)
+
+
+@click.command("import")
+@click.argument("data", type=click.Path(path_type=Path))
+@click.option(
+    "-o", "--output", type=click.Path(path_type=Path), required=True, help="Flight to write: .mcap, .csv or .parquet."
+)
+@click.option("--map", "mapping", type=click.Path(path_type=Path), help="Mapping file: columns, units, signs, time.")
+@click.option("--rate", type=click.FloatRange(min=0, min_open=True, max=1000), help="Resample to so many Hz.")
+@click.option("--accept-implausible", is_flag=True, help="Import values that look like another unit, with a note.")
+@_SPLIT
+@_JSON
+def import_(
+    data: Path,
+    output: Path,
+    mapping: Path | None,
+    rate: float | None,
+    accept_implausible: bool,
+    split: bool,
+    report: Path | None,
+) -> None:
+    """Turn somebody else's DATA into a flight: CSV, Parquet, PX4 ULog, ArduPilot .bin or MAVLink .tlog.
+
+    Example: sideslip import log.csv --map log_map.toml -o flight.mcap
+    """
+    from groundstation.importers.run import import_data
+
+    _write(import_data(data, mapping, rate_hz=rate, accept_implausible=accept_implausible), output, split, report)
+
+
+@click.command()
+@click.argument("raw", type=click.Path(path_type=Path))
+@click.option("--plan", type=click.Path(path_type=Path), required=True, help="Bench plan: what was set, and when.")
+@click.option(
+    "-o", "--output", type=click.Path(path_type=Path), required=True, help="Directory for the calibration files."
+)
+@click.option(
+    "--calibration", type=click.Path(path_type=Path), help="Set to refine, or 'cdfp'; instead of the embedded one."
+)
+@click.option("--date", "day", type=click.DateTime(["%Y-%m-%d"]), help="Date, where the recording carries none.")
+@_JSON
+def bench(
+    raw: Path, plan: Path, output: Path, calibration: Path | None, day: datetime | None, report: Path | None
+) -> None:
+    """Fit calibration files from the bench recording RAW and write them, with the rest of the set, to a directory.
+
+    Example: sideslip bench bench/vanes --plan bench/vanes.toml -o calibration/
+    """
+    from daq.contract.recordings.reading import read_recording
+    from groundstation.calibration.bench import fit_bench, fitted_set
+    from groundstation.calibration.plan import load_plan
+    from groundstation.calibration.recording import embedded_calibration
+    from groundstation.calibration.schema import load_calibration
+
+    chosen = load_plan(plan)
+    base = load_calibration(calibration) if calibration else embedded_calibration(read_recording(raw))
+    fits = fit_bench(raw, chosen, base, today=day.date() if day else None)
+    output.mkdir(parents=True, exist_ok=True)
+    for name, text in fitted_set(base, fits).texts.items():
+        (output / name).write_text(text, encoding="utf-8")
+    for fit in fits:
+        click.echo(fit.text)
+    click.echo(f"{output}: {len(fits)} of {len(base.instruments)} calibration files fitted, the others taken over")
+    write_json(
+        report,
+        [
+            {"text": fit.text, **fit.instrument.model_dump(mode="json", exclude_none=True, exclude_defaults=True)}
+            for fit in fits
+        ],
+    )

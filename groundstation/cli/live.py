@@ -1,0 +1,301 @@
+"""Command line of the ground station: `sideslip ground` and `sideslip view`."""
+
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+if TYPE_CHECKING:
+    from groundstation.live.config import GroundConfig
+    from groundstation.live.handover import Handover
+    from groundstation.live.replay import Replay
+    from groundstation.live.station import Station
+    from groundstation.viewer.session import SessionViews
+
+POLL_S = 0.02
+VIEW = click.Choice(["web", "native", "none"])
+_VIEW_HELP = "Show it in the browser, in rerun's own window, or not at all."
+
+
+@click.command(epilog="Example: sideslip ground ground.toml --view web --json session.json")
+@click.argument("config", type=click.Path(path_type=Path))
+@click.option("--replay", type=click.Path(path_type=Path), help="Play a .tlog or a recording instead of listening.")
+@click.option("--speed", default="1", show_default=True, help="Of the replay: recorded seconds a second, or max.")
+@click.option("--view", "window", type=VIEW, default="none", show_default=True, help=_VIEW_HELP)
+@click.option("--estimate", "with_estimate", is_flag=True, help="Estimate parameters from the finished flight.")
+@click.option(
+    "--out", type=click.Path(path_type=Path, file_okay=False), help="Folder of this session, instead of the configured."
+)
+@click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write the counters of the session as JSON.")
+@click.option("--duration", type=float, help="End after this many seconds.")
+def ground(
+    config: Path,
+    replay: Path | None,
+    speed: str,
+    window: str,
+    with_estimate: bool,
+    out: Path | None,
+    json_path: Path | None,
+    duration: float | None,
+) -> int:
+    """Receive, decode, calibrate, show live, record, watch limits, and hand finished flights over.
+
+    CONFIG is a TOML file (see docs/ground.md). Ctrl-C ends the session and writes the flight. While it runs, typed words
+    command the aircraft: help lists them.
+    """
+    from groundstation.live.config import load_ground_config
+    from groundstation.live.replay import Replay, parse_speed, replay_into
+
+    settings = load_ground_config(config)
+    folder = out or _session_folder(settings)
+    with _views(settings, window) as views:
+        source = Replay()
+        station = _station(settings, folder, views, source if replay is not None else None, replay)
+        click.echo(
+            f"session {folder}; {'replaying ' + str(replay) if replay else 'listening on ' + ', '.join(settings.link.ports)}"
+        )
+        interrupted = False
+        try:
+            with _terminated_is_interrupt():
+                if replay is not None:
+                    replay_into(station, source, replay, parse_speed(speed))
+                else:
+                    _listen(station, settings, duration, views)
+        except KeyboardInterrupt:
+            interrupted = True
+        finally:
+            station.close()
+        handed = _finish(station, settings, folder)
+        _conclude(station, handed, json_path)
+        if with_estimate:
+            _estimate(handed, settings, folder, show=views is not None)
+        if replay is not None and views is not None and duration is None and not interrupted:
+            click.echo("the replay is over; Ctrl-C ends the view")
+            _hold(views)
+    return 130 if interrupted else 0
+
+
+def _conclude(station: "Station", handed: list["Handover"], json_path: Path | None) -> None:
+    """Say what the session has left, and write its counters."""
+    from groundstation.cli.data import write_json
+
+    for flight in handed:
+        for line in flight.lines():
+            click.echo(line)
+    summary = station.receiver.summary()
+    summary["flight"] = str(handed[0].path) if handed else None
+    summary["flights"] = [str(h.path) for h in handed]
+    write_json(json_path, summary)
+    lost = sum(b - a + 1 for a, b in summary["scans_lost"])
+    click.echo(f"{summary['frames_received']} frames, {summary['scans_received']} scans received, {lost} lost, "
+               f"{summary['backfilled']} backfilled, {summary['unsigned_rejected']} refused")  # fmt: skip
+
+
+def _hold(views: "SessionViews") -> None:
+    """Keep the views until somebody has seen enough."""
+    try:
+        with _terminated_is_interrupt():
+            while True:
+                views.tend()
+                time.sleep(0.1)
+    except KeyboardInterrupt:
+        return
+
+
+def _session_folder(settings: "GroundConfig") -> Path:
+    base = settings.output.directory
+    return base / time.strftime("%Y%m%dT%H%M%SZ", time.gmtime()) if settings.output.dated else base
+
+
+@contextmanager
+def _terminated_is_interrupt() -> Iterator[None]:
+    """SIGTERM and SIGINT end a session alike: files are closed and the flight is written.
+
+    SIGINT too is asked for, because a shell's background job starts with it ignored.
+    """
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    before = {number: signal.signal(number, interrupt) for number in (signal.SIGTERM, signal.SIGINT)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _station(
+    settings: "GroundConfig", folder: Path, views: "SessionViews | None", replay: "Replay | None", played: Path | None
+) -> "Station":
+    from groundstation.live.config import GroundConfigError
+    from groundstation.live.station import Station
+    from groundstation.receiver.receive import Receiver
+    from groundstation.receiver.timeline import SystemClock
+
+    folder.mkdir(parents=True, exist_ok=True)
+    make_view = None if views is None else views.make
+    if replay is None and not settings.link.ports:
+        raise GroundConfigError("[link] ports is empty: there is nothing to listen to; name a port")
+    if replay is not None:
+        held = sorted([*folder.glob("*.tlog"), *folder.glob("*.journal")])
+        if held:
+            raise GroundConfigError(
+                f"{folder} holds a session already ({held[0].name}); give another folder with --out"
+            )
+        quiet = settings.link.model_copy(update={"ports": (), "transmit": False, "backfill": "off"})
+        # A recording does not come over a link: there is nothing to keep of it.
+        kept = folder if played is not None and played.suffix == ".tlog" else None
+        receiver = Receiver(quiet, {"replay": replay.port}, replay.clock, folder=kept)
+        return Station(settings, receiver, replay.clock, folder, make_view=make_view, echo=click.echo)
+    system = SystemClock()
+    receiver = Receiver.open(settings.link, system, folder=folder)
+    return Station(settings, receiver, system, folder, make_view=make_view, echo=click.echo)
+
+
+@contextmanager
+def _views(settings: "GroundConfig", window: str) -> "Iterator[SessionViews | None]":
+    """The views of the session, closed at its end; None without any."""
+    if window == "none":
+        yield None
+        return
+    from groundstation.viewer.session import SessionViews
+
+    views = SessionViews(settings.view, "web" if window == "web" else "native", click.echo)
+    try:
+        yield views
+    finally:
+        views.close()
+
+
+def _listen(station: "Station", settings: "GroundConfig", duration: float | None, views: "SessionViews | None") -> None:
+    """Until Ctrl-C, `quit` or the duration is over; after a landing, missing scans are fetched as long as allowed."""
+    from groundstation.live.console import Console, Lines
+
+    begun = time.monotonic()
+    fetching: dict[int, float] = {}
+    console = Console(station, Lines.of_standard_input(), click.echo)
+    while console.poll() and (duration is None or time.monotonic() - begun < duration):
+        station.step()
+        if views is not None:
+            views.tend()
+        while station.landed:
+            system = station.landed.pop()
+            if settings.link.backfill != "off" and settings.link.transmit:
+                station.receiver.set_backfill("all", system)
+                fetching[system] = time.monotonic()
+                click.echo(f"aircraft {system} has landed: fetching what is missing")
+        for system, since in list(fetching.items()):
+            if station.receiver.backfill_agreed(system):
+                del fetching[system]
+            elif time.monotonic() - since > settings.handover.backfill_limit_s:
+                click.echo(f"aircraft {system}: backfill not complete within the limit; the flight keeps its gaps")
+                del fetching[system]
+        time.sleep(POLL_S)
+
+
+def _finish(station: "Station", settings: "GroundConfig", folder: Path) -> list["Handover"]:
+    """Hand over every session that holds a flight."""
+    from groundstation.live.handover import HandoverError, hand_over, onboard_recording
+
+    handed = []
+    if station.replayed is not None:
+        handed.append(hand_over(station.replayed, folder, origin=f"replay of {station.replayed}"))
+    sessions = [(s, r) for s, r in station.receiver.session_recorders().items() if r.path.is_file()]
+    sessions.sort(key=lambda pair: pair[1].path.stat().st_size, reverse=True)
+    for number, (session, recorder) in enumerate(sessions):
+        name = "flight" if number == 0 and not handed else f"flight_{session.name}"
+        onboard = onboard_recording(settings.handover.onboard, recorder.info().session)
+        source, origin = (
+            (recorder.path, "telemetry and backfill") if onboard is None else (onboard, "the onboard recording")
+        )
+        try:
+            handed.append(
+                hand_over(source, folder, origin=origin, fallback_calibration=settings.calibration.directory, name=name)
+            )
+        except HandoverError as error:
+            click.echo(f"{session.name}: {error}")
+        except OSError as error:
+            click.echo(f"{session.name}: the flight cannot be written ({error.strerror or error})")
+    if any(not r.path.is_file() for r in station.receiver.session_recorders().values() if r.has_scans):
+        advice = f"sideslip ground CONFIG --replay {folder / 'telemetry.tlog'} --speed max --out ELSEWHERE"
+        click.echo(f"not everything received could be written as a recording; make room and play it again: {advice}")
+    return handed
+
+
+def _estimate(handed: list["Handover"], settings: "GroundConfig", folder: Path, *, show: bool) -> None:
+    """Run `sideslip estimate` on the flights in a process of its own, so that nothing of it lives on the ground station.
+
+    show: open its report, for somebody who has been watching.
+    """
+    flights = [str(h.manoeuvres_path or h.path) for h in handed]
+    if not flights:
+        click.echo("nothing to estimate from: no flight was handed over")
+        return
+    report = folder / "report"
+    command = [sys.executable, "-m", "sideslip", "estimate", *flights, "--report", str(report)]
+    command += ["--model", settings.handover.model, "--method", settings.handover.methods]
+    done = subprocess.run(command, check=False)
+    if done.returncode not in (0, 1):
+        click.echo(f"the estimate could not be made (status {done.returncode})")
+    elif show:
+        click.launch(str(report / "index.html"))
+
+
+@click.command(epilog="Example: sideslip view flights/first/flight.mcap")
+@click.argument("file", type=click.Path(path_type=Path))
+@click.option("--view", "window", type=VIEW, default="web", show_default=True, help=_VIEW_HELP)
+@click.option("--layout", type=click.Choice(["full", "light"]), default="full", show_default=True)
+@click.option("--rrd", type=click.Path(path_type=Path), help="Write the rerun recording here and keep it.")
+@click.option(
+    "--calibration", type=click.Path(path_type=Path), help="For a raw recording: calibration in place of its own."
+)
+@click.option(
+    "--save-blueprint", type=click.Path(path_type=Path), help="Write the layout as .rbl, for rerun's own use."
+)
+@click.option("--web-port", type=int, default=9090, show_default=True)
+@click.option("--duration", type=float, help="Close after this many seconds.")
+def view(
+    file: Path,
+    window: str,
+    layout: str,
+    rrd: Path | None,
+    calibration: Path | None,
+    save_blueprint: Path | None,
+    web_port: int,
+    duration: float | None,
+) -> int:
+    """Show any recording or flight FILE (.mcap raw or calibrated, .csv, .parquet, .rrd) in rerun."""
+    import tempfile
+
+    from groundstation.viewer import blueprint
+    from groundstation.viewer.recorded import as_rrd
+    from groundstation.viewer.window import NativeWindow, WebPage
+
+    chosen: blueprint.Layout = "light" if layout == "light" else "full"
+    if save_blueprint is not None:
+        blueprint.save_blueprint(save_blueprint, chosen)
+        click.echo(f"layout: {save_blueprint}")
+    with tempfile.TemporaryDirectory() as scratch:
+        shown = as_rrd(file, rrd or Path(scratch) / "view.rrd", chosen, calibration)
+        if rrd is not None:
+            click.echo(f"rerun recording: {shown}")
+        if window == "none":
+            return 0
+        opened = NativeWindow(shown) if window == "native" else WebPage(shown, web_port)
+        try:
+            with _terminated_is_interrupt():
+                if isinstance(opened, WebPage):
+                    click.echo(f"{opened.url}\nCtrl-C ends the page")
+                opened.wait(duration)
+        except KeyboardInterrupt:
+            pass
+        finally:
+            opened.close()
+    return 0

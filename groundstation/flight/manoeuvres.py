@@ -1,0 +1,154 @@
+"""Where in a flight the controls were moved: windows with a name, and the flight cut to them.
+
+A window begins when a control leaves its slowly varying trim position by more than its noise allows, and ends once
+all controls have been quiet for a while, with the aircraft's answer included.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.flight.flight import Flight, FlightError
+
+Array = NDArray[np.float64]
+
+CONTROLS = ("delta_a", "delta_r", "delta_e")
+SMALLEST = 0.0175  # rad: a control movement below 1 deg is trimming, not a manoeuvre
+TRIM_TIME = 12.0  # s: the trim position is the median over so long
+QUIET = 2.0  # s without movement end a manoeuvre
+LEAD, TAIL = 0.5, 2.5  # s kept before the first movement and after the last
+
+
+@dataclass(frozen=True)
+class Manoeuvre:
+    """A stretch of flight in which controls were moved.
+
+    start, stop: first and last time of the window [s]. controls: the columns that moved, the largest movement first.
+    kind: 'doublet', '3-2-1-1', 'step', 'multistep' or 'mixed', judged on the first control. amplitude: of that control [rad].
+    """
+
+    start: float
+    stop: float
+    controls: tuple[str, ...]
+    kind: str
+    amplitude: float
+
+    @property
+    def title(self) -> str:
+        """A few words for a list or a viewer."""
+        names = {"delta_a": "aileron", "delta_r": "rudder", "delta_e": "elevator"}
+        return f"{' and '.join(names.get(c, c) for c in self.controls)} {self.kind}"
+
+
+def find_manoeuvres(
+    flight: Flight, controls: Sequence[str] = CONTROLS, *, smallest: float = SMALLEST
+) -> tuple[Manoeuvre, ...]:
+    """The manoeuvres of a flight in order of time; none when no control column is measured.
+
+    smallest: movement from trim [rad] that counts. A window never reaches across a gap.
+    """
+    found: list[Manoeuvre] = []
+    present = [c for c in controls if flight.measured(c)]
+    for segment in flight.segments:
+        time = flight.time[segment]
+        if time.size < 3:
+            continue
+        departures = {c: _departure(flight.columns[c][segment], time) for c in present}
+        active = {c: _active(d, smallest) for c, d in departures.items()}
+        if not active:
+            continue
+        for first, last in _windows(np.any(list(active.values()), axis=0), time):
+            found.append(_describe(time, first, last, departures, active))
+    return tuple(found)
+
+
+def cut(flight: Flight, manoeuvres: Iterable[Manoeuvre], name: str | None = None) -> Flight:
+    """The flight reduced to the windows, each a segment of its own, with initial states of its own in an estimate.
+
+    Raises FlightError when no sample lies in a window.
+    """
+    label = np.full(len(flight), -1, np.int64)
+    for number, m in enumerate(manoeuvres):
+        inside = (flight.time >= m.start) & (flight.time <= m.stop) & (label < 0)
+        label[inside] = number
+    keep = label >= 0
+    if int(keep.sum()) < 2:
+        raise FlightError(f"{flight.name}: no manoeuvre to cut out; the controls did not move beyond trim")
+    part = flight.part(keep, name)
+    # a window that ran over a gap has two segments already: both divisions count
+    _, segment = np.unique(np.stack([label[keep], flight.segment[keep]]), axis=1, return_inverse=True)
+    return replace(part, segment=np.asarray(segment).reshape(-1).astype(np.int64))
+
+
+def _departure(values: Array, time: Array) -> Array:
+    """Movement away from trim: the value less its running median, 0 where not measured."""
+    width = max(3, int(TRIM_TIME / float(np.median(np.diff(time)))) | 1)
+    filled = values.copy()
+    bad = ~np.isfinite(filled)
+    if bad.all():
+        return np.zeros_like(values)
+    filled[bad] = np.interp(time[bad], time[~bad], filled[~bad])
+    if filled.size <= width:
+        trim: Array = np.full_like(filled, float(np.median(filled)))
+    else:
+        half = width // 2
+        padded = np.pad(filled, half, mode="reflect")
+        # every fifth median is enough for something that varies over seconds
+        at = np.arange(0, filled.size, 5)
+        medians = np.array([np.median(padded[i : i + width]) for i in at])
+        trim = np.interp(np.arange(filled.size), at, medians)
+    return np.where(bad, 0.0, filled - trim)
+
+
+def _active(departure: Array, smallest: float) -> NDArray[np.bool_]:
+    steps = np.diff(departure)
+    noise = float(np.median(np.abs(steps))) * 1.4826 / np.sqrt(2) if steps.size else 0.0
+    return np.asarray(np.abs(departure) > max(smallest, 6 * noise))
+
+
+def _windows(active: NDArray[np.bool_], time: Array) -> list[tuple[int, int]]:
+    """First and last row of each activity, joined where less than QUIET lies between."""
+    rows = np.flatnonzero(active)
+    if not rows.size:
+        return []
+    groups = np.split(rows, np.flatnonzero(np.diff(time[rows]) > QUIET) + 1)
+    return [(int(g[0]), int(g[-1])) for g in groups if g.size >= 2]
+
+
+def _describe(
+    time: Array, first: int, last: int, departures: dict[str, Array], active: dict[str, NDArray[np.bool_]]
+) -> Manoeuvre:
+    span = slice(first, last + 1)
+    sizes = {c: float(np.max(np.abs(departures[c][span]))) for c in departures if active[c][span].any()}
+    order = sorted(sizes, key=lambda c: -sizes[c])
+    # a control that merely rides along (mixing, gusts on the linkage) moves much less than the leading one
+    moved = tuple(c for c in order if sizes[c] > 0.3 * sizes[order[0]])
+    lead = order[0]
+    kind = _kind(departures[lead][span], time[span], sizes[lead]) if len(moved) == 1 else "mixed"
+    return Manoeuvre(
+        float(max(time[0], time[first] - LEAD)), float(min(time[-1], time[last] + TAIL)), moved, kind, sizes[lead]
+    )
+
+
+def _kind(departure: Array, time: Array, size: float) -> str:
+    """Name of the input from its pulses: runs of one sign beyond half the amplitude."""
+    sign = np.where(departure > 0.4 * size, 1, np.where(departure < -0.4 * size, -1, 0))
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], sign, [0]])))
+    pulses = [
+        (int(sign[a]), float(time[min(b, time.size - 1)] - time[a]))
+        for a, b in zip(edges, edges[1:], strict=False)
+        if sign[a] != 0
+    ]
+    signs, lengths = [s for s, _ in pulses], [d for _, d in pulses]
+    alternating = all(a == -b for a, b in zip(signs, signs[1:], strict=False))
+    if len(pulses) == 1:
+        return "step"
+    if alternating and len(pulses) == 2 and 0.5 < lengths[0] / max(lengths[1], 1e-9) < 2:
+        return "doublet"
+    if alternating and len(pulses) == 4:
+        unit = sum(lengths) / 7
+        if all(abs(d / unit - want) < 0.7 for d, want in zip(lengths, (3, 2, 1, 1), strict=True)):
+            return "3-2-1-1"
+    return "multistep"

@@ -1,0 +1,166 @@
+"""One aircraft on the ground station: calibrates what comes in, shows it, watches limits, and knows when it has landed.
+
+A desk is told what happened, in order; it never waits, and the view it feeds drops pictures rather than delay it.
+"""
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Protocol
+
+from daq.contract.scan import Scan
+from groundstation.calibration.apply import Calibrator
+from groundstation.calibration.schema import CalibrationSet
+from groundstation.live.alarms import AlarmChange, Alarms, AlarmState
+from groundstation.live.config import GroundConfig
+from groundstation.live.flight_phase import LandingWatch, Phase
+from groundstation.receiver import events as ev
+
+IN_FLIGHT_ONLY = ("V", "alpha")
+_SEVERITY = {0: "CRITICAL", 1: "CRITICAL", 2: "CRITICAL", 3: "ERROR", 4: "WARN"}
+STATUS_PERIOD_S = 1.0
+
+
+class View(Protocol):
+    """What a desk shows things on."""
+
+    def sample(self, time_s: float, values: Mapping[str, float]) -> None: ...
+    def states(self, time_s: float, states: Mapping[str, str]) -> None: ...
+    def event(self, time_s: float, text: str, level: str = "INFO") -> None: ...
+    def quality(self, time_s: float, report: ev.LinkStatistics) -> None: ...
+    def status(self, time_s: float, markdown: str) -> None: ...
+
+
+class Desk:
+    """State of one aircraft. `say` gets every line that belongs in the log: (time [s], level, text)."""
+
+    def __init__(
+        self,
+        config: GroundConfig,
+        calibration: CalibrationSet,
+        view: View | None,
+        say: Callable[[float, str, str], None],
+    ) -> None:
+        self._calibration = calibration
+        self._calibrator = Calibrator(calibration)
+        self._view = view
+        self._say = say
+        self._alarms = Alarms(config.alarms)
+        self._landing = LandingWatch(config.handover.landing)
+        self._logger: ev.LoggerStatus | None = None
+        self._link: ev.LinkStatistics | None = None
+        self._backfill: ev.BackfillProgress | None = None
+        self._last_heard_ns: int | None = None
+        self._next_status = -math.inf
+        self.time = 0.0
+        self.samples = 0
+        self.values: dict[str, float] = {}
+
+    @property
+    def phase(self) -> Phase:
+        """Where in its flight the aircraft is."""
+        return self._landing.phase
+
+    def acknowledge(self) -> None:
+        """Clear latched alarms."""
+        self._announce(self._alarms.acknowledge(self.time))
+
+    def use(self, calibration: CalibrationSet, facts: Mapping[str, str]) -> None:
+        """Calibrate with what the aircraft itself carries, from now on."""
+        self._calibrator = Calibrator(calibration, facts)
+        self._calibration = calibration
+
+    def scan(self, scan: Scan, *, late: bool = False, received_ns: int | None = None) -> bool:
+        """One scan; True when it shows that the flight has ended."""
+        self._last_heard_ns = received_ns
+        values = self._calibrator.sample(scan)
+        if late:
+            return False
+        self.time, self.values = scan.time, {**self.values, **values}
+        self.samples += 1
+        states = {group: status.state.words for group, status in scan.groups.items()}
+        unusable = sum(not (s.state.usable or s.state.words in ("off", "stale")) for s in scan.groups.values())
+        ended = self._landing.update(scan.time, values)
+        watched = {k: v for k, v in values.items() if k not in IN_FLIGHT_ONLY or self.phase is Phase.FLYING}
+        if scan.groups:
+            watched["sensors.unusable"] = float(unusable)
+        self._announce(self._alarms.update(scan.time, watched))
+        if self._view is not None:
+            self._view.sample(scan.time, values)
+            self._view.states(scan.time, states)
+            if scan.time >= self._next_status:
+                self._next_status = scan.time + STATUS_PERIOD_S
+                self._view.status(scan.time, self.status_page())
+        if ended:
+            self._note("INFO", "landed: the flight has ended")
+        return ended
+
+    def silence(self, now_ns: int) -> None:
+        """Called often: watches for telemetry that has stopped."""
+        if self._last_heard_ns is not None and self.phase is Phase.FLYING:
+            quiet = (now_ns - self._last_heard_ns) * 1e-9
+            self._announce(self._alarms.update(self.time + quiet, {"link.silence_s": quiet}))
+
+    def happened(self, event: ev.Event) -> None:
+        """Everything that is not a scan."""
+        match event:
+            case ev.StatusText(severity=severity, text=text):
+                self._note(_SEVERITY.get(severity, "INFO"), text)
+            case ev.EventMarked(time_monotonic_ns=at, origin=origin, text=text):
+                self._note("INFO", f"event ({origin}): {text}", at * 1e-9)
+            case ev.CommandResult(words=words, accepted=accepted, command=command):
+                self._note("INFO" if accepted else "WARN", f"command {command}: {words}")
+            case ev.Refused(message=message, why=why, count=count):
+                self._note("WARN", f"refused {count} x {message}: {why}")
+            case ev.Restarted(previous=previous) if previous is not None:
+                self._note("WARN", "the aircraft's logger has started anew: scan numbers begin again")
+                self._calibrator = Calibrator(self._calibration)
+            case ev.LinkStatistics():
+                self._link = event
+                self._announce(self._alarms.update(self.time, {"link.loss_percent": 100 * event.loss}))
+                if self._view is not None:
+                    self._view.quality(self.time, event)
+            case ev.Trouble(what=what, words=words) if self._view is not None:
+                self._view.event(self.time, f"{what}: {words or 'works again'}", "INFO" if words is None else "WARN")
+            case ev.BackfillProgress(held=held, agreed=agreed):
+                if agreed and not (self._backfill is not None and self._backfill.agreed):
+                    self._note("INFO", f"air and ground agree: {held} scans")
+                self._backfill = event
+            case ev.LoggerStatus():
+                self._logger = event
+                self._announce(self._alarms.update(self.time, {"recorder.recording": float(event.recording)}))
+
+    def _announce(self, changes: list[AlarmChange]) -> None:
+        for change in changes:
+            level = change.level if change.state is AlarmState.ACTIVE else "INFO"
+            self._note(level, change.text, change.time)
+
+    def _note(self, level: str, text: str, time: float | None = None) -> None:
+        at = self.time if time is None else time
+        self._say(at, level, text)
+        if self._view is not None:
+            self._view.event(at, text, level)
+
+    def status_page(self) -> str:
+        """The status page as Markdown."""
+        lines = [f"**{self.phase.value}**  t = {self.time:.1f} s", ""]
+        if self._logger is not None:
+            s = self._logger
+            free = "unknown" if s.free_bytes is None else f"{s.free_bytes / 1e6:.0f} MB"
+            state = "recording" if s.recording else "**NOT RECORDING**"
+            lines += [
+                f"- recorder: {state}, {s.written} scans written, {s.dropped} dropped, {s.lost} lost, queue {s.queue}",
+                f"- timing: 99 % within {s.lateness_p99_us / 1000:.1f} ms, {s.missed} slots missed",
+                f"- card: {free} free, {s.write_errors} write errors",
+            ]
+        if self._link is not None:
+            latency = "unknown" if self._link.latency_s is None else f"{1e3 * self._link.latency_s:.0f} ms"
+            lines.append(
+                f"- link: {self._link.scan_rate_hz:.1f} Hz, {100 * self._link.loss:.1f} % lost, latency {latency}"
+            )
+        if self._backfill is not None:
+            b = self._backfill
+            lines.append(f"- in full here: {b.held} of {b.wanted} scans{', air and ground agree' if b.agreed else ''}")
+        held = self._alarms.in_force()
+        lines.append("")
+        lines += [f"- **{level}** {name} ({state.value})" for name, state, level in held] or ["no alarms"]
+        return "\n".join(lines)

@@ -1,0 +1,95 @@
+"""Configuration of the ground station: one TOML file, checked, with mistakes named by key."""
+
+import tomllib
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from daq.contract.errors import UserError
+from groundstation.live.alarms import Limit
+from groundstation.live.flight_phase import LandingLimits
+from groundstation.receiver.link_config import LinkConfig
+
+
+class GroundConfigError(UserError):
+    """A configuration file of the ground station that cannot be used."""
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class OutputConfig(_Table):
+    """Where a session goes: `directory`/<UTC time of start>, or exactly `directory` when `dated` is false."""
+
+    directory: Path = Path("flights")
+    dated: bool = True
+
+
+class CalibrationConfig(_Table):
+    """`directory`: calibration files, or the name of a built-in set, used live until the aircraft's own have come down."""
+
+    directory: str = "cdfp"
+
+
+class ViewConfig(_Table):
+    """The live view; ports are on loopback."""
+
+    layout: Literal["full", "light"] = "full"
+    port: Annotated[int, Field(ge=1, le=65535)] = 9876
+    web_port: Annotated[int, Field(ge=1, le=65535)] = 9090
+    memory_limit: str = "64MiB"
+
+
+class HandoverConfig(_Table):
+    """End of a flight. onboard: directory where the aircraft's own recording appears (card reader, Wi-Fi): preferred to
+    telemetry when it is there. backfill_limit_s: how long missing scans are fetched after landing."""
+
+    landing: LandingLimits = LandingLimits()
+    backfill_limit_s: Annotated[float, Field(ge=0.0)] = 1800.0
+    onboard: Path | None = None
+    model: str = "lateral"
+    methods: str = "ml"
+
+
+DEFAULT_ALARMS = (
+    Limit(channel="V", low=10.0, high=27.0, hysteresis=0.5, hold_s=0.5, level="ERROR", text="airspeed"),
+    Limit(channel="alpha", high=0.26, hysteresis=0.02, hold_s=0.3, level="ERROR", text="angle of attack"),
+    Limit(channel="supply_voltage", low=10.5, hysteresis=0.2, hold_s=2.0, level="ERROR", text="supply voltage"),
+    Limit(channel="link.loss_percent", high=30.0, hysteresis=10.0, hold_s=3.0, level="WARN", text="link loss"),
+    Limit(channel="link.silence_s", high=3.0, level="CRITICAL", text="no telemetry"),
+    Limit(channel="recorder.recording", low=0.5, hold_s=2.0, level="CRITICAL", text="onboard recorder stopped"),
+    Limit(channel="sensors.unusable", high=0.5, hold_s=1.0, level="WARN", text="sensor not usable"),
+)
+
+
+class GroundConfig(_Table):
+    """The whole file. Alarm channels are flight columns, or `link.loss_percent`, `link.silence_s`, `recorder.recording`,
+    `sensors.unusable` (number of sensor groups); airspeed and angle of attack count in flight only."""
+
+    link: LinkConfig = LinkConfig()
+    output: OutputConfig = OutputConfig()
+    calibration: CalibrationConfig = CalibrationConfig()
+    view: ViewConfig = ViewConfig()
+    handover: HandoverConfig = HandoverConfig()
+    alarms: tuple[Limit, ...] = DEFAULT_ALARMS
+
+
+def load_ground_config(path: Path) -> GroundConfig:
+    """Read a configuration. Raises GroundConfigError naming file and key."""
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise GroundConfigError(f"{path}: no such configuration file") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise GroundConfigError(f"{path}: cannot be read ({error})") from error
+    except tomllib.TOMLDecodeError as error:
+        raise GroundConfigError(f"{path}: not valid TOML: {error}") from error
+    try:
+        return GroundConfig.model_validate(table)
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"])
+        more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
+        raise GroundConfigError(f"{path}: key {key}: {first['msg']}{more}; correct it or leave it out") from error

@@ -1,0 +1,167 @@
+"""Words typed at a running ground station: commands to the aircraft, alarms, downloads. `help` lists them.
+
+Read from standard input without ever waiting: a terminal when this process is in its foreground, or a pipe.
+"""
+
+import os
+import select
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+from groundstation.live.station import Station
+from groundstation.receiver.loglist import LogFetcher
+
+HELP = """\
+status            state of each aircraft, recorder, link and alarms in force
+ack               acknowledge alarms that are over
+mark              mark an event in the recording on board
+start | stop      begin or end the recording on board
+rate HZ           scans a second on the radio; 0: as configured on board
+zero              zero the pitot (refused unless the aircraft is clearly at rest)
+backfill MODE     off, lost (what the radio lost) or all (every scan in full)
+logs              list the recordings on board
+fetch NUMBER      download one of them into this session's folder
+quit              end the session and write the flight
+With several aircraft begin with the number: 2 mark"""
+_LONGEST = 4096
+
+
+class Lines:
+    """Lines of a file descriptor as they come."""
+
+    def __init__(self, descriptor: int) -> None:
+        self._descriptor: int | None = descriptor
+        self._waiting = b""
+
+    @classmethod
+    def of_standard_input(cls) -> "Lines":
+        """Standard input; nothing at all where there is none, or where a terminal belongs to another program."""
+        lines = cls(-1)
+        try:
+            lines._descriptor = sys.stdin.fileno()
+        except (AttributeError, OSError, ValueError):
+            lines._descriptor = None
+        return lines
+
+    def read(self) -> list[str]:
+        """Whole lines that have come."""
+        if self._descriptor is None or not _ours(self._descriptor):
+            return []
+        try:
+            if not select.select([self._descriptor], [], [], 0)[0]:
+                return []
+            data = os.read(self._descriptor, _LONGEST)
+        except OSError:
+            data = b""
+        if not data:
+            self._descriptor = None
+        *whole, self._waiting = (self._waiting + data).split(b"\n")
+        self._waiting = self._waiting[-_LONGEST:]
+        return [line.decode("utf-8", "replace").strip() for line in whole]
+
+
+def _ours(descriptor: int) -> bool:
+    """Whether reading will not stop this process, as a terminal does to one in the background."""
+    return not os.isatty(descriptor) or os.tcgetpgrp(descriptor) == os.getpgrp()
+
+
+class Console:
+    """Obeys typed words. echo: where answers go."""
+
+    def __init__(self, station: Station, lines: Lines, echo: Callable[[str], None]) -> None:
+        self._station, self._lines, self._echo = station, lines, echo
+        self._listing: dict[int, LogFetcher] = {}
+        self._fetching: dict[int, tuple[int, Path]] = {}
+
+    def poll(self) -> bool:
+        """Obey what has been typed; False once the session is to end."""
+        self._report()
+        return all(self.obey(line) for line in self._lines.read() if line)
+
+    def obey(self, line: str) -> bool:
+        """Obey one line; False for `quit`."""
+        words = line.split()
+        if words[0] == "quit":
+            return False
+        if words[0] == "help":
+            self._echo(HELP)
+            return True
+        systems = self._station.receiver.systems
+        if words[0].isdigit():
+            wanted = int(words.pop(0))
+            systems = [s for s in systems if s == wanted]
+        if not systems:
+            self._echo("no such aircraft has been heard")
+        elif len(systems) > 1 and words[:1] not in (["status"], ["ack"]):
+            self._echo(f"which aircraft? begin with its number: {', '.join(map(str, systems))}")
+        elif not words or not self._known(words, systems):
+            self._echo(f"{line!r} is not understood; type help")
+        return True
+
+    def _known(self, words: list[str], systems: list[int]) -> bool:
+        receiver, system = self._station.receiver, systems[0]
+        commander = receiver.commander
+        match words:
+            case ["status"]:
+                for number in systems:
+                    self._echo(f"aircraft {number}: {self._station.desk(number).status_page()}")
+            case ["ack"]:
+                for number in systems:
+                    self._station.desk(number).acknowledge()
+            case ["mark"]:
+                commander.mark(system)
+            case ["start"]:
+                commander.start_recording(system)
+            case ["stop"]:
+                commander.stop_recording(system)
+            case ["zero"]:
+                commander.zero_pitot(system)
+            case ["rate", value] if _number(value) is not None:
+                commander.set_rate(system, _number(value) or 0.0)
+            case ["backfill", ("off" | "lost" | "all") as mode]:
+                receiver.set_backfill(mode, system)
+            case ["logs"]:
+                self._listing[system] = receiver.logs(system)
+                self._listing[system].request_list()
+            case ["fetch", value] if value.isdigit():
+                self._fetch(system, int(value))
+            case _:
+                return False
+        return True
+
+    def _fetch(self, system: int, number: int) -> None:
+        logs = self._station.receiver.logs(system)
+        if number not in logs.entries:
+            self._echo(f"no recording {number} is known; type logs first")
+            return
+        path = self._station.folder / f"aircraft{system}_log{number}.mcap"
+        try:
+            logs.download(number, path)
+        except OSError as error:
+            self._echo(f"{path}: cannot be written ({error.strerror})")
+            return
+        self._fetching[system] = (number, path)
+
+    def _report(self) -> None:
+        """Say what asked-for listings and downloads have come to."""
+        for system, logs in list(self._listing.items()):
+            if not logs.listing:
+                del self._listing[system]
+                entries = sorted(logs.entries.values(), key=lambda e: e.number)
+                for e in entries:
+                    self._echo(f"aircraft {system}: recording {e.number}: {e.size} bytes")
+                if not entries:
+                    self._echo(f"aircraft {system}: no recordings")
+        for system, (number, path) in list(self._fetching.items()):
+            if number in self._station.receiver.logs(system).done:
+                del self._fetching[system]
+                self._echo(f"aircraft {system}: recording {number} is here: {path}")
+
+
+def _number(text: str) -> float | None:
+    try:
+        value = float(text)
+    except ValueError:
+        return None
+    return value if 0.0 <= value < 1e6 else None

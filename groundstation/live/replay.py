@@ -1,0 +1,142 @@
+"""Plays a telemetry log or a recording through the ground station, at any speed."""
+
+import threading
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from daq.contract.errors import UserError
+from groundstation.receiver.timeline import NS
+
+if TYPE_CHECKING:
+    from groundstation.live.station import Station
+
+STEP_NS = 50_000_000
+SYSTEM = 1
+
+
+class ReplayError(UserError):
+    """A file that cannot be replayed."""
+
+
+class ReplayClock:
+    """The recording's own time: UTC as logged, monotonic from the first record."""
+
+    def __init__(self) -> None:
+        self.now_utc_ns = 0
+        self._first_ns: int | None = None
+
+    def move(self, utc_ns: int) -> None:
+        """Go to an instant; never back."""
+        if self._first_ns is None:
+            self._first_ns = utc_ns
+        self.now_utc_ns = max(self.now_utc_ns, utc_ns)
+
+    def monotonic_ns(self) -> int:
+        """Time since the first record [ns]."""
+        return self.now_utc_ns - (self._first_ns or self.now_utc_ns)
+
+    def utc_ns(self) -> int:
+        """Time as logged [ns]."""
+        return self.now_utc_ns
+
+
+class ReplayPort:
+    """A byte port that gives what it is fed, and swallows what is sent."""
+
+    def __init__(self) -> None:
+        self._waiting = bytearray()
+
+    def feed(self, data: bytes) -> None:
+        """Let bytes arrive."""
+        self._waiting += data
+
+    def read(self, limit: int = 65536) -> bytes:
+        """What has arrived."""
+        data = bytes(self._waiting[:limit])
+        del self._waiting[:limit]
+        return data
+
+    def write(self, data: bytes) -> int:
+        """Nobody is there to hear: an old flight is not spoken to."""
+        return len(data)
+
+    def close(self) -> None:
+        """Nothing to give back."""
+
+
+def parse_speed(text: str) -> float | None:
+    """Recorded seconds a second; None for as fast as it goes."""
+    if text == "max":
+        return None
+    try:
+        speed = float(text)
+    except ValueError:
+        speed = 0.0
+    if not speed > 0:
+        raise ReplayError(f"--speed {text}: give a positive number, or max")
+    return speed
+
+
+@dataclass(frozen=True, slots=True)
+class Replay:
+    """Clock and port that a replayed station runs on."""
+
+    clock: ReplayClock = field(default_factory=ReplayClock)
+    port: ReplayPort = field(default_factory=ReplayPort)
+
+
+def replay_into(station: "Station", source: Replay, path: Path, speed: float | None) -> None:
+    """Play a .tlog as bytes through the decoder, or the scans of a raw recording to the desk.
+
+    Raises ReplayError, TlogError or RecordingError for a file that cannot be played.
+    """
+    if path.suffix == ".tlog":
+        _replay_tlog(station, source, path, speed)
+    elif path.suffix == ".mcap" or path.is_dir():
+        _replay_recording(station, path, speed)
+    else:
+        raise ReplayError(f"{path}: cannot be replayed; give a .tlog or a raw recording (.mcap or its folder)")
+
+
+def _wait(seconds: float, speed: float | None) -> None:
+    if speed is not None and seconds > 0:
+        threading.Event().wait(seconds / speed)
+
+
+def _replay_tlog(station: "Station", source: "Replay", path: Path, speed: float | None) -> None:
+    from groundstation.receiver.tlog import read_tlog
+
+    clock, port = source.clock, source.port
+    due: int | None = None
+    for utc_ns, data in read_tlog(path):
+        if due is None:
+            due = utc_ns
+        while utc_ns > due:
+            ahead = min(STEP_NS, utc_ns - due)
+            _wait(ahead / NS, speed)
+            due += ahead
+            clock.move(due)
+            station.step()
+        port.feed(data)
+    station.step()
+
+
+def _replay_recording(station: "Station", path: Path, speed: float | None) -> None:
+    from daq.contract.recordings.reading import read_recording
+    from groundstation.calibration.errors import CalibrationError
+    from groundstation.calibration.recording import embedded_calibration
+
+    recording = read_recording(path, salvage=True)
+    desk = station.desk(SYSTEM)
+    try:
+        desk.use(embedded_calibration(recording), recording.info.details)
+    except CalibrationError:
+        desk.use(station.calibration, recording.info.details)
+    last: float | None = None
+    for scan in recording.scans():
+        if last is not None:
+            _wait(min(scan.time - last, 1.0), speed)
+        last = scan.time
+        desk.scan(scan)
+    station.replayed = path

@@ -1,0 +1,119 @@
+"""The ground station: receiver, one desk per aircraft, views, and the hand-over at the end of a flight."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+from groundstation.calibration.errors import CalibrationError
+from groundstation.calibration.schema import CalibrationSet, load_calibration
+from groundstation.live.aircraft_monitor import Desk, View
+from groundstation.live.config import GroundConfig
+from groundstation.receiver import events as ev
+from groundstation.receiver.receive import Receiver
+from groundstation.receiver.timeline import NS, Clock
+
+PAPERS_PERIOD_NS = 2 * NS
+
+
+class Station:
+    """Call `step` often; it never waits. make_view: makes the view of an aircraft, or None when it cannot."""
+
+    def __init__(
+        self,
+        config: GroundConfig,
+        receiver: Receiver,
+        clock: Clock,
+        folder: Path,
+        *,
+        make_view: Callable[[int], View | None] | None = None,
+        echo: Callable[[str], None] = lambda _: None,
+    ) -> None:
+        self.config, self.receiver, self.folder = config, receiver, folder
+        self._clock = clock
+        self._make_view = make_view
+        self._echo = echo
+        self.calibration = load_calibration(config.calibration.directory)
+        self.desks: dict[int, Desk] = {}
+        self.landed: list[int] = []
+        self.replayed: Path | None = None  # a recording that was played instead of received
+        self._papers: set[str] = set()
+        self._next_papers_ns = 0
+        folder.mkdir(parents=True, exist_ok=True)
+        self._log = (folder / "events.log").open("a", encoding="utf-8")
+
+    def desk(self, system: int) -> Desk:
+        """The desk of an aircraft, opened when it is first heard."""
+        if system not in self.desks:
+            view = None if self._make_view is None else self._make_view(system)
+            self.desks[system] = Desk(self.config, self.calibration, view, self._sayer(system))
+            self._echo(f"aircraft {system} heard")
+        return self.desks[system]
+
+    def _sayer(self, system: int) -> Callable[[float, str, str], None]:
+        def say(time: float, level: str, text: str) -> None:
+            self._note(f"{time:10.2f} s  aircraft {system}  {level:<8} {text}")
+
+        return say
+
+    def _note(self, line: str) -> None:
+        self._echo(line)
+        with self.receiver.faults.watch("event log"):
+            self._log.write(line + "\n")
+            self._log.flush()
+
+    def step(self) -> list[ev.Event]:
+        """Take in what has arrived and act on it."""
+        happened = self.receiver.poll()
+        for event in happened:
+            self._dispatch(event)
+        now = self._clock.monotonic_ns()
+        for desk in self.desks.values():
+            desk.silence(now)
+        if now >= self._next_papers_ns:
+            self._next_papers_ns = now + PAPERS_PERIOD_NS
+            self._adopt_calibrations()
+        return happened
+
+    def _dispatch(self, event: ev.Event) -> None:
+        match event:
+            case ev.ScanReceived(session=session):
+                if self.desk(session.system).scan(event.scan, late=event.late, received_ns=event.received_ns):
+                    self.landed.append(session.system)
+            case ev.StatusText(system=system) | ev.CommandResult(system=system) | ev.Refused(system=system):
+                if system in self.desks:
+                    self.desks[system].happened(event)
+            case ev.Heartbeat():
+                pass
+            case ev.Trouble(what=what, words=words):
+                over = "works again"
+                self._note(
+                    f"{'':10}    ground station  {'INFO' if words is None else 'WARN':<4} {what}: {words or over}"
+                )
+                for desk in self.desks.values():
+                    desk.happened(event)
+            case _:
+                self.desk(event.session.system).happened(event)
+
+    def _adopt_calibrations(self) -> None:
+        """Once the recording's papers have come down, calibrate with what the aircraft carries."""
+        for session, recorder in self.receiver.session_recorders().items():
+            info = recorder.info()
+            texts = {n: d.decode("utf-8") for n, d in info.calibration.items() if n.endswith(".toml")}
+            key = f"{session.name}:{len(texts)}:{len(info.details)}"
+            if not (texts or info.details) or key in self._papers:
+                continue
+            self._papers.add(key)
+            try:
+                chosen = CalibrationSet.from_texts("embedded", texts) if texts else self.calibration
+                self.desk(session.system).use(chosen, info.details)
+            except CalibrationError as error:
+                self.desk(session.system).happened(
+                    ev.StatusText(session.system, 4, f"calibration not usable: {error}", 0)
+                )
+
+    def close(self) -> None:
+        """Write recordings and close every file and port; what failed is told."""
+        self.receiver.close()
+        for event in self.receiver.faults.changes(self._clock.monotonic_ns()):
+            self._dispatch(event)
+        with self.receiver.faults.watch("event log"):
+            self._log.close()

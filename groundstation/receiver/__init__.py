@@ -1,0 +1,1 @@
+"""From bytes of a link to scans that are accounted for: decode, order, backfill, record. Knows no calibration."""

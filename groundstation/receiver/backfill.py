@@ -1,0 +1,278 @@
+"""The asking side of backfill: which scans are wanted, requests until they are here, and the proof that all are.
+
+Answers are the aircraft's own encoded scans, compressed and cut into fragments; lost fragments are asked for again.
+Everything that arrives goes to the session's journal, so an interrupted backfill goes on where it was. It is over
+when count and SHA-256 of all scans, as the aircraft gives them, equal those of the scans held here.
+"""
+
+import hashlib
+import struct
+import zlib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from groundstation.receiver import events as ev
+from groundstation.receiver.link_accounting import SessionBooks
+from groundstation.receiver.recording import SessionRecorder
+from groundstation.receiver.timeline import NS
+
+Mode = Literal["off", "lost", "all"]
+Request = tuple[str, dict[str, Any]]
+
+WINDOW = 4
+MAX_WANTED = 24
+SPAN = 64
+RETRY_NS = 2 * NS
+MAX_RETRY_NS = 16 * NS
+SUMMARY_NS = 2 * NS
+PROGRESS_NS = NS
+LOOK_NS = NS // 2
+PAPERS_PART_BYTES = 8192
+_ALL_FRAGMENTS = 2**64 - 1
+_MAX_ANSWER = 1 << 20
+_LENGTH = struct.Struct("<I")
+_LAST = 2**32 - 1
+
+
+@dataclass
+class _Open:
+    """A request under way."""
+
+    asked_ns: int
+    retry_ns: int = RETRY_NS
+    checksum: int | None = None
+    total: int | None = None
+    have: dict[int, bytes] = field(default_factory=dict)
+    flowing: bool = False  # fragments have come since it was asked
+
+    def missing(self) -> int:
+        if self.total is None:
+            return _ALL_FRAGMENTS
+        return sum(1 << i for i in range(self.total) if i not in self.have)
+
+
+def group_numbers(numbers: Iterable[int], limit: int) -> list[tuple[int, int]]:
+    """Scan numbers as at most `limit` (first, mask) requests of up to 24 scans within 64."""
+    out: list[tuple[int, int]] = []
+    first, mask = -1, 0
+    for number in numbers:
+        if mask and (number - first >= SPAN or mask.bit_count() >= MAX_WANTED):
+            out.append((first, mask))
+            mask = 0
+            if len(out) >= limit:
+                return out
+        if not mask:
+            first = number
+        mask |= 1 << (number - first)
+    if mask:
+        out.append((first, mask))
+    return out
+
+
+class BackfillClient:
+    """Backfill of one session."""
+
+    def __init__(self, recorder: SessionRecorder, books: SessionBooks, mode: Mode = "off") -> None:
+        self.mode = mode
+        self.agreed = False
+        self.unavailable: set[int] = set()
+        self._recorder = recorder
+        self._books = books
+        self._open: dict[tuple[int, int], _Open] = {}
+        self._archive: dict[int, bytes] = {}
+        self._summary: tuple[int, int, int, bytes] | None = None  # first, last, count, hash
+        self._summary_ns: int | None = None
+        self._progress_ns = 0
+        self._look_ns = 0  # nothing was wanted: when to look again
+        self._cursor: int | None = None  # every scan before it is held, or cannot be had
+        self._final_papers = False
+        for number in recorder.journal.received:  # by this ground station before it was started again
+            books.see(number)
+            books.received.add(number)
+        for number in recorder.journal.complete:
+            books.see(number)
+            books.backfilled.add(number)
+
+    # ------------------------------------------------------------------------------------------ asking
+
+    def due(self, now_ns: int) -> list[Request]:
+        """Messages to send now (name, fields without targets)."""
+        out = [self._again(key, o, now_ns) for key, o in self._open.items() if now_ns - o.asked_ns >= o.retry_ns]
+        room = WINDOW - len(self._open)
+        if room > 0 and not out and now_ns >= self._look_ns:
+            for key in self._next_wanted(room):
+                if key not in self._open:
+                    self._open[key] = _Open(now_ns)
+                    out.append(self._request(key, _ALL_FRAGMENTS))
+            if not out:
+                self._look_ns = now_ns + LOOK_NS
+        if self.mode == "all" and not self.agreed and not self._open and self._summary_due(now_ns):
+            self._summary_ns = now_ns
+            out.append(("BACKFILL_SUMMARY_REQUEST", {"through_number": _LAST, "boot": self._boot}))
+        return out
+
+    @property
+    def _boot(self) -> int:
+        return self._books.session.boot
+
+    def _summary_due(self, now_ns: int) -> bool:
+        return self._summary_ns is None or now_ns - self._summary_ns >= SUMMARY_NS
+
+    def _again(self, key: tuple[int, int], o: _Open, now_ns: int) -> Request:
+        o.asked_ns, o.flowing = now_ns, False
+        o.retry_ns = min(MAX_RETRY_NS, max(RETRY_NS, o.retry_ns * 2))
+        return self._request(key, o.missing())
+
+    def _request(self, key: tuple[int, int], fragments: int) -> Request:
+        first, wanted = key
+        fields = {"first_number": first, "wanted": wanted, "fragments": fragments, "boot": self._boot}
+        return "BACKFILL_REQUEST", fields
+
+    def _next_wanted(self, room: int) -> list[tuple[int, int]]:
+        if self._recorder.papers is None:
+            return [(0, 0)]
+        if self.mode == "all":
+            parts = (self._recorder.archive_bytes + PAPERS_PART_BYTES - 1) // PAPERS_PART_BYTES
+            missing = [(i + 1, 0) for i in range(parts) if i + 1 not in self._archive]
+            if missing:
+                return missing[:room]
+        if self.mode == "off":
+            return []
+        busy = {first + i for first, mask in self._open for i in range(SPAN) if mask >> i & 1}
+        return group_numbers(self._wanted_numbers(busy), room)
+
+    def _wanted_numbers(self, busy: set[int]) -> Iterable[int]:
+        if self.mode == "lost":
+            candidates: Iterable[int] = (n for a, b in self._books.accounting().missing for n in range(a, b + 1))
+        elif self._summary is None:
+            return
+        else:
+            candidates = self._from_cursor(*self._summary[:2])
+        held = self._recorder.journal.complete
+        for n in candidates:
+            if n not in busy and n not in self.unavailable and n not in held:
+                yield n
+
+    def _from_cursor(self, first: int, last: int) -> Iterable[int]:
+        """Numbers from the first that is neither held nor given up; a long flight is not gone through again."""
+        held = self._recorder.journal.complete
+        at = first if self._cursor is None else max(first, self._cursor)
+        while at <= last and (at in held or at in self.unavailable):
+            at += 1
+        self._cursor = at
+        return range(at, last + 1)
+
+    # ------------------------------------------------------------------------------------------ answers
+
+    def take_data(self, f: Mapping[str, Any], now_ns: int) -> None:
+        """Use a BACKFILL_DATA."""
+        key = (f["first_number"], f["wanted"])
+        o = self._open.get(key)
+        if o is None:
+            return
+        if f["fragments"] == 0:
+            self._finish(key, b"")
+            return
+        if f["length"] > len(f["data"]) or f["fragment"] >= f["fragments"]:
+            return
+        if (o.checksum, o.total) != (f["checksum"], f["fragments"]):
+            o.checksum, o.total = f["checksum"], f["fragments"]
+            o.have.clear()
+        o.have[f["fragment"]] = bytes(f["data"][: f["length"]])
+        self._note_flow(o, now_ns)
+        if len(o.have) == o.total:
+            data = b"".join(o.have[i] for i in range(o.total))
+            if zlib.crc32(data) == o.checksum:
+                self._finish(key, data)
+            else:
+                o.have.clear()
+
+    def _note_flow(self, now_served: _Open, now_ns: int) -> None:
+        """The aircraft serves requests one after another: what flows now tells of the others.
+
+        A request whose fragments had been coming is over, and what it lacks was lost; one that has not begun waits.
+        """
+        for o in self._open.values():
+            if o is now_served:
+                o.asked_ns, o.retry_ns, o.flowing = now_ns, RETRY_NS, True
+            elif o.flowing:
+                o.retry_ns = 0
+            else:
+                o.asked_ns = now_ns
+
+    def _finish(self, key: tuple[int, int], data: bytes) -> None:
+        del self._open[key]
+        first, wanted = key
+        if wanted:
+            self._take_scans({first + i for i in range(SPAN) if wanted >> i & 1}, data)
+        elif first == 0:
+            self._recorder.take_papers(data)
+        else:
+            self._take_archive(first, data)
+
+    def _take_scans(self, asked: set[int], data: bytes) -> None:
+        for encoded in unpack_scans(data):
+            number = self._recorder.complete(encoded)
+            if number is not None:
+                asked.discard(number)
+                self._books.see(number)
+                self._books.backfilled.add(number)
+        # What the aircraft left out of a sound answer it does not have (any more).
+        self.unavailable |= asked
+
+    def _take_archive(self, part: int, data: bytes) -> None:
+        self._archive[part] = data
+        whole = b"".join(self._archive[i] for i in sorted(self._archive))
+        papers = self._recorder.papers
+        if papers is not None and hashlib.sha256(whole).hexdigest() == papers.get("archive_sha256"):
+            self._recorder.take_archive(whole)
+
+    def take_summary(self, f: Mapping[str, Any]) -> None:
+        """Use a BACKFILL_SUMMARY; decides whether air and ground agree."""
+        summary = (f["first_number"], f["last_number"], f["count"], bytes(f["sha256"]))
+        if summary != self._summary:
+            self._summary = summary
+            self._look_ns = 0
+        if not f["count"] or self._open:
+            return
+        journal = self._recorder.journal
+        held = sum(1 for n in journal.complete if summary[0] <= n <= summary[1])
+        if held != f["count"]:
+            return
+        if not self._final_papers:
+            self._final_papers = True  # events may have been added since the papers came first
+            self._open[(0, 0)] = _Open(0, 0)
+            return
+        digest = hashlib.sha256()
+        for data in journal.scans(complete_only=True):
+            digest.update(_LENGTH.pack(len(data)) + data)
+        self.agreed = digest.digest() == summary[3]
+
+    def progress(self, now_ns: int) -> ev.BackfillProgress | None:
+        """A report of progress about once a second while there is anything to do; None otherwise."""
+        if self.mode == "off" or now_ns - self._progress_ns < PROGRESS_NS:
+            return None
+        self._progress_ns = now_ns
+        held = len(self._recorder.journal.complete)
+        wanted = self._summary[2] if self._summary else held + len(self._open)
+        return ev.BackfillProgress(self._books.session, held, wanted, self.agreed, now_ns)
+
+
+def unpack_scans(data: bytes) -> list[bytes]:
+    """The encoded scans of a backfill answer; empty for bytes that are none."""
+    decompressor = zlib.decompressobj()
+    try:
+        rows = decompressor.decompress(data, _MAX_ANSWER)
+    except zlib.error:
+        return []
+    out: list[bytes] = []
+    at = 0
+    while at + _LENGTH.size <= len(rows):
+        (size,) = _LENGTH.unpack_from(rows, at)
+        at += _LENGTH.size
+        if at + size > len(rows):
+            return out
+        out.append(rows[at : at + size])
+        at += size
+    return out

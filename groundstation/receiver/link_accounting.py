@@ -1,0 +1,174 @@
+"""Exact books of frames and scans: what was sent, received, lost, repeated, and what is not known yet."""
+
+from collections import OrderedDict
+
+from daq.contract.link.scan_map import BLOCK, ScanMap
+from daq.transport.mavlink_codec import Frame
+from groundstation.receiver import events as ev
+from groundstation.receiver.timeline import NS
+
+_RATE_SPAN_NS = 10 * NS
+
+
+class SequenceTracker:
+    """Counts frames lost, late and duplicated from the 8-bit sequence numbers of one sender."""
+
+    def __init__(self) -> None:
+        self.received = 0
+        self.lost = 0
+        self.duplicates = 0
+        self._settled = 0  # lost when the sender was last known to be the one it was
+        self._next: int | None = None
+        self._missing: set[int] = set()
+        self._recent: OrderedDict[int, int] = OrderedDict()
+        self._last_ns = 0
+        self._anchor: tuple[int, int] | None = None  # time and frames since when the rate is counted
+        self._rate = 0.0
+
+    def take(self, frame: Frame, now_ns: int) -> bool:
+        """Count a frame; False for a duplicate of a recent one."""
+        sequence = frame.sequence
+        digest = hash(frame.raw)
+        if self._recent.get(sequence) == digest:
+            self.duplicates += 1
+            return False
+        self._recent.pop(sequence, None)
+        self._recent[sequence] = digest
+        if len(self._recent) > 128:  # a sequence number may return after that many
+            self._recent.popitem(last=False)
+        self.received += 1
+        step = 0 if self._next is None else (sequence - self._next) & 255
+        if step >= 128 and sequence in self._missing:
+            self._missing.discard(sequence)
+            self.lost -= 1
+            return True
+        if step:
+            self._count_gap(step, now_ns)
+        self._measure_rate(now_ns)
+        self._next = (sequence + 1) & 255
+        self._missing.discard(sequence)
+        self._last_ns = now_ns
+        return True
+
+    def settle(self) -> None:
+        """The sender is still the one it was: what has been counted as lost is lost."""
+        self._settled = self.lost
+
+    def restart(self) -> None:
+        """The sender has started anew and counts from 0: the jump since it was last heard is no loss."""
+        self.lost = self._settled
+        self._missing.clear()
+
+    def _measure_rate(self, now_ns: int) -> None:
+        total = self.received + self.lost
+        if self._anchor is None:
+            self._anchor = (now_ns, total)
+        elif now_ns - self._anchor[0] >= _RATE_SPAN_NS:
+            self._rate = (total - self._anchor[1]) * NS / (now_ns - self._anchor[0])
+            self._anchor = (now_ns, total)
+
+    def _count_gap(self, step: int, now_ns: int) -> None:
+        assert self._next is not None
+        self._missing = {(self._next + i) & 255 for i in range(step)} | {
+            m for m in self._missing if (m - self._next) & 255 >= 128
+        }
+        # After an outage of more than 256 frames the count has gone round; time tells how often.
+        expected = (now_ns - self._last_ns) / NS * self._rate
+        rounds = max(0, round((expected - step) / 256)) if expected > 256 else 0
+        self.lost += step + 256 * rounds
+
+
+class SessionBooks:
+    """What is known of the scans of one run of the aircraft's logger."""
+
+    def __init__(self, session: ev.Session) -> None:
+        self.session = session
+        self.received = ScanMap()
+        self.sent = ScanMap()
+        self.absent = ScanMap()
+        self.backfilled = ScanMap()
+        self.settled: dict[int, int] = {}  # block -> number up to which its map is settled
+        self.first: int | None = None
+        self.last = -1
+        self.last_time_ns = 0
+        self.statistics: ev.AircraftStatistics | None = None
+
+    def see(self, number: int) -> None:
+        """A scan of this number exists."""
+        self.first = number if self.first is None else min(self.first, number)
+        self.last = max(self.last, number)
+
+    def take_map(self, first: int, settled: int, sent: int, absent: int) -> None:
+        """Use a SENT_MAP."""
+        block, top = first // BLOCK, first + BLOCK - 1
+        if settled < first or settled < self.settled.get(block, -1):
+            return
+        known = min(settled, top)
+        mask = (1 << (known - first + 1)) - 1
+        if block not in self.settled and len(self.settled) > 65536:
+            return
+        self.settled[block] = known
+        self.sent.set_word(block, self.sent.word(block) | sent & mask)
+        self.absent.set_word(block, self.absent.word(block) | absent & mask)
+
+    def open_blocks(self) -> list[int]:
+        """Blocks up to the last scan whose map is not settled."""
+        span = self._span()
+        if span is None:
+            return []
+        first, last = span
+        return [
+            b
+            for b in range(first // BLOCK, last // BLOCK + 1)
+            if self.settled.get(b, -1) < min(last, b * BLOCK + BLOCK - 1)
+        ]
+
+    def _span(self) -> tuple[int, int] | None:
+        """First and last scan known of; believed only as far as a flight can last."""
+        if self.first is None:
+            return None
+        first, last = self.first, self.last
+        if self.statistics is not None and self.statistics.scans_offered:
+            first, last = min(first, self.statistics.first_number), max(last, self.statistics.last_number)
+        return first, min(last, first + BLOCK * 65536)
+
+    def accounting(self) -> ev.Accounting:
+        """Where all scans went."""
+        span = self._span()
+        if span is None:
+            return ev.Accounting(self.session, 0, -1, 0, 0)
+        lost, missing, unknown, absent, never = ScanMap(), ScanMap(), ScanMap(), ScanMap(), 0
+        sent_known = 0
+        first, last = span
+        for block in range(first // BLOCK, last // BLOCK + 1):
+            low, high = max(first, block * BLOCK), min(last, block * BLOCK + BLOCK - 1)
+            inside = _mask(low, high, block)
+            settled = _mask(low, min(high, self.settled.get(block, -1)), block)
+            received = self.received.word(block)
+            sent = (self.sent.word(block) & settled) | received
+            sent_known += (sent & inside).bit_count()
+            lost.set_word(block, sent & ~received & inside)
+            missing.set_word(block, lost.word(block) & ~self.backfilled.word(block))
+            gone = self.absent.word(block) & settled
+            absent.set_word(block, gone)
+            unknown.set_word(block, inside & ~settled & ~received)
+            never += (inside & settled & ~sent & ~gone).bit_count()
+        return ev.Accounting(
+            self.session,
+            first,
+            last,
+            len(self.received),
+            sent_known,
+            lost.ranges(),
+            never,
+            absent.ranges(),
+            unknown.ranges(),
+            missing.ranges(),
+            len(self.backfilled),
+        )
+
+
+def _mask(low: int, high: int, block: int) -> int:
+    if high < low:
+        return 0
+    return ((1 << (high - low + 1)) - 1) << (low - block * BLOCK)

@@ -1,0 +1,343 @@
+"""The receiver: bytes of all ports in, events out, nothing lost in between.
+
+`poll` never waits; call it often (a serial port's buffer holds under a second). Each port and sender has a decoder of
+its own, each aircraft its own books. Every byte goes to the telemetry log, every scan to the session's recorder.
+All methods may be called from any thread.
+"""
+
+import threading
+from collections.abc import Mapping
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+from daq.contract.link.scan_map import BLOCK
+from daq.transport.mavlink_codec import RADIO_STATUS_ID, Frame, FrameEncoder
+from daq.transport.ports import BytePort
+from groundstation.receiver import events as ev
+from groundstation.receiver.backfill import BackfillClient, Mode
+from groundstation.receiver.command import Commander
+from groundstation.receiver.decode import AircraftDecoder
+from groundstation.receiver.faults import Faults
+from groundstation.receiver.frame_input import Intake
+from groundstation.receiver.link import open_port
+from groundstation.receiver.link_config import LinkConfig
+from groundstation.receiver.link_quality import RateMeter
+from groundstation.receiver.loglist import LogFetcher
+from groundstation.receiver.recording import SessionRecorder
+from groundstation.receiver.security import Gate, make_signer
+from groundstation.receiver.sessions import RECORDING, Sessions
+from groundstation.receiver.summary import counters
+from groundstation.receiver.timeline import NS, Clock
+
+_FIRST_OWN_ID = 44100
+_HEARTBEAT_NS = NS
+_REPORT_NS = NS
+_SYNC_FAST_NS, _SYNC_NS, _SYNC_FAST_COUNT = NS // 2, 5 * NS, 6
+_MAP_NS = 2 * NS
+_MAPS_AT_ONCE = 4
+_SAVE_NS = 10 * NS
+_SIGNING_STATE = "signing state"
+_GCS, _NO_AUTOPILOT = 6, 8
+
+
+class _Aircraft:
+    """One aircraft as the receiver keeps it."""
+
+    def __init__(self, system: int, port: BytePort, sessions: Sessions | None) -> None:
+        self.decoder = AircraftDecoder(system)
+        self.meter = RateMeter(self.decoder)
+        self.port = port
+        self.sessions = sessions
+        self.backfill: BackfillClient | None = None
+        self.logs = LogFetcher(system)
+        self.next_sync_ns = 0
+        self.syncs = 0
+        self.next_map_ns = 0
+
+
+class Receiver:
+    """Receives from any number of aircraft over any number of ports.
+
+    folder: where telemetry.tlog and the sessions' files go; None keeps nothing (then there is no backfill either).
+    """
+
+    def __init__(
+        self, config: LinkConfig, ports: Mapping[str, BytePort], clock: Clock, *, folder: Path | None = None
+    ) -> None:
+        self.config = config
+        self.clock = clock
+        self.commander = Commander()
+        self._ports = dict(ports)
+        self._folder = folder
+        self._lock = threading.RLock()
+        self._gate = Gate(make_signer(config, clock))
+        self._encoder = FrameEncoder(config.system_id, config.component_id, self._gate.signer)
+        self.faults = Faults()
+        self._intake = Intake(self._ports, folder, self.faults)
+        self._aircraft: dict[int, _Aircraft] = {}
+        self._next_heartbeat_ns = 0
+        self._next_report_ns = 0
+        self._next_save_ns = 0
+        self._written: list[Path] = []
+        self._closed = False
+
+    @classmethod
+    def open(cls, config: LinkConfig, clock: Clock, *, folder: Path | None = None) -> "Receiver":
+        """A receiver on the ports of its configuration; PortError or SigningError when one cannot be had."""
+        ports: dict[str, BytePort] = {}
+        try:
+            for text in config.ports:
+                ports[text] = open_port(text)
+            return cls(config, ports, clock, folder=folder)
+        except Exception:
+            for port in ports.values():
+                port.close()
+            raise
+
+    # ------------------------------------------------------------------------------------------ receiving
+
+    def poll(self) -> list[ev.Event]:
+        """Take everything that has arrived and send what is due; returns what happened."""
+        with self._lock:
+            if self._closed:
+                return []
+            out: list[ev.Event] = []
+            now, utc = self.clock.monotonic_ns(), self.clock.utc_ns()
+            for port, frame in self._intake.frames(utc):
+                self._take_frame(frame, port, now, utc, out)
+            out += self._gate.reports(now)
+            self._keep(out)
+            self._do_due(now, out)
+            return out + self.faults.changes(now)
+
+    @property
+    def port_faults(self) -> dict[str, str]:
+        """Ports, and files of the ground station, that fail at present, with the system's words for it."""
+        with self._lock:
+            return dict(self.faults.present)
+
+    def _take_frame(self, frame: Frame, port: BytePort, now: int, utc: int, out: list[ev.Event]) -> None:
+        if not frame.known or frame.system in (0, self.config.system_id):
+            return
+        if not self._gate.allows(frame):
+            return
+        if frame.msg_id == RADIO_STATUS_ID:
+            fields = frame.fields()
+            for aircraft in self._aircraft.values():
+                if aircraft.port is port:
+                    aircraft.meter.radio(fields)
+            return
+        if self.config.systems and frame.system not in self.config.systems:
+            return
+        known = self._aircraft.get(frame.system)
+        if known is None:
+            if not _is_aircraft(frame):
+                return
+            sessions = None if self._folder is None else Sessions(self._folder, self.faults)
+            known = self._aircraft[frame.system] = _Aircraft(frame.system, port, sessions)
+        known.port = port
+        out += known.decoder.take(frame, now, utc)
+        self._take_answer(known, frame, now, out)
+
+    def _take_answer(self, aircraft: _Aircraft, frame: Frame, now: int, out: list[ev.Event]) -> None:
+        """Answers to what was asked from here."""
+        match frame.name:
+            case "COMMAND_ACK":
+                f = frame.fields()
+                if f["target_system"] in (0, self.config.system_id):
+                    done = self.commander.acknowledge(
+                        frame.system, int(_int(f["command"])), int(_int(f["result"])), now
+                    )
+                    out += [] if done is None else [done]
+            case "BACKFILL_DATA" | "BACKFILL_SUMMARY" if aircraft.backfill is not None:
+                f = frame.fields()
+                books = aircraft.decoder.books
+                if books is not None and f["boot"] == books.session.boot:
+                    with self.faults.watch("backfill"):
+                        if frame.name == "BACKFILL_DATA":
+                            aircraft.backfill.take_data(f, now)
+                        else:
+                            aircraft.backfill.take_summary(f)
+            case "LOG_ENTRY" | "LOG_DATA":
+                with self.faults.watch("download"):
+                    aircraft.logs.take(frame.name, frame.fields(), now)
+
+    def _keep(self, out: list[ev.Event]) -> None:
+        """Hand events to the recorders of their sessions."""
+        for event in out:
+            if isinstance(event, ev.Restarted):
+                with self.faults.watch(RECORDING):
+                    self._begin(event.session)
+            elif isinstance(event, ev.ScanReceived | ev.EventMarked):
+                sessions = self._aircraft[event.session.system].sessions
+                if sessions is not None:
+                    sessions.keep(event)
+
+    def _begin(self, session: ev.Session) -> None:
+        aircraft = self._aircraft[session.system]
+        books = next((b for b in aircraft.decoder.sessions if b.session == session), None)
+        if aircraft.sessions is not None and books is not None:
+            aircraft.backfill = BackfillClient(aircraft.sessions.recorder(session), books, self.config.backfill)
+
+    # ------------------------------------------------------------------------------------------ sending
+
+    def _do_due(self, now: int, out: list[ev.Event]) -> None:
+        if now >= self._next_report_ns:
+            self._next_report_ns = now + _REPORT_NS
+            self._report(now, out)
+        if self._gate.signer is not None and now >= self._next_save_ns and self._gate.signer.needs_saving():
+            self._next_save_ns = now + _SAVE_NS
+            with self.faults.watch(_SIGNING_STATE):
+                self._gate.signer.save()
+        if not self.config.transmit:
+            return
+        if now >= self._next_heartbeat_ns:
+            self._next_heartbeat_ns = now + _HEARTBEAT_NS
+            beat = self._encoder.message("HEARTBEAT", type=_GCS, autopilot=_NO_AUTOPILOT, mavlink_version=3)
+            for port in self._ports.values():
+                self._write(port, beat)
+        send, given_up = self.commander.due(now)
+        out += given_up
+        for system, fields in send:
+            known = self._aircraft.get(system)
+            if known is not None:
+                self._send(known, "COMMAND_LONG", fields)
+        for aircraft in self._aircraft.values():
+            self._serve(aircraft, now)
+
+    def _serve(self, aircraft: _Aircraft, now: int) -> None:
+        books = aircraft.decoder.books
+        if books is None:
+            return
+        if now >= aircraft.next_sync_ns:
+            aircraft.syncs += 1
+            aircraft.next_sync_ns = now + (_SYNC_FAST_NS if aircraft.syncs < _SYNC_FAST_COUNT else _SYNC_NS)
+            self._send(aircraft, "TIMESYNC", {"ts1": aircraft.decoder.sync.ask(now)})
+        if now >= aircraft.next_map_ns:
+            aircraft.next_map_ns = now + _MAP_NS
+            # The aircraft sends maps by itself; only what has been overdue for a whole block is asked for.
+            wanted = [b for b in books.open_blocks() if b < books.last // BLOCK or self._quiet(aircraft, now)]
+            for block in wanted[:_MAPS_AT_ONCE]:
+                self._send(aircraft, "SENT_MAP_REQUEST", {"first_number": block * BLOCK, "boot": books.session.boot})
+        if aircraft.backfill is not None:
+            for name, fields in aircraft.backfill.due(now):
+                self._send(aircraft, name, fields)
+        for name, fields in aircraft.logs.due(now):
+            self._send(aircraft, name, fields)
+
+    def _quiet(self, aircraft: _Aircraft, now: int) -> bool:
+        """Whether no scan has come for a while, so that the last block will get no map by itself."""
+        return now - aircraft.decoder.last_scan_ns > 2 * NS
+
+    def _send(self, aircraft: _Aircraft, name: str, fields: Mapping[str, Any]) -> None:
+        targets = {} if name == "TIMESYNC" else {"target_system": aircraft.decoder.system}
+        self._write(aircraft.port, self._encoder.message(name, **{**targets, **fields}))
+
+    def _write(self, port: BytePort, frame: bytes) -> None:
+        """Send a frame; one that a busy port does not take is lost like one on the air, and asked again in time."""
+        name = next((n for n, p in self._ports.items() if p is port), "?")
+        if name in self.faults.present:
+            return  # away, and said so
+        with self.faults.watch(f"{name} (sending)"):
+            taken = port.write(frame)
+            while 0 < taken < len(frame):  # never leave half a frame in the stream
+                more = port.write(frame[taken:])
+                if not more:
+                    break
+                taken += more
+
+    def _report(self, now: int, out: list[ev.Event]) -> None:
+        for aircraft in self._aircraft.values():
+            report = aircraft.meter.report(now)
+            if report is None:
+                continue
+            out.append(report)
+            if aircraft.sessions is not None:
+                aircraft.sessions.keep(report)
+            progress = aircraft.backfill.progress(now) if aircraft.backfill is not None else None
+            if progress is not None:
+                out.append(progress)
+        self._intake.flush()
+
+    # ------------------------------------------------------------------------------------------ for the owner
+
+    def set_backfill(self, mode: Mode, system: int | None = None) -> None:
+        """Change what is fetched, for one aircraft or all."""
+        with self._lock:
+            for number, aircraft in self._aircraft.items():
+                if aircraft.backfill is not None and system in (None, number):
+                    aircraft.backfill.mode = mode
+
+    def backfill_agreed(self, system: int) -> bool:
+        """Whether air and ground agree by count and hash on all scans of the present session."""
+        with self._lock:
+            known = self._aircraft.get(system)
+            return known is not None and known.backfill is not None and known.backfill.agreed
+
+    @property
+    def systems(self) -> list[int]:
+        """Aircraft heard so far."""
+        with self._lock:
+            return sorted(self._aircraft)
+
+    def logs(self, system: int) -> LogFetcher:
+        """Log listing and download of one aircraft; KeyError for an aircraft not heard."""
+        with self._lock:
+            return self._aircraft[system].logs
+
+    def accounting(self) -> list[ev.Accounting]:
+        """Where the scans of all sessions went."""
+        with self._lock:
+            return [b.accounting() for a in self._aircraft.values() for b in a.decoder.sessions]
+
+    def session_recorders(self) -> dict[ev.Session, SessionRecorder]:
+        """The recorders of all sessions."""
+        with self._lock:
+            return {s: r for kept in self._kept() for s, r in kept.recorders.items()}
+
+    def _kept(self) -> list[Sessions]:
+        return [a.sessions for a in self._aircraft.values() if a.sessions is not None]
+
+    def write_recordings(self) -> list[Path]:
+        """Write the recordings of all sessions as they are now; returns their paths.
+
+        One that cannot be written is named in `port_faults`; its journal keeps the scans.
+        """
+        with self._lock:
+            self._written = list(chain.from_iterable(kept.write() for kept in self._kept()))
+            return list(self._written)
+
+    def summary(self) -> dict[str, Any]:
+        """Counters as `ground --json` gives them; `flight` is the largest session's recording."""
+        with self._lock:
+            trackers = [t for a in self._aircraft.values() for t in a.decoder.trackers.values()]
+            return counters(self.accounting(), self._intake.totals(), trackers, self._gate.rejected, self._written)
+
+    def close(self) -> None:
+        """Write the recordings, close all files and ports. What fails is in `port_faults`; nothing is left open."""
+        with self._lock:
+            if self._closed:
+                return
+            self._intake.close(self.clock.utc_ns())
+            self.write_recordings()
+            self._closed = True
+            if self._gate.signer is not None:
+                with self.faults.watch(_SIGNING_STATE):
+                    self._gate.signer.save()
+            for kept in self._kept():
+                kept.close()
+            for aircraft in self._aircraft.values():
+                aircraft.logs.close()
+            for port in self._ports.values():
+                port.close()
+
+
+def _is_aircraft(frame: Frame) -> bool:
+    if frame.msg_id >= _FIRST_OWN_ID:
+        return True
+    return frame.name == "HEARTBEAT" and frame.fields()["autopilot"] != _NO_AUTOPILOT
+
+
+def _int(value: object) -> int:
+    return value if isinstance(value, int) else 0

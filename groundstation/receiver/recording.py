@@ -1,0 +1,215 @@
+"""Received scans as a raw recording, in the very format the logger writes, so that one calibration path serves both.
+
+While scans come in they go to a `Journal`; `write` makes the MCAP file from it at the end, after backfill, or whenever
+asked. Complete scans (backfilled) are written in the aircraft's own bytes. The link's quality is a topic of its own.
+"""
+
+import json
+import struct
+import zlib
+from collections.abc import Mapping
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import IO, Any
+
+from daq.contract.recordings.messages import Event, MessageError, decode_event, encode_event
+from daq.contract.recordings.recording import RecordingInfo, RecordingWriter, message_entry, scan_entry
+from daq.contract.scan import decode_scan
+from groundstation.receiver import events as ev
+from groundstation.receiver.session_log import Journal, Kind
+
+LINK_TOPIC = "/link"
+LINK_SCHEMA = "sideslip.Link"
+UNKNOWN_SOURCE = "unknown"
+
+_LINK_FIELDS = (
+    "time_monotonic_s",
+    "loss",
+    "frames_received",
+    "frames_lost",
+    "scan_rate_hz",
+    "latency_s",
+    "round_trip_s",
+    "clock_offset_s",
+    "rssi_dbm",
+    "remote_rssi_dbm",
+    "noise_dbm",
+    "remote_noise_dbm",
+    "txbuf_percent",
+)
+
+
+class ReceivedWriter(RecordingWriter):
+    """A recording with the link's quality added as JSON messages."""
+
+    def __init__(self, stream: IO[bytes], info: RecordingInfo) -> None:
+        super().__init__(stream, info)
+        properties = {n: {"type": ["number", "null"]} for n in _LINK_FIELDS}
+        schema = json.dumps({"type": "object", "properties": properties}).encode()
+        schema_id = self._writer.register_schema(LINK_SCHEMA, "jsonschema", schema)
+        self._link_channel = self._writer.register_channel(LINK_TOPIC, "json", schema_id)
+
+    def write_link(self, data: bytes, time_ns: int, sequence: int) -> None:
+        """Add a report of link quality."""
+        self._writer.add_message(self._link_channel, time_ns, data, time_ns, sequence)
+
+
+def link_json(report: ev.LinkStatistics, aircraft_ns: int) -> bytes:
+    """A link report as the topic carries it, on the aircraft's time scale."""
+    values = {k: v for k, v in asdict(report).items() if k in _LINK_FIELDS}
+    return json.dumps({"time_monotonic_s": aircraft_ns * 1e-9, **values}).encode()
+
+
+def read_link(path: Path) -> list[dict[str, Any]]:
+    """Link reports of a received recording, as `link_json` made them; those before a damage. Empty for other files."""
+    from mcap.exceptions import McapError
+    from mcap.reader import NonSeekingReader
+
+    found: list[dict[str, Any]] = []
+    with path.open("rb") as stream:
+        try:
+            for _, _, message in NonSeekingReader(stream, validate_crcs=True).iter_messages(
+                topics=[LINK_TOPIC], log_time_order=False
+            ):
+                found.append(json.loads(message.data))
+        except (McapError, ValueError, struct.error):
+            return found
+    return found
+
+
+class SessionRecorder:
+    """Keeps one session in a folder: `<name>.journal` while it goes on, `<name>.mcap` when written."""
+
+    def __init__(self, folder: Path, session: ev.Session) -> None:
+        self.session = session
+        self.path = folder / f"{session.name}.mcap"
+        self.journal = Journal(folder / f"{session.name}.journal")
+        self._last_ns = 0
+        self._events: set[bytes] = set(self.journal.others(Kind.EVENT))
+        self.papers: Mapping[str, Any] | None = None
+        self._archive = self.journal.last(Kind.ARCHIVE)
+        kept = self.journal.last(Kind.PAPERS)
+        if kept is not None:
+            self.take_papers(kept)
+
+    def scan(self, event: ev.ScanReceived) -> None:
+        """Keep a scan."""
+        self.journal.add_received(event.scan)
+        self._last_ns = event.scan.time_monotonic_ns
+
+    def event(self, marked: ev.EventMarked) -> None:
+        """Keep an event, once."""
+        self._add_event(Event(marked.time_monotonic_ns, 0, marked.number, marked.origin, marked.text))
+
+    def _add_event(self, event: Event) -> None:
+        data = encode_event(event)
+        if data not in self._events:
+            self._events.add(data)
+            self.journal.add(Kind.EVENT, data)
+
+    def link(self, report: ev.LinkStatistics) -> None:
+        """Keep a report of link quality."""
+        if self._last_ns:
+            self.journal.add(Kind.LINK, link_json(report, self._last_ns))
+
+    def complete(self, data: bytes) -> int | None:
+        """Keep a scan in the aircraft's own bytes; its number, or None when the bytes are no scan."""
+        return self.journal.add_complete(data)
+
+    def take_papers(self, data: bytes) -> bool:
+        """Use the recording's identity; False when the bytes are none."""
+        try:
+            papers = json.loads(zlib.decompress(data))
+            events = [Event(int(t), int(u), int(n), str(o), str(x)) for t, u, n, o, x in papers.get("events", [])]
+            _info(papers, {})
+        except (zlib.error, ValueError, KeyError, TypeError):
+            return False
+        if papers != self.papers:
+            self.papers = papers
+            self.journal.add(Kind.PAPERS, data)
+        # The papers have every event in full; what came down as it happened may be shortened.
+        if events:
+            self._events = {encode_event(e) for e in events}
+        return True
+
+    def take_archive(self, data: bytes) -> None:
+        """Keep the attachments of the recording."""
+        self._archive = data
+        self.journal.add(Kind.ARCHIVE, data)
+
+    @property
+    def archive_bytes(self) -> int:
+        """Size of the attachments as the papers give it; 0 when there are none, or they are here already."""
+        if self.papers is None or self._archive is not None:
+            return 0
+        return int(self.papers.get("archive_bytes", 0))
+
+    def info(self) -> RecordingInfo:
+        """Identity of the recording, as far as the aircraft has told."""
+        attachments = _attachments(self._archive)
+        if self.papers is None:
+            return RecordingInfo(self.session.name, UNKNOWN_SOURCE, role="received", attachments=attachments)
+        return replace(_info(self.papers, attachments), role="received")
+
+    @property
+    def has_scans(self) -> bool:
+        """Whether there is anything to write."""
+        return bool(len(self.journal.complete) or len(self.journal.received))
+
+    def write(self, path: Path | None = None) -> Path | None:
+        """Write the recording to `path` (default: beside the journal); None when no scan has come."""
+        path = path or self.path
+        if not self.has_scans:
+            return None
+        new = path.with_name(path.name + ".new")
+        try:
+            self._write(new)
+        except OSError:
+            new.unlink(missing_ok=True)
+            raise
+        new.replace(path)
+        return path
+
+    def _write(self, path: Path) -> None:
+        with path.open("wb") as stream:
+            writer = ReceivedWriter(stream, self.info())
+            for data in self.journal.scans():
+                writer.write(scan_entry(decode_scan(data), data))
+            for event in sorted(_decoded(self._events), key=lambda e: e.time_monotonic_ns):
+                writer.write(message_entry(event))
+            for i, link in enumerate(self.journal.others(Kind.LINK)):
+                writer.write_link(link, round(json.loads(link)["time_monotonic_s"] * 1e9), i)
+            writer.finish()
+
+    def close(self) -> None:
+        """Close the journal."""
+        self.journal.close()
+
+
+def _info(papers: Mapping[str, Any], attachments: Mapping[str, bytes]) -> RecordingInfo:
+    return RecordingInfo(
+        session=str(papers["session"]),
+        source=str(papers["source"]),
+        aircraft=str(papers["aircraft"]),
+        scan_rate_hz=float(papers["scan_rate_hz"]),
+        started_utc_ns=int(papers["started_utc_ns"]),
+        software=str(papers["software"]),
+        details={str(k): str(v) for k, v in papers["details"].items()},
+        attachments=attachments,
+    )
+
+
+def _attachments(archive: bytes | None) -> dict[str, bytes]:
+    if archive is None:
+        return {}
+    return {str(k): bytes.fromhex(v) for k, v in json.loads(zlib.decompress(archive)).items()}
+
+
+def _decoded(events: set[bytes]) -> list[Event]:
+    out = []
+    for data in events:
+        try:
+            out.append(decode_event(data))
+        except MessageError:
+            continue
+    return out

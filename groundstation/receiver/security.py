@@ -1,0 +1,64 @@
+"""Who is believed on the ground's end of the link.
+
+With a key set, a frame counts only with a good signature; RADIO_STATUS alone is excepted, because radios cannot sign
+it, and it feeds nothing but the display of signal strength. What is kept out is counted and reported.
+"""
+
+from dataclasses import dataclass
+
+from daq.transport.mavlink_codec import RADIO_STATUS_ID, Frame
+from daq.transport.signing import Signer, Verdict, load_key
+from groundstation.receiver import events as ev
+from groundstation.receiver.link_config import LinkConfig
+from groundstation.receiver.timeline import NS, Clock
+
+REPORT_EVERY_NS = 5 * NS
+_MAX_SENDERS = 256
+
+
+def make_signer(config: LinkConfig, clock: Clock) -> Signer | None:
+    """The signer of a configuration; None without a key. Raises SigningError for a key that cannot be used."""
+    if config.key_file is None:
+        return None
+    state = config.signing_state or config.key_file.with_name(config.key_file.name + ".ground-state")
+    return Signer(load_key(config.key_file), clock.utc_ns, link_id=2, state_path=state)
+
+
+class Gate:
+    """Lets frames through or not, and reports at most every five seconds for each sender and reason, all of them in time."""
+
+    def __init__(self, signer: Signer | None) -> None:
+        self.signer = signer
+        self.rejected = 0
+        self._senders: dict[tuple[int, int, Verdict], _Refusals] = {}
+
+    def allows(self, frame: Frame) -> bool:
+        """Whether to use a frame."""
+        if self.signer is None or frame.msg_id == RADIO_STATUS_ID:
+            return True
+        verdict = self.signer.judge(frame.signed_part, (frame.system, frame.component), frame.signature)
+        if verdict.accepted:
+            return True
+        self.rejected += 1
+        key = (frame.system, frame.component, verdict)
+        if key in self._senders or len(self._senders) < _MAX_SENDERS:
+            refusals = self._senders.setdefault(key, _Refusals())
+            refusals.count += 1
+            refusals.message = frame.name
+        return False
+
+    def reports(self, now_ns: int) -> list[ev.Refused]:
+        """What has been refused and is due to be told."""
+        out = []
+        for (system, component, verdict), r in self._senders.items():
+            if r.count and (r.told_ns is None or now_ns - r.told_ns >= REPORT_EVERY_NS):
+                out.append(ev.Refused(system, component, r.message, verdict.value, r.count, now_ns))
+                r.told_ns, r.count = now_ns, 0
+        return out
+
+
+@dataclass
+class _Refusals:
+    count: int = 0
+    message: str = ""
+    told_ns: int | None = None

@@ -1,0 +1,170 @@
+"""What came of a session's scans, on disk the moment it is known: the memory of recording and backfill.
+
+An append-only file of checked records. A ground station that is killed and started again in the same folder goes on
+where it was: nothing received is asked for twice, and a damaged record costs that record only. In memory there is one
+bit for each scan; where its record lies is found by going through the file when a recording is written.
+"""
+
+import os
+import struct
+import zlib
+from array import array
+from collections.abc import Iterator
+from enum import IntEnum
+from pathlib import Path
+from typing import IO, NamedTuple
+
+import numpy as np
+
+from daq.contract.link.scan_map import ScanMap
+from daq.contract.scan import Scan, ScanDecodeError, decode_scan, encode_scan
+
+_HEAD = struct.Struct("<BIII")  # kind, number, length, CRC-32 over the three and the data
+_CRC_OF = struct.Struct("<BII")
+_MAGIC = b"SSJ1"
+_LIMIT = 1 << 20
+
+
+class Kind(IntEnum):
+    """What a record holds."""
+
+    RECEIVED = 0  # a scan as far as the downlink carries it
+    COMPLETE = 1  # a scan as the aircraft encoded it
+    EVENT = 2  # an encoded event
+    LINK = 3  # link statistics as JSON
+    PAPERS = 4  # identity of the recording, part 0 of the papers
+    ARCHIVE = 5  # attachments of the recording
+
+
+_KINDS = frozenset(Kind)
+
+
+class _Record(NamedTuple):
+    at: int
+    kind: Kind
+    number: int
+    data: bytes
+
+    @property
+    def end(self) -> int:
+        return self.at + _HEAD.size + len(self.data)
+
+
+class Journal:
+    """Scans by number, the complete form preferred, and the other records in order."""
+
+    def __init__(self, path: Path) -> None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        self.path = path
+        self.received = ScanMap()
+        self.complete = ScanMap()
+        self._file: IO[bytes] = path.open("ab")
+        end = 0
+        for record in self._records():
+            self._note(record.kind, record.number)
+            end = record.end
+        self._file.truncate(end)  # a torn last record, or a file that is no journal
+        if end == 0:
+            self._file.write(_MAGIC)
+
+    # ------------------------------------------------------------------------------------------ writing
+
+    def _note(self, kind: Kind, number: int) -> None:
+        if kind is Kind.RECEIVED:
+            self.received.add(number)
+        elif kind is Kind.COMPLETE:
+            self.complete.add(number)
+
+    def _append(self, kind: Kind, number: int, data: bytes) -> None:
+        crc = zlib.crc32(_CRC_OF.pack(kind, number, len(data)) + data)
+        self._file.write(_HEAD.pack(kind, number, len(data), crc) + data)
+        self._note(kind, number)
+        self._file.flush()  # on a full disk it stays in memory, and goes with the next that succeeds
+
+    def add_received(self, scan: Scan) -> None:
+        """Keep a scan as received; one completed by a later part replaces it."""
+        self._append(Kind.RECEIVED, scan.number, encode_scan(scan))
+
+    def add_complete(self, data: bytes) -> int | None:
+        """Keep a scan in the aircraft's own bytes; returns its number, None when the bytes are no scan."""
+        try:
+            scan = decode_scan(data)
+        except ScanDecodeError:
+            return None
+        if scan.number not in self.complete:
+            self._append(Kind.COMPLETE, scan.number, data)
+        return scan.number
+
+    def add(self, kind: Kind, data: bytes) -> None:
+        """Keep another record."""
+        self._append(kind, 0, data)
+
+    def flush(self) -> None:
+        """Hand everything to the operating system."""
+        self._file.flush()
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+    # ------------------------------------------------------------------------------------------ reading
+
+    def _records(self) -> Iterator[_Record]:
+        """All sound records in order; a damaged stretch is passed over."""
+        self.flush()
+        with self.path.open("rb") as file:
+            size = os.fstat(file.fileno()).st_size
+            if file.read(len(_MAGIC)) != _MAGIC:
+                return
+            at = len(_MAGIC)
+            while at + _HEAD.size <= size:
+                record = _record_at(file, at, size)
+                if record is None:
+                    at += 1
+                    continue
+                yield record
+                at = record.end
+
+    def scans(self, *, complete_only: bool = False) -> Iterator[bytes]:
+        """Encoded scans in order of number, the complete form where there is one."""
+        numbers, places = array("Q"), array("Q")
+        for record in self._records():
+            wanted = record.kind is Kind.COMPLETE or (
+                record.kind is Kind.RECEIVED and not complete_only and record.number not in self.complete
+            )
+            if wanted:
+                numbers.append(record.number)
+                places.append(record.at)
+        order = np.argsort(np.frombuffer(numbers, np.uint64), kind="stable")
+        with self.path.open("rb") as file:
+            size = os.fstat(file.fileno()).st_size
+            for i, index in enumerate(order):
+                replaced = i + 1 < len(order) and numbers[order[i + 1]] == numbers[index]
+                found = None if replaced else _record_at(file, places[index], size)
+                if found is not None:
+                    yield found.data
+
+    def others(self, kind: Kind) -> Iterator[bytes]:
+        """The other records of a kind, in order."""
+        return (record.data for record in self._records() if record.kind is kind)
+
+    def last(self, kind: Kind) -> bytes | None:
+        """The last record of a kind."""
+        found = None
+        for data in self.others(kind):
+            found = data
+        return found
+
+
+def _record_at(file: IO[bytes], at: int, size: int) -> _Record | None:
+    file.seek(at)
+    head = file.read(_HEAD.size)
+    if len(head) < _HEAD.size:
+        return None
+    kind, number, length, crc = _HEAD.unpack(head)
+    if kind not in _KINDS or length > _LIMIT or at + _HEAD.size + length > size:
+        return None
+    data = file.read(length)
+    if zlib.crc32(_CRC_OF.pack(kind, number, length) + data) != crc:
+        return None
+    return _Record(at, Kind(kind), number, data)

@@ -1,0 +1,68 @@
+"""The recorders of one aircraft's sessions: opened when first heard, a bounded number at once, written at the end."""
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from types import MappingProxyType
+
+from groundstation.receiver import events as ev
+from groundstation.receiver.faults import Faults
+from groundstation.receiver.recording import SessionRecorder
+
+_MAX_OPEN = 8
+RECORDING = "recording"
+
+
+class Sessions:
+    """Keeps what belongs into recordings. Failures of the disk are noted in `faults`."""
+
+    def __init__(self, folder: Path, faults: Faults) -> None:
+        self._folder = folder
+        self._faults = faults
+        self._open: dict[ev.Session, SessionRecorder] = {}
+        self._put_away: list[Path] = []
+
+    @property
+    def recorders(self) -> Mapping[ev.Session, SessionRecorder]:
+        """Recorders that are open."""
+        return MappingProxyType(self._open)
+
+    def recorder(self, session: ev.Session) -> SessionRecorder:
+        """The recorder of a session; the oldest other one is written and closed when too many are open."""
+        if session not in self._open:
+            if len(self._open) >= _MAX_OPEN:
+                recorder = self._open.pop(next(iter(self._open)))
+                self._put_away += self._written(recorder)
+                self._close(recorder)
+            self._open[session] = SessionRecorder(self._folder, session)
+        return self._open[session]
+
+    def keep(self, event: ev.Event) -> None:
+        """Hand an event to the recorder of its session."""
+        with self._faults.watch(RECORDING):
+            if isinstance(event, ev.ScanReceived):
+                self.recorder(event.session).scan(event)
+            elif isinstance(event, ev.EventMarked):
+                self.recorder(event.session).event(event)
+            elif isinstance(event, ev.LinkStatistics) and event.session in self._open:
+                self._open[event.session].link(event)
+
+    def write(self) -> Iterator[Path]:
+        """Write all recordings as they are now; their paths, of those put away before too."""
+        yield from self._put_away
+        for recorder in self._open.values():
+            yield from self._written(recorder)
+
+    def _written(self, recorder: SessionRecorder) -> list[Path]:
+        path = None
+        with self._faults.watch(f"{recorder.path}"):
+            path = recorder.write()
+        return [] if path is None else [path]
+
+    def close(self) -> None:
+        """Close all files."""
+        for recorder in self._open.values():
+            self._close(recorder)
+
+    def _close(self, recorder: SessionRecorder) -> None:
+        with self._faults.watch(f"{recorder.journal.path}"):
+            recorder.close()

@@ -1,0 +1,160 @@
+"""Telemetry logs: every byte received, in the `.tlog` form that MAVLink tools read.
+
+A record is a timestamp (microseconds UTC, 8 bytes big-endian) and a frame. Bytes that were part of no sound frame are
+kept too, wrapped into TUNNEL messages of system 0 that stock tools skip; `read_tlog` unwraps them, so that a replay
+sees exactly the byte stream that came in.
+"""
+
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+from typing import IO, Any
+
+from daq.contract.channels import CHANNELS
+from daq.contract.errors import UserError
+from daq.contract.link.wire import layouts
+from daq.transport.mavlink_codec import Frame, FrameDecoder, FrameEncoder, Junk
+from groundstation.receiver.decode import AircraftDecoder
+from groundstation.receiver.events import ScanReceived
+
+JUNK_PAYLOAD_TYPE = 44100
+"""TUNNEL payload type of wrapped bytes, from the range of types in private use."""
+JUNK_CHUNK = 128
+_STAMP = struct.Struct(">Q")
+_STAMP_FROM, _STAMP_TO = 1_000_000, 4_102_444_800_000_000  # up to the year 2100
+_FLUSH_BYTES = 4096
+
+
+class TlogError(UserError):
+    """A telemetry log that cannot be read or written."""
+
+
+class TlogWriter:
+    """Appends records; a few kilobytes at most are still in memory when the process is killed."""
+
+    def __init__(self, path: Path) -> None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            self._file: IO[bytes] = path.open("ab")
+        except OSError as error:
+            raise TlogError(f"{path}: telemetry log cannot be written ({error.strerror})") from error
+        self.path = path
+        self._wrapper = FrameEncoder(0, 0)
+        self._waiting = 0
+
+    def write(self, found: Frame | Junk, utc_ns: int) -> None:
+        """Keep a frame, or bytes that are none."""
+        stamp = _STAMP.pack(max(0, utc_ns) // 1000)
+        if isinstance(found, Frame):
+            self._put(stamp + found.raw)
+            return
+        for at in range(0, len(found.raw), JUNK_CHUNK):
+            piece = found.raw[at : at + JUNK_CHUNK]
+            wrapped = self._wrapper.message(
+                "TUNNEL", payload_type=JUNK_PAYLOAD_TYPE, payload_length=len(piece), payload=piece
+            )
+            self._put(stamp + wrapped)
+
+    def _put(self, record: bytes) -> None:
+        self._file.write(record)
+        self._waiting += len(record)
+        if self._waiting >= _FLUSH_BYTES:
+            self.flush()
+
+    def flush(self) -> None:
+        """Hand everything to the operating system."""
+        self._file.flush()
+        self._waiting = 0
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+
+def read_tlog(path: str | Path) -> Iterator[tuple[int, bytes]]:
+    """UTC time [ns] and received bytes of each record; damaged stretches are passed over by a byte at a time.
+
+    Raises TlogError when the file cannot be read or holds no record at all.
+    """
+    path = Path(path)
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise TlogError(f"{path}: telemetry log cannot be read ({error.strerror})") from error
+    at, found = 0, 0
+    while at + 8 < len(data):
+        frame = _frame_after(data, at)
+        if frame is None:
+            at += 1
+            continue
+        found += 1
+        (stamp,) = _STAMP.unpack_from(data, at)
+        at += 8 + len(frame.raw)
+        yield stamp * 1000, _unwrapped(frame)
+    if not data:
+        raise TlogError(f"{path}: the telemetry log is empty")
+    if not found:
+        raise TlogError(f"{path}: not a MAVLink telemetry log; no frame behind a timestamp in it")
+
+
+def _frame_after(data: bytes, at: int) -> Frame | None:
+    (stamp,) = _STAMP.unpack_from(data, at)
+    if not _STAMP_FROM <= stamp <= _STAMP_TO:
+        return None
+    decoder = FrameDecoder()
+    piece = data[at + 8 : at + 8 + 300]
+    if piece[0] not in (0xFD, 0xFE):
+        return None
+    items = decoder.feed(piece)
+    first = items[0] if items else None
+    return first if isinstance(first, Frame) else None
+
+
+def _unwrapped(frame: Frame) -> bytes:
+    if frame.name == "TUNNEL" and frame.system == 0:
+        fields = frame.fields()
+        if fields["payload_type"] == JUNK_PAYLOAD_TYPE:
+            payload, size = fields["payload"], fields["payload_length"]
+            if isinstance(payload, tuple) and isinstance(size, int):
+                return bytes(int(b) for b in payload[:size])
+    return frame.raw
+
+
+def info_tlog(path: str | Path) -> dict[str, Any]:
+    """What is in a telemetry log, as `info --json` gives it; TlogError for a file that is none."""
+    decoder = FrameDecoder()
+    aircraft: dict[int, AircraftDecoder] = {}
+    samples: dict[str, int] = {}
+    first_utc = last_utc = 0
+    span: list[int] = []
+    for utc, data in read_tlog(path):
+        first_utc, last_utc = first_utc or utc, utc
+        for found in decoder.feed(data):
+            if isinstance(found, Frame) and found.msg_id in layouts():
+                known = aircraft.setdefault(found.system, AircraftDecoder(found.system))
+                for event in known.take(found, utc, utc):
+                    if isinstance(event, ScanReceived):
+                        span.append(event.scan.number)
+                        for name in event.scan.values:
+                            samples[name] = samples.get(name, 0) + 1
+    books = [b for a in aircraft.values() for b in a.sessions]
+    scans = sum(len(b.received) for b in books)
+    duration = (last_utc - first_utc) * 1e-9
+    return {
+        "file": str(path),
+        "kind": "tlog",
+        "source": "unknown",
+        "aircraft": ", ".join(f"system {s}" for s in sorted(aircraft)),
+        "duration_s": duration,
+        "rate_hz": scans / duration if duration > 0 else 0.0,
+        "scans": scans,
+        "first_scan": min(span, default=None),
+        "last_scan": max(span, default=None),
+        "channels": [
+            {"name": c.name, "unit": c.unit, "samples": samples[c.name]} for c in CHANNELS if c.name in samples
+        ],
+        "software": "",
+        "frames": decoder.counts.frames,
+        "frames_damaged": decoder.counts.damaged,
+        "sessions": len(books),
+    }

@@ -1,0 +1,5 @@
+"""`python -m sideslip`."""
+
+from sideslip.cli import main
+
+main()

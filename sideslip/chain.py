@@ -1,0 +1,80 @@
+"""One simulated flight through the real logger, a simulated radio and the real ground station."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from firmware_sim.world.scenario import Scenario
+    from groundstation.viewer.live import LiveView
+
+
+@dataclass(frozen=True)
+class Flown:
+    """What one simulated flight has left. summary: as `ground --json`; agreed: air and ground hold the same scans."""
+
+    onboard: Path
+    ground: Path | None
+    truth: Path
+    summary: dict[str, Any]
+    agreed: bool
+    lines: list[str]
+
+
+def fly_scenario(
+    scenario: "Scenario",
+    folder: Path,
+    *,
+    seed: int | None = None,
+    speed: float | None = None,
+    backfill: bool = True,
+    live: "Callable[[int], LiveView] | None" = None,
+    tell: Callable[[float], None] = lambda share: None,
+) -> Flown:
+    """Fly one scenario through the real logger, a simulated radio and the real ground station.
+
+    tell: told the share of the flight that has been flown. live: makes the view of an aircraft.
+    """
+    from firmware_sim.runs.flight import prepare_flight
+    from groundstation.calibration.recording import calibrate_recording
+    from groundstation.calibration.schema import NOMINAL_DIRECTORY
+    from groundstation.flight import write_flight
+    from groundstation.live.config import GroundConfig
+    from groundstation.live.handover import hand_over
+    from groundstation.live.station import Station
+    from groundstation.receiver.link_config import LinkConfig
+    from groundstation.receiver.receive import Receiver
+
+    config = GroundConfig(link=LinkConfig(ports=(), backfill="lost" if backfill else "off"))
+    calibration = NOMINAL_DIRECTORY / config.calibration.directory
+    with prepare_flight(scenario, folder, seed=seed, speed=speed, calibration=calibration) as flight:
+        ground_folder = folder / "ground"
+        ground_folder.mkdir(parents=True, exist_ok=True)
+        receiver = Receiver(config.link, {"radio": flight.radio.ground}, flight.clock, folder=ground_folder)
+        station = Station(config, receiver, flight.clock, ground_folder, make_view=live)
+        start_ns = flight.clock.monotonic_ns()
+
+        def in_step(now_ns: int) -> None:
+            station.step()
+            tell((now_ns - start_ns) * 1e-9 / flight.duration_s)
+
+        flight.each_scan = in_step
+        files = flight.run()
+        agreed = False
+        if receiver.systems:  # the radio stays on until the aircraft has told of every scan whether it was sent
+            flight.serve(lambda: not any(a.unknown for a in receiver.accounting()), limit_s=60.0)
+        if backfill and receiver.systems:
+            receiver.set_backfill("all")
+            agreed = flight.serve(lambda: all(receiver.backfill_agreed(s) for s in receiver.systems), limit_s=3600.0)
+        station.close()
+        summary = receiver.summary()
+    flown = calibrate_recording(folder / "onboard", salvage=True)
+    write_flight(flown, folder / "flight.mcap")
+    ground, lines = None, []
+    recordings = sorted(ground_folder.glob("aircraft*.mcap"), key=lambda p: p.stat().st_size)
+    if recordings:
+        handed = hand_over(recordings[-1], ground_folder, origin="telemetry and backfill" if agreed else "telemetry")
+        ground, lines = handed.path, handed.lines()
+        summary["flight"] = str(ground)
+    return Flown(folder / "flight.mcap", ground, files.truth, summary, agreed, lines)

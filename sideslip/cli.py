@@ -1,0 +1,118 @@
+"""The one command line: a thin table of verbs, each importing only what it needs when it is called.
+
+Exit status: 0 done; 1 done, but the answer is a failed check; 2 unusable input, said in one line on standard error;
+130 interrupted, after files are closed.
+"""
+
+import importlib
+import sys
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+
+import click
+
+from daq.contract.errors import UserError
+
+
+@dataclass(frozen=True, slots=True)
+class Verb:
+    """Where a verb lives, and the line `sideslip --help` shows for it."""
+
+    module: str
+    attribute: str
+    summary: str
+
+
+VERBS: dict[str, Verb] = {
+    "demo": Verb("sideslip.demo", "demo", "The whole chain in one go, on a simulated aircraft."),
+    "fly": Verb("sideslip.fly", "fly", "One simulated flight through the real logger, radio link and ground station."),
+    "record": Verb("daq.commands", "record", "The onboard logger, on hardware."),
+    "preflight": Verb("daq.commands", "preflight", "The logger's go/no-go table."),
+    "info": Verb("sideslip.info", "info", "What is in a recording, flight or telemetry log."),
+    "verify": Verb("daq.commands", "verify", "Integrity and scan accounting of a recording."),
+    "recover": Verb("daq.commands", "recover", "Salvage a damaged recording."),
+    "ground": Verb("groundstation.cli.live", "ground", "Receive, decode, calibrate, view live, record, hand over."),
+    "view": Verb("groundstation.cli.live", "view", "Any recording or flight in rerun."),
+    "calibrate": Verb("groundstation.cli.data", "calibrate", "Counts to SI: a raw recording to a flight."),
+    "bench": Verb("groundstation.cli.data", "bench", "Fit calibration curves from bench recordings."),
+    "import": Verb("groundstation.cli.data", "import_", "CSV, Parquet, ULog or MAVLink log to a flight."),
+    "check": Verb("estimation.commands.check", "check", "Data compatibility and data quality."),
+    "estimate": Verb("estimation.commands.estimate", "estimate", "Aerodynamic parameters with bounds."),
+    "match": Verb("estimation.commands.match", "match", "Proof of match on flights not used for the estimate."),
+    "gap": Verb("estimation.commands.gap", "gap", "Find, name and close the gap between model and flight."),
+}
+
+
+class VerbTable(click.Group):
+    """A click group whose commands are imported on use, so that `--help` and light verbs stay light."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """All verbs, in the order of the table."""
+        return list(VERBS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Import one verb."""
+        verb = VERBS.get(cmd_name)
+        if verb is None:
+            return None
+        try:
+            command: click.Command = getattr(importlib.import_module(verb.module), verb.attribute)
+        except ModuleNotFoundError as error:
+            raise MissingPackageError(cmd_name, error.name or str(error)) from error
+        return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """The list of verbs from the table, without importing them."""
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, verb.summary) for name, verb in VERBS.items()])
+
+
+class MissingPackageError(UserError):
+    """A package of an extra that was not installed."""
+
+    def __init__(self, verb: str, package: str) -> None:
+        super().__init__(
+            f"sideslip {verb}: package {package!r} is not installed; pip install 'sideslip[ground,estimation]'"
+        )
+
+
+def software_version() -> str:
+    """Version of the installed package, or 'unknown' when run from a bare tree."""
+    try:
+        return version("sideslip")
+    except PackageNotFoundError:
+        return "unknown"
+
+
+@click.command(cls=VerbTable, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(software_version(), prog_name="sideslip")
+def cli() -> None:
+    """Airborne data acquisition and aircraft identification."""
+
+
+def main(argv: list[str] | None = None) -> None:
+    """Entry point; turns errors a person can act on into one line and an exit status."""
+    # One process edge: everything below raises, only here is it turned into an exit status.
+    try:
+        status = cli.main(args=argv, prog_name="sideslip", standalone_mode=False)
+    except click.ClickException as error:
+        error.show()
+        sys.exit(2)
+    except UserError as error:
+        click.echo(f"sideslip: {error}", err=True)
+        sys.exit(2)
+    except ModuleNotFoundError as error:
+        click.echo(f"sideslip: {MissingPackageError((argv or sys.argv[1:] or ['?'])[0], error.name or '?')}", err=True)
+        sys.exit(2)
+    except (KeyboardInterrupt, click.Abort):
+        click.echo("sideslip: interrupted; files are closed", err=True)
+        sys.exit(130)
+    except BrokenPipeError:
+        sys.exit(0)
+    except OSError as error:
+        if error.filename is None:  # not about a file that somebody named: a mistake of ours, to be seen whole
+            raise
+        where = error.filename2 or error.filename
+        click.echo(f"sideslip: {where}: cannot be read or written ({error.strerror}); choose another place", err=True)
+        sys.exit(2)
+    sys.exit(status if isinstance(status, int) else 0)

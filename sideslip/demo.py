@@ -1,0 +1,117 @@
+"""The verb `demo`: the whole chain in one go, told as a story."""
+
+from pathlib import Path
+
+import click
+
+from daq.contract.errors import UserError
+from sideslip.chain import fly_scenario
+from sideslip.outputs import Bar
+
+DEMO_FLIGHTS = ("cdfp_ld1", "cdfp_ld2", "cdfp_ld3", "cdfp_ld4")
+DEMO_HIDDEN = ("Cn_da", 1.0)
+DEMO_SEED = 20
+DEMO_RADIO = {"drop": 0.05}
+
+
+@click.command(epilog="Example: sideslip demo --out demo")
+@click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=Path("demo"), show_default=True)
+def demo(out: Path) -> int:
+    """Fly, record, downlink, calibrate, check, estimate, match, and close a gap: the whole chain on a simulated aircraft."""
+    import shutil
+    import time
+
+    begun = time.monotonic()
+    if out.exists() and any(out.iterdir()) and not (out / "demo.txt").is_file():
+        raise UserError(f"{out} is not empty and not of an earlier demo; give --out another folder")
+    shutil.rmtree(out, ignore_errors=True)
+    report = out / "report"
+    report.mkdir(parents=True)
+    (out / "demo.txt").write_text("Written by sideslip demo; replaced by the next one.\n", encoding="utf-8")
+
+    click.echo(
+        "1  Four flights of the simulated aircraft: sensor bus, 20 Hz MCAP on board, 11.5 Hz MAVLink over a lossy radio\n"
+    )
+    flights = [_demo_flight(name, out) for name in DEMO_FLIGHTS]
+
+    click.echo(
+        "\n2  Do accelerations, rates, attitude and air data tell the same story? Instrument factors are found and taken out\n"
+    )
+    corrected = out / "corrected"
+    _run("check", *flights, "--json", report / "check.json", "--report", report / "check", "--write", corrected)
+    flights = [corrected / path.name for path in flights]
+
+    click.echo(
+        "\n3  Aerodynamic derivatives: maximum likelihood and Neural Gauss-Newton, joint over the four flights\n"
+    )
+    _run("estimate", *flights, "--method", "ml,ngn,ngn-improved", "--joint", "--brief",
+         "--json", report / "estimate.json", "--report", report / "estimate", "--save-model", out / "model.toml")  # fmt: skip
+
+    click.echo("\n4  Proof of match: the joint model predicts each flight, parameters frozen\n")
+    _run(
+        "match",
+        out / "model.toml",
+        *flights,
+        "--free",
+        "CY_0,Cl_0,Cn_0",
+        "--json",
+        report / "match.json",
+        "--figure",
+        report / "match.png",
+    )
+
+    click.echo("\n5  Four flights with something hidden in the aircraft; the gap workflow is not told what\n")
+    train, holdout = _demo_hidden(out)
+    _run("gap", *train, "--holdout", holdout, "--json", report / "gap.json", "--report", report / "gap")
+
+    from estimation.report.front import write_front_page
+
+    page = write_front_page(report)
+    click.echo(f"\n{time.monotonic() - begun:.0f} s. Report: {page}")
+    return 0
+
+
+def _run(verb: str, *arguments: object) -> None:
+    """Run a verb as a person would, in this process. A failed check (status 1) is part of the story."""
+    text = [verb, *(str(a) for a in arguments)]
+    click.echo(f"$ sideslip {' '.join(text)}\n")
+    from sideslip.cli import cli
+
+    status = cli.main(args=text, prog_name="sideslip", standalone_mode=False)
+    if status not in (0, 1, None):
+        raise UserError(f"demo: sideslip {verb} ended with status {status}")
+
+
+def _demo_flight(name: str, out: Path) -> Path:
+    from firmware_sim.world.scenario import load_scenario
+
+    scenario = load_scenario(name).altered(radio=DEMO_RADIO)
+    with Bar(f"flying {name}") as bar:
+        flown = fly_scenario(scenario, out / name, tell=bar)
+    s = flown.summary
+    lost = sum(b - a + 1 for a, b in s["scans_lost"])
+    agree = "air and ground agree" if flown.agreed else "air and ground DO NOT agree"
+    click.echo(f"{name}: {s['scans_received']} scans came down, {lost} lost on the radio; after backfill {agree}")
+    return _named(flown.onboard, out, name)
+
+
+def _named(flight: Path, out: Path, name: str) -> Path:
+    """The flight under a name of its own in one folder, where a person looks for it."""
+    import shutil
+
+    target = out / "flights" / f"{name}.mcap"
+    target.parent.mkdir(exist_ok=True)
+    shutil.copyfile(flight, target)
+    return target
+
+
+def _demo_hidden(out: Path) -> tuple[list[Path], Path]:
+    """Three flights to learn from and one to hold out, all of one aircraft with one hidden effect."""
+    from firmware_sim.runs.campaign import Campaign
+
+    paths = []
+    for number, (scenario, seed) in enumerate(Campaign(hidden=(DEMO_HIDDEN,), seed=DEMO_SEED).scenarios()):
+        with Bar(f"flying hidden_{number}") as bar:
+            flown = fly_scenario(scenario, out / f"hidden_{number}", seed=seed, backfill=False, tell=bar)
+        paths.append(_named(flown.onboard, out, f"hidden_{number}"))
+    return paths[:-1], paths[-1]

@@ -1,0 +1,168 @@
+"""The verb `fly`: a scenario on the simulated aircraft, with the radio inside or on a real port."""
+
+import signal
+import threading
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from daq.contract.errors import UserError
+from sideslip.chain import fly_scenario
+from sideslip.outputs import Bar, write_json
+
+if TYPE_CHECKING:
+    from firmware_sim.runs.flight import SimulatedFlight
+    from firmware_sim.world.scenario import Scenario
+    from groundstation.viewer.live import LiveView
+
+
+@click.command(epilog="Example: sideslip fly nominal --out flights/first --seed 7")
+@click.argument("scenario", required=False)
+@click.option(
+    "--out", type=click.Path(path_type=Path, file_okay=False), help="Folder for the flight [default: flights/SCENARIO]."
+)
+@click.option("--speed", default="max", show_default=True, help="Simulated seconds a second, or max.")
+@click.option("--seed", type=int, help="Of everything random [default: the scenario's].")
+@click.option("--live", is_flag=True, help="Show the flight live in the browser; implies --speed 1 unless given.")
+@click.option(
+    "--port",
+    help="Put the radio on a real port (udp:HOST:PORT, tcpin:PORT, serial:DEVICE:BAUD) for any MAVLink ground station, "
+    "in place of the one built in; at the pace of the clock unless --speed is given.",
+)
+@click.option("--no-backfill", is_flag=True, help="Keep what the radio delivered; fetch nothing after landing.")
+@click.option(
+    "--json", "json_path", type=click.Path(path_type=Path), help="Write the ground station's counters as JSON."
+)
+@click.option("--list", "show_list", is_flag=True, help="List the built-in scenarios.")
+def fly(
+    scenario: str | None,
+    out: Path | None,
+    speed: str,
+    seed: int | None,
+    live: bool,
+    port: str | None,
+    no_backfill: bool,
+    json_path: Path | None,
+    show_list: bool,
+) -> int:
+    """Fly SCENARIO (a TOML file or a built-in name) on the simulated aircraft, or run one of the calibration benches."""
+    from firmware_sim.runs.bench_recordings import bench_titles, record_bench
+    from firmware_sim.world.scenario import built_in_scenarios, load_scenario
+
+    if show_list:
+        for name, title in {**built_in_scenarios(), **bench_titles()}.items():
+            click.echo(f"{name:<24}{title}")
+        return 0
+    if scenario is None:
+        raise UserError("fly: name a scenario, or give --list to see the built-in ones")
+    if scenario in bench_titles():
+        from groundstation.calibration.schema import NOMINAL_DIRECTORY
+
+        folder = out or Path("flights") / scenario
+        made = record_bench(scenario, folder, seed=1 if seed is None else seed, calibration=NOMINAL_DIRECTORY / "cdfp")
+        click.echo(
+            f"bench recording {made.flight.recordings[0].parent}, plan {made.plan}; fit it with 'sideslip bench'"
+        )
+        return 0
+    chosen = load_scenario(scenario)
+    folder = out or Path("flights") / chosen.name
+    pace = _pace(speed, live or port is not None)
+    if port is not None:
+        return _fly_over_port(chosen, folder, port, seed, pace)
+    view = LiveFactory() if live else None
+    try:
+        with Bar(f"flying {chosen.name}") as bar:
+            flown = fly_scenario(
+                chosen,
+                folder,
+                seed=seed,
+                speed=pace,
+                backfill=not no_backfill,
+                live=view.make if view else None,
+                tell=bar,
+            )
+    finally:
+        if view is not None:
+            view.close()
+    for line in flown.lines:
+        click.echo(line)
+    s = flown.summary
+    lost = sum(b - a + 1 for a, b in s["scans_lost"])
+    click.echo(f"radio: {s['scans_received']} scans received, {lost} lost, {s['backfilled']} fetched after landing")
+    click.echo(f"air and ground agree: {'yes' if flown.agreed else 'no'}")
+    click.echo(f"onboard flight: {flown.onboard}")
+    write_json(json_path, s)
+    return 0
+
+
+RADIO_ON_S = 7 * 24 * 3600.0
+
+
+def _fly_over_port(scenario: "Scenario", folder: Path, port: str, seed: int | None, pace: float | None) -> int:
+    """Fly with the radio on a real port; after landing it stays on until Ctrl-C, for backfill and downloads."""
+    from daq.telemetry.link import open_port
+    from firmware_sim.hardware.bridge import PortBridge
+    from firmware_sim.runs.flight import prepare_flight
+    from groundstation.calibration.schema import NOMINAL_DIRECTORY
+
+    opened = open_port(port)
+    try:
+        with prepare_flight(scenario, folder, seed=seed, speed=pace, calibration=NOMINAL_DIRECTORY / "cdfp") as flight:
+            flight.each_scan = PortBridge(flight.radio.ground, opened).pump
+            click.echo(f"flying {scenario.name} for {flight.duration_s:g} s, radio on {port}")
+            files = flight.run()
+            click.echo(f"landed; recording {files.recordings[0]}; the radio stays on until Ctrl-C")
+            interrupted = _serve_until_interrupted(flight)
+    finally:
+        opened.close()
+    if interrupted:
+        raise KeyboardInterrupt
+    return 0
+
+
+def _serve_until_interrupted(flight: "SimulatedFlight") -> bool:
+    """Leave the radio on until Ctrl-C, or for RADIO_ON_S; whether it was Ctrl-C.
+
+    By a flag: an exception raised between any two instructions is lost where it meets a finaliser.
+    """
+    asked = threading.Event()
+    before = signal.signal(signal.SIGINT, lambda number, frame: asked.set())
+    try:
+        return flight.serve(asked.is_set, limit_s=RADIO_ON_S)
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _pace(speed: str, live: bool) -> float | None:
+    if speed == "max":
+        return 1.0 if live else None
+    try:
+        pace = float(speed)
+    except ValueError:
+        pace = 0.0
+    if not pace > 0:
+        raise UserError(f"--speed {speed}: give a positive number of simulated seconds a second, or max")
+    return pace
+
+
+class LiveFactory:
+    """Live views of a simulated flight, one an aircraft, on one web page."""
+
+    def __init__(self, layout: str = "full") -> None:
+        from groundstation.viewer.live import LiveView, ViewOptions, free_port
+        from groundstation.viewer.window import WebPage
+
+        port = free_port()
+        self._view = LiveView("flight", ViewOptions(layout="light" if layout == "light" else "full", port=port))
+        self._page = WebPage(self._view.url, free_port())
+        click.echo(f"live view: {self._page.url}")
+
+    def make(self, system: int) -> "LiveView":
+        """The view; one aircraft flies here."""
+        return self._view
+
+    def close(self) -> None:
+        """End page and server."""
+        self._view.close()
+        self._page.close()
