@@ -36,6 +36,7 @@ VERBS: dict[str, Verb] = {
     "calibrate": Verb("groundstation.cli.data", "calibrate", "Counts to SI: a raw recording to a flight."),
     "bench": Verb("groundstation.cli.data", "bench", "Fit calibration curves from bench recordings."),
     "import": Verb("groundstation.cli.data", "import_", "CSV, Parquet, ULog or MAVLink log to a flight."),
+    "export": Verb("sideslip.export", "export", "Flights, recordings and models for other programs."),
     "check": Verb("estimation.commands.check", "check", "Data compatibility and data quality."),
     "estimate": Verb("estimation.commands.estimate", "estimate", "Aerodynamic parameters with bounds."),
     "match": Verb("estimation.commands.match", "match", "Proof of match on flights not used for the estimate."),

@@ -239,6 +239,8 @@ def calibrate(
     aligned = completeness(table.number) >= COMPLETE if align is None else align
     columns, readings = Calibrator(calibration, facts).columns(table, aligned=aligned)
     detail, notes = account(table, calibration, columns, readings, aligned, align)
+    if table.utc_offset is not None:
+        detail["utc_offset_s"], detail["utc_accuracy_s"] = table.utc_offset
     origin = provenance or Provenance()
     origin = Provenance(
         source=origin.source,

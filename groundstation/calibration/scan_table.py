@@ -25,6 +25,7 @@ class ScanTable:
     number: (N,) scan counter. time: (N,) [s] on the aircraft's clock. raw: channel -> (N,) counts, NaN where absent or
     unusable. physical: the same at data-sheet scale. offset: group -> (N,) time of the group's sample after the scan's [s].
     usable: group -> (N,) whether its sensor was in order in the scan (a group not read in a scan counts as in order).
+    utc_offset: UTC [s since 1970] minus `time` and its accuracy [s], from the scan that knew it best; None: never known.
     """
 
     number: NDArray[np.int64]
@@ -33,6 +34,7 @@ class ScanTable:
     offset: Mapping[str, Array]
     usable: Mapping[str, NDArray[np.bool_]]
     notes: tuple[str, ...] = ()
+    utc_offset: tuple[float, float] | None = None
 
     def __len__(self) -> int:
         return int(self.time.size)
@@ -46,6 +48,7 @@ class ScanTable:
             MappingProxyType({k: v[rows] for k, v in self.offset.items()}),
             MappingProxyType({k: v[rows] for k, v in self.usable.items()}),
             self.notes,
+            self.utc_offset,
         )
 
 
@@ -92,4 +95,13 @@ def _columns(scans: list[Scan], notes: list[str]) -> ScanTable:
         offset=MappingProxyType(offset),
         usable=MappingProxyType(usable),
         notes=tuple(notes),
+        utc_offset=_utc_offset(scans),
     )
+
+
+def _utc_offset(scans: list[Scan]) -> tuple[float, float] | None:
+    known = [s for s in scans if s.time_utc_ns > 0]
+    if not known:
+        return None
+    best = min(known, key=lambda s: s.utc_accuracy_ns or 2**32)  # 0: accuracy unknown
+    return (best.time_utc_ns - best.time_monotonic_ns) * 1e-9, best.utc_accuracy_ns * 1e-9

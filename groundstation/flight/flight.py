@@ -9,7 +9,8 @@ gaps split the flight into segments, each of it said in `notes`.
 import csv
 import hashlib
 import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -376,6 +377,18 @@ def _message_class(names: Sequence[str]) -> tuple[Any, bytes]:
 
 
 def _write_mcap(flight: Flight, path: Path) -> None:
+    with open_flight_writer(flight, path, np.round(flight.time * 1e9).astype(np.int64)):
+        pass
+
+
+@contextmanager
+def open_flight_writer(
+    flight: Flight, path: Path, stamps: NDArray[np.int64]
+) -> Iterator[Callable[[str, int, Any], None]]:
+    """Write a flight's own messages, then give a function that adds (topic, stamp [ns], protobuf message) of other kinds.
+
+    stamps: (N,) log times of the samples [ns]. Raises FlightError for a column name that cannot be a field.
+    """
     from mcap.writer import CompressionType, Writer
 
     bad = [c for c in flight.columns if not (c.isascii() and c.isidentifier())]
@@ -393,9 +406,27 @@ def _write_mcap(flight: Flight, path: Path) -> None:
         channel = writer.register_channel(FLIGHT_TOPIC, "protobuf", schema_id)
         for i, row in enumerate(table.tolist()):
             data = cls(**{n: v for n, v in zip(names, row, strict=True) if v == v}).SerializeToString()
-            stamp = max(0, round(row[0] * 1e9))
+            stamp = max(0, int(stamps[i]))
             writer.add_message(channel, stamp, data, stamp, i)
+        yield _Adder(writer)
         writer.finish()
+
+
+class _Adder:
+    """Messages of other schemas beside a flight's own; schemas and channels are registered when first used."""
+
+    def __init__(self, writer: Any) -> None:
+        self._writer = writer
+        self._channels: dict[str, int] = {}
+
+    def __call__(self, topic: str, stamp: int, message: Any) -> None:
+        if topic not in self._channels:
+            from mcap_protobuf.schema import build_file_descriptor_set
+
+            described = build_file_descriptor_set(type(message)).SerializeToString()
+            schema = self._writer.register_schema(message.DESCRIPTOR.full_name, "protobuf", described)
+            self._channels[topic] = self._writer.register_channel(topic, "protobuf", schema)
+        self._writer.add_message(self._channels[topic], stamp, message.SerializeToString(), stamp)
 
 
 def _read_mcap(path: Path) -> _Read:

@@ -36,14 +36,15 @@ def as_rrd(file: Path, target: Path, layout: Layout = "full", calibration: Path 
             if opened.read(3) != b"RRF":
                 raise ViewerError(f"{file}: not a recording of rerun (its first bytes are not 'RRF')")
         return file
-    if file.is_dir() or (file.suffix == ".mcap" and _is_raw(file)):
+    if file.is_dir() or (file.suffix == ".mcap" and is_raw(file)):
         return _raw(file, target, layout, calibration)
     flight = read_flight(file)
     write_rrd(flight, target, layout=layout, events=_events(flight))
     return target
 
 
-def _is_raw(file: Path) -> bool:
+def is_raw(file: Path) -> bool:
+    """Whether a .mcap file holds scans as counts, told by its first bytes; a flight does not."""
     from daq.contract.scan import SCAN_TOPIC
 
     return file.is_file() and SCAN_TOPIC.encode() in file.read_bytes()[:65536]

@@ -1,0 +1,123 @@
+"""Derivatives for other programs and for papers: a model or an estimate as JSON, CSV or a LaTeX table."""
+
+import csv
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from estimation.errors import EstimationError
+from estimation.models import Model, read_model
+from estimation.report.names import tex
+
+FORMATS = (".json", ".tex", ".csv")
+
+
+@dataclass(frozen=True)
+class ModelRow:
+    """One parameter: value, bound where an estimate gave one, and what was believed before."""
+
+    name: str
+    value: float
+    unit: str = "1"
+    std: float | None = None
+    reference: float | None = None
+    reference_std: float | None = None
+    source: str = ""
+
+
+def model_rows(model: Model) -> list[ModelRow]:
+    """The parameters of a model in its order."""
+    return [
+        ModelRow(p.name, p.start, p.unit, p.prior_std, p.reference, p.reference_std, p.reference_source)
+        for p in model.parameters
+    ]
+
+
+def estimate_rows(content: dict[str, Any], path: Path) -> list[ModelRow]:
+    """The parameters of `estimate --json`: the joint estimate where there is one, else the only flight's; first method.
+
+    Raises EstimationError for a file with several flights and no joint estimate, or another kind of JSON.
+    """
+    joint, flights = content.get("joint") or {}, content.get("flights") or []
+    if joint:
+        methods = joint
+    elif isinstance(flights, list) and len(flights) == 1:
+        methods = flights[0]["methods"]
+    else:
+        raise EstimationError(
+            f"{path}: {len(flights)} flights and no joint estimate; estimate with --joint, or one flight alone"
+        )
+    parameters = next(iter(methods.values()))["parameters"]
+    return [ModelRow(name, p["estimate"], std=p["std_coloured"] or p["std"]) for name, p in parameters.items()]
+
+
+def read_rows(path: Path) -> tuple[str, list[ModelRow]]:
+    """Name and rows of a model TOML or of what `estimate --json` wrote. Raises EstimationError for anything else."""
+    if path.suffix == ".toml":
+        model = read_model(path)
+        return model.name, model_rows(model)
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        return str(content["model"]), estimate_rows(content, path)
+    except OSError as error:
+        raise EstimationError(f"{path}: cannot be read ({error.strerror}); name a model or an estimate") from error
+    except (ValueError, KeyError, TypeError, AttributeError, StopIteration, RecursionError) as error:
+        raise EstimationError(f"{path}: not what 'sideslip estimate --json' writes; name a model .toml") from error
+
+
+def export_model(path: Path, out: Path) -> None:
+    """Write the parameters of `path` in the format of `out`'s ending. Raises EstimationError."""
+    if out.suffix.lower() not in FORMATS:
+        raise EstimationError(f"{out}: a model is written as {', '.join(FORMATS)}; end the name in one of these")
+    if out.exists() and path.exists() and out.samefile(path):
+        raise EstimationError(f"{out}: that is the file to export; give another name")
+    name, rows = read_rows(path)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    match out.suffix.lower():
+        case ".json":
+            text = json.dumps({"model": name, "parameters": [asdict(r) for r in rows]}, indent=1, allow_nan=False)
+            out.write_text(text + "\n", encoding="utf-8")
+        case ".csv":
+            write_csv(rows, out)
+        case _:
+            out.write_text(latex_table(rows), encoding="utf-8")
+
+
+def write_csv(rows: Sequence[ModelRow], out: Path) -> None:
+    """One line a parameter; empty cells are unknown."""
+    with out.open("w", newline="", encoding="utf-8") as handle:
+        writer = csv.writer(handle)
+        writer.writerow(["parameter", "value", "unit", "std", "reference", "reference_std", "source"])
+        for row in rows:
+            writer.writerow(["" if v is None else v for v in asdict(row).values()])
+
+
+def latex_table(rows: Sequence[ModelRow]) -> str:
+    """A `tabular` for booktabs: symbol, value and bound rounded to the bound, what was believed before."""
+    lines = [
+        r"\begin{tabular}{lrrr}", r"\toprule",
+        r"parameter & estimate & bound & before \\", r"\midrule",
+    ]  # fmt: skip
+    for row in rows:
+        value, bound = rounded(row.value, row.std)
+        before = "" if row.reference is None else f"{row.reference:.4g}"
+        cells = [_math(text) for text in (value, bound, before)]
+        lines.append(rf"${tex(row.name)}$ & {' & '.join(cells)} \\")
+    return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""])
+
+
+def _math(number: str) -> str:
+    """A number in LaTeX's maths, powers of ten written out; nothing for an empty text."""
+    mantissa, _, power = number.partition("e")
+    return f"${mantissa}" + (rf" \times 10^{{{int(power)}}}$" if power else "$") if number else ""
+
+
+def rounded(value: float, bound: float | None) -> tuple[str, str]:
+    """Value and bound as text, both to the second figure of the bound; without one, four figures and ""."""
+    if bound is None or not math.isfinite(bound) or bound <= 0.0:
+        return f"{value:.4g}", ""
+    places = max(0, 1 - math.floor(math.log10(bound)))
+    return f"{value:.{places}f}", f"{bound:.{places}f}"

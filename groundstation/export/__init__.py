@@ -1,0 +1,1 @@
+"""Flights in the formats that other programs read, units and meaning included."""

@@ -1,0 +1,135 @@
+"""Any flight or recording to any format that the ending of the output's name chooses."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from daq.contract.errors import UserError
+from groundstation.flight import Flight, read_flight
+
+if TYPE_CHECKING:
+    from groundstation.export.tables import Table
+
+TABLES = (".csv", ".parquet", ".mat")
+FORMATS = (*TABLES, ".kml", ".gpx", ".rrd", ".mcap")
+
+
+class ExportError(UserError):
+    """An export that cannot be made."""
+
+
+@dataclass(frozen=True)
+class Exported:
+    """What was written, and what a person should know of it."""
+
+    path: Path
+    notes: tuple[str, ...] = ()
+
+
+def export_file(
+    file: Path, out: Path, *, units_row: bool = False, raw: bool = False, calibration: Path | None = None
+) -> Exported:
+    """Write FILE, a flight or a raw recording, in the format of `out`'s ending.
+
+    units_row: a second line of units in a CSV. raw: counts instead of calibrated columns (recordings, tables only).
+    calibration: directory in place of the embedded set. Raises UserError with one sentence.
+    """
+    check_output(file, out)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    suffix = out.suffix.lower()
+    if suffix == ".rrd":
+        from groundstation.viewer.recorded import as_rrd
+
+        as_rrd(file, out, calibration=calibration)
+        return Exported(out)
+    if raw:
+        return _export_counts(file, out, units_row)
+    flight = open_flight(file, calibration)
+    writer: dict[str, Callable[[Flight, Path], Sequence[str]]] = {
+        ".kml": _kml, ".gpx": _gpx, ".mcap": _foxglove,
+    }  # fmt: skip
+    notes = writer[suffix](flight, out) if suffix in writer else _write_table(flight, out, units_row)
+    return Exported(out, tuple(notes))
+
+
+def check_output(file: Path, out: Path) -> None:
+    """Refuse a format that nobody knows and an output that is the input."""
+    if out.suffix.lower() not in FORMATS:
+        raise ExportError(f"{out}: no known format; end the name in one of {' '.join(FORMATS)}")
+    if out.exists() and file.exists() and out.samefile(file):
+        raise ExportError(f"{out}: that is the file to export; give another name")
+
+
+def open_flight(file: Path, calibration: Path | None = None) -> Flight:
+    """A flight file as it is, a raw recording (file or directory of segments) calibrated, as `sideslip calibrate` does."""
+    from groundstation.viewer.recorded import is_raw
+
+    if file.is_dir() or (file.suffix == ".mcap" and is_raw(file)):
+        from groundstation.calibration.recording import calibrate_recording
+
+        return calibrate_recording(file, calibration, salvage=True)
+    return read_flight(file)
+
+
+def _export_counts(file: Path, out: Path, units_row: bool) -> Exported:
+    from daq.contract.recordings.reading import read_recording
+    from groundstation.calibration.scan_table import scan_table
+    from groundstation.export import tables
+
+    if out.suffix.lower() not in TABLES:
+        raise ExportError(f"{out}: counts are written as tables only; end the name in one of {' '.join(TABLES)}")
+    recording = read_recording(file, salvage=True)
+    scans = scan_table(recording.scans())
+    return Exported(out, tuple(_write(tables.raw_table(scans, recording.path.stem), out, units_row)))
+
+
+def _write_table(flight: Flight, out: Path, units_row: bool) -> list[str]:
+    from groundstation.export.tables import flight_table
+
+    return _write(flight_table(flight), out, units_row)
+
+
+def _write(table: "Table", out: Path, units_row: bool) -> list[str]:
+    from groundstation.export import tables
+
+    match out.suffix.lower():
+        case ".csv":
+            tables.write_csv(table, out, units_row=units_row)
+        case ".parquet":
+            import pyarrow.parquet as pq
+
+            pq.write_table(tables.arrow_table(table), out)
+        case _:
+            left = tables.write_matlab(table, out)
+            return [f"column {name}: no name that MATLAB takes, left out" for name in left]
+    return []
+
+
+def _kml(flight: Flight, out: Path) -> list[str]:
+    from groundstation.export.tracks import write_kml
+
+    write_kml(flight, out)
+    return _untimed(flight)
+
+
+def _gpx(flight: Flight, out: Path) -> list[str]:
+    from groundstation.export.tracks import write_gpx
+
+    write_gpx(flight, out)
+    return _untimed(flight)
+
+
+def _foxglove(flight: Flight, out: Path) -> list[str]:
+    from groundstation.export.foxglove import write_foxglove
+
+    write_foxglove(flight, out)
+    return _untimed(flight)
+
+
+def _untimed(flight: Flight) -> list[str]:
+    from groundstation.export.timescale import utc_offset
+
+    if utc_offset(flight) is not None:
+        return []
+    return ["the flight does not know UTC: times count from the aircraft's start"]

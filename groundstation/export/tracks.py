@@ -1,0 +1,96 @@
+"""Where the aircraft flew, for maps: KML (Google Earth) and GPX."""
+
+import xml.etree.ElementTree as ET
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.export.timescale import iso, stamps_ns, utc_offset
+from groundstation.flight import Array, Flight, FlightError
+
+KML = "http://www.opengis.net/kml/2.2"
+GX = "http://www.google.com/kml/ext/2.2"
+GPX = "http://www.topografix.com/GPX/1/1"
+_HEIGHTS = ("altitude_gnss", "altitude")
+
+
+@dataclass(frozen=True)
+class Track:
+    """Fixes of a flight: rows with a position.
+
+    latitude, longitude: (M,) [deg]. height: (M,) above mean sea level [m], NaN where not measured. stamps: (M,) UTC [ns],
+    or None where the flight does not know UTC. segment: (M,) stretches without a gap.
+    """
+
+    latitude: Array
+    longitude: Array
+    height: Array
+    stamps: list[int] | None
+    segment: NDArray[np.int64]
+
+
+def track_of(flight: Flight) -> Track:
+    """The fixes of a flight. Raises FlightError where it has none."""
+    if not (flight.measured("latitude") and flight.measured("longitude")):
+        raise FlightError(
+            f"{flight.name}: no latitude and longitude, so there is no track to write; export a table instead"
+        )
+    keep = np.isfinite(flight["latitude"]) & np.isfinite(flight["longitude"])
+    source = next((name for name in _HEIGHTS if flight.measured(name)), None)
+    height = flight[source] if source else np.full(len(flight), np.nan)
+    stamps = stamps_ns(flight)[keep].tolist() if utc_offset(flight) is not None else None
+    return Track(flight["latitude"][keep], flight["longitude"][keep], height[keep], stamps, flight.segment[keep])
+
+
+def write_gpx(flight: Flight, path: Path) -> None:
+    """GPX 1.1: one track, a segment for each stretch without a gap; times where the flight knows UTC."""
+    track = track_of(flight)
+    root = ET.Element("gpx", {"version": "1.1", "creator": "Sideslip", "xmlns": GPX})
+    body = ET.SubElement(root, "trk")
+    ET.SubElement(body, "name").text = _printable(flight.name)
+    for part in np.unique(track.segment):
+        points = ET.SubElement(body, "trkseg")
+        for i in np.flatnonzero(track.segment == part):
+            at = {"lat": f"{track.latitude[i]:.9f}", "lon": f"{track.longitude[i]:.9f}"}
+            point = ET.SubElement(points, "trkpt", at)
+            if np.isfinite(track.height[i]):
+                ET.SubElement(point, "ele").text = f"{track.height[i]:.3f}"
+            if track.stamps is not None:
+                ET.SubElement(point, "time").text = iso(track.stamps[i])
+    _write(root, path)
+
+
+def write_kml(flight: Flight, path: Path) -> None:
+    """KML 2.2: a track with times where the flight knows UTC, else a line; height above sea level."""
+    track = track_of(flight)
+    ET.register_namespace("gx", GX)
+    root = ET.Element("kml", {"xmlns": KML})
+    mark = ET.SubElement(ET.SubElement(root, "Document"), "Placemark")
+    ET.SubElement(mark, "name").text = _printable(flight.name)
+    height = np.nan_to_num(track.height)
+    mode = "absolute" if np.isfinite(track.height).any() else "clampToGround"
+    if track.stamps is None:
+        line = ET.SubElement(mark, "LineString")
+        ET.SubElement(line, "altitudeMode").text = mode
+        rows = zip(track.longitude, track.latitude, height, strict=True)
+        ET.SubElement(line, "coordinates").text = " ".join(f"{a:.9f},{b:.9f},{h:.3f}" for a, b, h in rows)
+    else:
+        moving = ET.SubElement(mark, f"{{{GX}}}Track")
+        ET.SubElement(moving, "altitudeMode").text = mode
+        for stamp in track.stamps:
+            ET.SubElement(moving, "when").text = iso(stamp)
+        for a, b, h in zip(track.longitude, track.latitude, height, strict=True):
+            ET.SubElement(moving, f"{{{GX}}}coord").text = f"{a:.9f} {b:.9f} {h:.3f}"
+    _write(root, path)
+
+
+def _write(root: ET.Element, path: Path) -> None:
+    ET.indent(root)
+    ET.ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)
+
+
+def _printable(text: str) -> str:
+    """Text that XML can carry: control characters, which it forbids even escaped, are dropped."""
+    return "".join(c for c in text if c.isprintable() or c == " ")

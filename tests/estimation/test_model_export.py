@@ -1,0 +1,74 @@
+"""Models and estimates as JSON, CSV and LaTeX."""
+
+import csv
+import json
+from pathlib import Path
+
+import pytest
+
+from estimation.errors import EstimationError
+from estimation.models import load_model, write_model
+from estimation.report.model_export import export_model, rounded
+
+
+@pytest.fixture
+def model(tmp_path: Path) -> Path:
+    write_model(load_model("lateral"), tmp_path / "model.toml")
+    return tmp_path / "model.toml"
+
+
+def test_csv_and_json_hold_every_parameter_with_unit_and_source(model: Path, tmp_path: Path) -> None:
+    export_model(model, tmp_path / "m.csv")
+    export_model(model, tmp_path / "m.json")
+    rows = list(csv.DictReader((tmp_path / "m.csv").read_text().splitlines()))
+    parameters = load_model("lateral").parameters
+    assert [r["parameter"] for r in rows] == [p.name for p in parameters]
+    assert {r["parameter"]: r["unit"] for r in rows}["Cl_p"] == "1/rad"
+    content = json.loads((tmp_path / "m.json").read_text())
+    assert [p["value"] for p in content["parameters"]] == [p.start for p in parameters]
+
+
+def test_latex_compiles_in_the_eye_of_matplotlib(model: Path, tmp_path: Path) -> None:
+    from matplotlib.mathtext import MathTextParser
+
+    export_model(model, tmp_path / "m.tex")
+    text = (tmp_path / "m.tex").read_text()
+    cells = [c for line in text.splitlines() for c in line.split("&") if "$" in c]
+    assert len(cells) >= 2 * len(load_model("lateral").parameters)
+    for cell in cells:
+        MathTextParser("agg").parse(cell.replace(r"\\", "").strip())
+
+
+def test_estimate_of_one_flight_brings_its_corrected_bounds(tmp_path: Path) -> None:
+    one = {"estimate": -0.49561, "std": 0.002, "std_coloured": 0.0123}
+    content = {"model": "lateral", "flights": [{"methods": {"ml": {"parameters": {"Cl_p": one}}}}]}
+    (tmp_path / "e.json").write_text(json.dumps(content))
+    export_model(tmp_path / "e.json", tmp_path / "e.tex")
+    assert "$-0.496$ & $0.012$" in (tmp_path / "e.tex").read_text()
+
+
+@pytest.mark.parametrize("text", ["[]", "{}", '{"model": 1, "flights": [{}]}', "[" * 100_000, "nonsense"])
+def test_other_files_are_refused_in_one_sentence(tmp_path: Path, text: str) -> None:
+    (tmp_path / "e.json").write_text(text)
+    with pytest.raises(EstimationError):
+        export_model(tmp_path / "e.json", tmp_path / "e.csv")
+
+
+def test_never_onto_itself(model: Path) -> None:
+    copy = model.rename(model.with_suffix(".json"))
+    with pytest.raises(EstimationError, match="another name"):
+        export_model(copy, copy)
+
+
+@pytest.mark.parametrize(
+    ("value", "bound", "texts"),
+    [
+        (-0.49561, 0.0123, ("-0.496", "0.012")),
+        (123.456, 21.0, ("123", "21")),
+        (0.5, None, ("0.5", "")),
+        (0.5, float("nan"), ("0.5", "")),
+        (-2.2e-6, 8.6e-6, ("-0.0000022", "0.0000086")),
+    ],
+)
+def test_rounding_to_the_bound(value: float, bound: float | None, texts: tuple[str, str]) -> None:
+    assert rounded(value, bound) == texts
