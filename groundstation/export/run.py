@@ -9,7 +9,7 @@ from daq.contract.errors import UserError
 from groundstation.flight import Flight, read_flight
 
 if TYPE_CHECKING:
-    from groundstation.export.tables import Table
+    from groundstation.flight.tables import Table
 
 TABLES = (".csv", ".parquet", ".mat")
 FORMATS = (*TABLES, ".kml", ".gpx", ".rrd", ".mcap")
@@ -75,33 +75,35 @@ def open_flight(file: Path, calibration: Path | None = None) -> Flight:
 def _export_counts(file: Path, out: Path, units_row: bool) -> Exported:
     from daq.contract.recordings.reading import read_recording
     from groundstation.calibration.scan_table import scan_table
-    from groundstation.export import tables
+    from groundstation.export.writers import raw_table
 
     if out.suffix.lower() not in TABLES:
         raise ExportError(f"{out}: counts are written as tables only; end the name in one of {' '.join(TABLES)}")
     recording = read_recording(file, salvage=True)
     scans = scan_table(recording.scans())
-    return Exported(out, tuple(_write(tables.raw_table(scans, recording.path.stem), out, units_row)))
+    return Exported(out, tuple(_write(raw_table(scans, recording.path.stem), out, units_row)))
 
 
 def _write_table(flight: Flight, out: Path, units_row: bool) -> list[str]:
-    from groundstation.export.tables import flight_table
+    from groundstation.flight.tables import flight_table
 
     return _write(flight_table(flight), out, units_row)
 
 
 def _write(table: "Table", out: Path, units_row: bool) -> list[str]:
-    from groundstation.export import tables
+    from groundstation.export import writers
 
     match out.suffix.lower():
         case ".csv":
-            tables.write_csv(table, out, units_row=units_row)
+            writers.write_csv(table, out, units_row=units_row)
         case ".parquet":
             import pyarrow.parquet as pq
 
-            pq.write_table(tables.arrow_table(table), out)
+            from groundstation.flight.tables import arrow_table
+
+            pq.write_table(arrow_table(table), out)
         case _:
-            left = tables.write_matlab(table, out)
+            left = writers.write_matlab(table, out)
             return [f"column {name}: no name that MATLAB takes, left out" for name in left]
     return []
 

@@ -1,15 +1,7 @@
 """The calibrated flight and what can be said of it: columns, noise, quality, manoeuvres. All that `estimation` may import."""
 
-from groundstation.flight.flight import (
-    GAP_FACTOR,
-    Array,
-    Flight,
-    FlightError,
-    MissingColumnError,
-    Provenance,
-    read_flight,
-    write_flight,
-)
+from groundstation.flight.errors import FlightError, MissingColumnError
+from groundstation.flight.flight import GAP_FACTOR, Array, Flight, Provenance, read_flight, write_flight
 
 __all__ = [
     "GAP_FACTOR",

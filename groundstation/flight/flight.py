@@ -14,13 +14,17 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from daq.contract.channels import COLUMN_BY_NAME
-from daq.contract.errors import UserError
+from groundstation.flight.errors import FlightError, MissingColumnError
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
 
 Array = NDArray[np.float64]
 
@@ -30,23 +34,6 @@ GAP_FACTOR = 4.5
 FLIGHT_TOPIC = "/flight"
 FLIGHT_SCHEMA = "sideslip.FlightSample"
 METADATA_NAME = "sideslip.flight"
-
-
-class FlightError(UserError):
-    """A flight file that cannot be used."""
-
-
-class MissingColumnError(FlightError):
-    """A column that the work at hand needs is not in the flight."""
-
-    def __init__(self, flight: str, missing: Sequence[str], purpose: str) -> None:
-        self.missing = tuple(missing)
-        names = ", ".join(missing)
-        plural = "s" if len(missing) > 1 else ""
-        instead = " or choose a model without" if purpose.startswith("model") else ""
-        super().__init__(
-            f"{flight}: column{plural} {names} missing, needed for {purpose}; add the column{plural}{instead}"
-        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +49,7 @@ class Provenance:
     detail: Mapping[str, Any] = field(default_factory=dict)  # JSON-able extras (alignment, delays, noise, ...)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Flight:
     """Calibrated columns of one flight over common time.
 
@@ -108,6 +95,56 @@ class Flight:
         said += words
         notes_once = tuple(dict.fromkeys(said))  # a flight read again finds the gaps it was written with
         return cls(name, time, MappingProxyType(arrays), segments, provenance or Provenance(), notes_once)
+
+    def __repr__(self) -> str:
+        about = self.provenance
+        known = f"{about.aircraft or 'unnamed aircraft'}, {about.source}"
+        return (
+            f"<Flight {self.name!r:.80}: {len(self)} samples, {self.time[-1] - self.time[0]:.2f} s at "
+            f"{1.0 / self.sample_interval:.1f} Hz, {len(self.segments)} segment{'s' * (len(self.segments) > 1)}, "
+            f"{sum(map(self.measured, self.columns))} columns measured, {known:.80}>"
+        )
+
+    def _repr_html_(self) -> str:
+        from groundstation.flight.show import flight_html
+
+        return flight_html(self)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Plain dictionaries in place of read-only views, which cannot be sent to another process."""
+        return {**self.__dict__, "columns": dict(self.columns), "provenance": _plain(self.provenance)}
+
+    def __arrow_c_stream__(self, requested_schema: object | None = None) -> object:
+        """The Arrow stream protocol: polars, DuckDB, pandas and pyarrow take a flight as a table."""
+        from groundstation.flight.tables import arrow_table, flight_table
+
+        return arrow_table(flight_table(self)).__arrow_c_stream__(requested_schema)
+
+    def to_pandas(self) -> "pd.DataFrame":
+        """A frame indexed by time [s], with `segment`; units in `attrs["units"]`."""
+        from groundstation.flight.tables import pandas_frame
+
+        return pandas_frame(self)
+
+    def to_xarray(self) -> "xr.Dataset":
+        """A data set over time [s] with units and meaning as attributes."""
+        from groundstation.flight.tables import xarray_dataset
+
+        return xarray_dataset(self)
+
+    def plot(self, *columns: str, ax: Any = None) -> Any:
+        """Histories of columns (the motion and controls that were measured, where none is named); gives the axes.
+
+        ax: one matplotlib axes, or as many as there are columns. Angles are drawn in degrees.
+        """
+        from groundstation.flight.show import plot_flight
+
+        return plot_flight(self, columns, ax)
+
+    def save(self, path: str | Path) -> Path:
+        """Write .mcap, .csv or .parquet; `read_flight` gives the same arrays."""
+        write_flight(self, path)
+        return Path(path)
 
     def __getitem__(self, column: str) -> Array:
         try:
@@ -155,6 +192,10 @@ class Flight:
         return replace(
             self, name=name or self.name, time=self.time[keep], columns=columns, segment=renumbered.astype(np.int64)
         )
+
+
+def _plain(provenance: Provenance) -> Provenance:
+    return replace(provenance, calibration=dict(provenance.calibration), detail=dict(provenance.detail))
 
 
 def _order(name: str, time: Array) -> tuple[NDArray[np.int64], list[str]]:

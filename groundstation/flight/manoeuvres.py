@@ -10,7 +10,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.flight.flight import Flight, FlightError
+from groundstation.flight.errors import FlightError
+from groundstation.flight.flight import Flight
 
 Array = NDArray[np.float64]
 

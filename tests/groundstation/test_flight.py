@@ -1,5 +1,7 @@
 """Flights: the three file kinds give the same arrays back, and bad files get one clear sentence."""
 
+import pickle
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -98,3 +100,61 @@ def test_missing_column_is_named() -> None:
     f = Flight.build("f", np.arange(5.0), {"p": np.full(5, np.nan)})
     with pytest.raises(MissingColumnError, match="columns p, beta missing, needed for model lateral"):
         f.require(["p", "beta"], "model lateral")
+
+
+@pytest.fixture(scope="module")
+def recorded() -> Flight:
+    return read_flight(Path(__file__).parents[2] / "recordings" / "cdfp_ld1.mcap")
+
+
+class TestForOtherLibraries:
+    """A flight in a notebook: short to print, and a table to pandas, xarray, polars, DuckDB and other processes."""
+
+    def test_repr_is_one_short_line(self, recorded: Flight) -> None:
+        assert repr(recorded).startswith("<Flight 'cdfp_ld1': 594 samples, 29.65 s at 20.0 Hz, 1 segment, ")
+        assert len(repr(recorded)) < 200
+
+    def test_html_escapes_what_a_file_says(self, recorded: Flight) -> None:
+        evil = replace(recorded, name="<script>x</script>", notes=("<b>bold</b>",))
+        page = evil._repr_html_()
+        assert "<script>" not in page
+        assert "<b>" not in page
+        assert page.count("<tr>") == 1 + sum(map(recorded.measured, recorded.columns))
+
+    def test_pandas_and_xarray_carry_units(self, recorded: Flight) -> None:
+        frame, data = recorded.to_pandas(), recorded.to_xarray()
+        np.testing.assert_array_equal(frame["beta"].to_numpy(), recorded["beta"])
+        np.testing.assert_array_equal(data["beta"].to_numpy(), recorded["beta"])
+        assert frame.attrs["units"]["beta"] == data["beta"].attrs["units"] == "rad"
+        assert frame.index.name == "time"
+        assert data.attrs["aircraft"] == "cdfp"
+
+    def test_arrow_stream_feeds_polars_and_duckdb(self, recorded: Flight) -> None:
+        import duckdb
+        import polars as pl
+
+        table = pl.DataFrame(recorded)
+        np.testing.assert_array_equal(table["p"].to_numpy(), recorded["p"])
+        assert table["phi"].null_count() == int(np.isnan(recorded["phi"]).sum())
+        assert duckdb.sql("select count(*) from recorded").fetchall() == [(len(recorded),)]
+
+    def test_goes_to_another_process_and_back(self, recorded: Flight) -> None:
+        again = pickle.loads(pickle.dumps(recorded))
+        assert again.name == recorded.name
+        assert again.provenance.detail["session"] == recorded.provenance.detail["session"]
+        np.testing.assert_array_equal(again["V"], recorded["V"])
+
+    def test_plot_gives_axes_in_degrees_and_joins_no_segments(self, recorded: Flight) -> None:
+        import matplotlib as mpl
+
+        mpl.use("Agg")
+        from matplotlib import pyplot as plt
+
+        axes = recorded.plot("beta", "V")
+        assert [a.get_ylabel() for a in axes] == ["beta [deg]", "V [m/s]"]
+        assert len(axes[0].lines) == len(recorded.segments)
+        with pytest.raises(MissingColumnError, match="nothing"):
+            recorded.plot("nothing")
+        with pytest.raises(FlightError, match="2 columns"):
+            recorded.plot("beta", "V", ax=axes[0])
+        plt.close("all")

@@ -1,0 +1,115 @@
+"""Flights as tables with units: Arrow, pandas, xarray.
+
+Arrow fields carry `unit` and `meaning` as metadata; xarray variables carry `units` and `long_name`; pandas frames have the
+units in `attrs["units"]`.
+"""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.contract.channels import COLUMN_BY_NAME
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import pyarrow as pa
+    import xarray as xr
+
+
+Array = NDArray[np.float64]
+
+
+class FlightView(Protocol):
+    """What tables and pictures need of a flight."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def time(self) -> Array: ...
+    @property
+    def columns(self) -> Mapping[str, Array]: ...
+    @property
+    def segment(self) -> NDArray[np.int64]: ...
+    @property
+    def segments(self) -> tuple[slice, ...]: ...
+    @property
+    def provenance(self) -> Any: ...
+    @property
+    def notes(self) -> tuple[str, ...]: ...
+
+
+@dataclass(frozen=True)
+class TableColumn:
+    """One column: (N,) values, NaN where not measured; unit "1" for pure numbers, "" where unknown; meaning with sign."""
+
+    name: str
+    values: Array
+    unit: str
+    meaning: str = ""
+    whole: bool = False  # holds integers without gaps
+
+
+@dataclass(frozen=True)
+class Table:
+    """Columns of equal length and what is known of them as a whole."""
+
+    columns: tuple[TableColumn, ...]
+    about: Mapping[str, str] = field(default_factory=dict)
+
+
+def flight_table(flight: FlightView) -> Table:
+    """`time`, every column of a flight, and `segment`."""
+    about = {
+        "name": flight.name,
+        "aircraft": flight.provenance.aircraft,
+        "source": flight.provenance.source,
+        "software": flight.provenance.software,
+        "notes": json.dumps(list(flight.notes)),
+    }
+    columns = [TableColumn("time", flight.time, "s", "time")]
+    for name, values in flight.columns.items():
+        known = COLUMN_BY_NAME.get(name)
+        columns.append(TableColumn(name, values, known.unit if known else "", known.meaning if known else ""))
+    stretch = flight.segment.astype(float)
+    columns.append(TableColumn("segment", stretch, "1", "stretch without a gap, counted from 0", whole=True))
+    return Table(tuple(columns), about)
+
+
+def arrow_table(table: Table) -> "pa.Table":
+    """An Arrow table: `unit` and `meaning` in each field's metadata; NaN is null."""
+    import pyarrow as pa
+
+    fields, arrays = [], []
+    for column in table.columns:
+        kind = pa.int64() if column.whole else pa.float64()
+        values = column.values.astype(np.int64) if column.whole else column.values
+        arrays.append(pa.array(values, kind, from_pandas=True))
+        fields.append(pa.field(column.name, kind, metadata={"unit": column.unit, "meaning": column.meaning}))
+    return pa.Table.from_arrays(arrays, schema=pa.schema(fields, metadata=dict(table.about)))
+
+
+def pandas_frame(flight: FlightView) -> "pd.DataFrame":
+    """A frame indexed by time [s]: every column, and `segment`; `attrs["units"]` holds the units."""
+    import pandas as pd
+
+    table = flight_table(flight)
+    index = pd.Index(flight.time, name="time")
+    frame = pd.DataFrame({c.name: c.values for c in table.columns[1:]}, index=index)
+    frame["segment"] = flight.segment
+    frame.attrs["units"] = {c.name: c.unit for c in table.columns}
+    return frame
+
+
+def xarray_dataset(flight: FlightView) -> "xr.Dataset":
+    """A data set over time [s] with `units` and `long_name` for each variable."""
+    import xarray as xr
+
+    table = flight_table(flight)
+    described = {c.name: {"units": c.unit, "long_name": c.meaning} for c in table.columns}
+    variables: dict[str, Any] = {c.name: ("time", c.values, described[c.name]) for c in table.columns[1:-1]}
+    variables["segment"] = ("time", flight.segment, described["segment"])
+    return xr.Dataset(variables, {"time": ("time", flight.time, described["time"])}, dict(table.about))
