@@ -40,6 +40,7 @@ VERBS: dict[str, Verb] = {
     "check": Verb("estimation.commands.check", "check", "Data compatibility and data quality."),
     "estimate": Verb("estimation.commands.estimate", "estimate", "Aerodynamic parameters with bounds."),
     "match": Verb("estimation.commands.match", "match", "Proof of match on flights not used for the estimate."),
+    "design": Verb("estimation.commands.design", "design", "Inputs designed from what is known, under limits."),
     "gap": Verb("estimation.commands.gap", "gap", "Find, name and close the gap between model and flight."),
 }
 

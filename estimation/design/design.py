@@ -1,0 +1,276 @@
+"""One design from beginning to end: kinds of input, the plain doublets that each is measured against, and the result as data."""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from daq.contract.manoeuvre import FINENESS, Manoeuvre, checked
+from estimation.aircraft import Aircraft
+from estimation.design.condition import Condition, trimmed
+from estimation.design.limits import Limits, usual_limits
+from estimation.design.optimal import (
+    Criterion,
+    Designed,
+    a_optimal,
+    d_optimal,
+    each_fitted,
+    measure,
+    multisine,
+    one_of,
+    optimal,
+    worst_of,
+)
+from estimation.design.predict import INTEGRATION_STEP, Bench, told, with_values
+from estimation.design.shapes import PATTERNS, chirp, pattern, relative_peak_factor
+from estimation.errors import EstimationError
+from estimation.models.base import Model
+
+KINDS = ("doublet", "121", "3211", "chirp", "multisine", "optimal")
+CRITERIA = ("worst", "D", "A")
+USUAL_BAND = (0.1, 1.5)
+"""Frequencies of chirps and multisines [Hz]: from a tenth of a Dutch roll to above the roll mode of a small aircraft."""
+WIDTHS = (0.2, 0.25, 0.33, 0.4, 0.5, 0.65, 0.8, 1.0)
+"""Step widths [s] of which patterns take the best: periods of 0.4 to 2 s for a doublet."""
+FIRST = 0.5  # s of trim before the first pattern
+REPEATS = 2  # patterns of each control in a set
+UNTOLD = 0.3
+"""A derivative whose bound is a larger share of its size is called untold: three bounds would reach from zero to twice it."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """What to design. controls: empty for all of the model. criterion: one of CRITERIA or a parameter's name.
+
+    separate: parameters to be told apart, in place of the criterion. values, noise: from an estimate where there is one.
+    """
+
+    kind: str
+    duration: float
+    speed: float
+    density: float = 1.17
+    controls: tuple[str, ...] = ()
+    band: tuple[float, float] = USUAL_BAND
+    criterion: str = "worst"
+    separate: tuple[str, ...] = ()
+    sizes: Mapping[str, float] = field(default_factory=dict)
+    values: Mapping[str, float] = field(default_factory=dict)
+    noise: Mapping[str, float] = field(default_factory=dict)
+    rate_hz: float = 20.0
+    held: bool = False
+    seed: int = 1
+
+
+@dataclass(frozen=True)
+class Design:
+    """The designed input, doublets of equal length under the same limits, and the sizes that errors are measured by."""
+
+    task: Task
+    bench: Bench
+    limits: Limits
+    best: Designed
+    doublets: Designed
+    sizes: Mapping[str, float]
+    aircraft: str = ""
+    notes: tuple[str, ...] = ()
+
+    @property
+    def relative(self) -> dict[str, float]:
+        """Predicted bound over size of each derivative that has one."""
+        return relative_bounds(self.best, self.sizes)
+
+    @property
+    def untold(self) -> tuple[str, ...]:
+        """Derivatives that this input will not tell."""
+        return tuple(n for n, r in self.relative.items() if r > UNTOLD)
+
+    @property
+    def gain(self) -> float:
+        """Worst relative bound of the doublets over that of this input."""
+        return max(relative_bounds(self.doublets, self.sizes).values()) / max(self.relative.values())
+
+    def manoeuvre(self) -> Manoeuvre:
+        """As the file that is flown."""
+        commands = np.round(self.best.commands / FINENESS) * FINENESS
+        commands[[0, -1]] = 0.0
+        std = self.best.information.std
+        return checked(
+            Manoeuvre(
+                self.best.kind,
+                INTEGRATION_STEP,
+                {c: tuple(commands[:, i].tolist()) for i, c in enumerate(self.bench.controls)},
+                aircraft=self.aircraft,
+                model=self.bench.model.name,
+                limits={u.name: {"used": u.used, "allowed": u.allowed} for u in self.best.used},
+                predicted={n: {"std": s} for n, s in std.items() if math.isfinite(s)},
+                about={
+                    "speed": self.task.speed,
+                    "density": self.task.density,
+                    "pilot_holds": self.task.held,
+                    "seed": self.task.seed,
+                    "gain_over_doublets": self.gain,
+                },
+            )
+        )
+
+    def to_json(self) -> dict[str, Any]:
+        """As the interface description has it, and what more a person may want."""
+        std = self.best.information.std
+        finite = {n: (s if math.isfinite(s) else None) for n, s in std.items()}
+        return {
+            "kind": self.best.kind,
+            "time": self.best.motion.time.tolist(),
+            "inputs": {c: self.best.commands[:, i].tolist() for i, c in enumerate(self.bench.controls)},
+            "predicted": {n: {"std": s, "relative": self.relative.get(n)} for n, s in finite.items()},
+            "peak_factor": self.peak_factors(),
+            "limits": {u.name: {"used": u.used, "allowed": u.allowed} for u in self.best.used},
+            "untold": list(self.untold),
+            "gain_over_doublets": self.gain,
+            "motion": {n: v.tolist() for n, v in self.best.motion.signals.items()},
+            "notes": list(self.notes),
+        }
+
+    def peak_factors(self) -> dict[str, float]:
+        """Relative peak factor of each control; of multisines over a period."""
+        rows = self.best.commands[:-1] if self.best.waves else self.best.commands
+        return {c: relative_peak_factor(rows[:, i]) for i, c in enumerate(self.bench.controls)}
+
+
+def relative_bounds(designed: Designed, sizes: Mapping[str, float]) -> dict[str, float]:
+    """Predicted bound over size, for the parameters that have a size."""
+    std = designed.information.std
+    return {n: std[n] / abs(size) for n, size in sizes.items() if n in std and size != 0.0}
+
+
+def design(model: Model, aircraft: Aircraft, task: Task, limits: Limits | None = None) -> Design:
+    """Design an input. Raises EstimationError for what cannot be designed, with the way out."""
+    if task.kind not in KINDS:
+        raise EstimationError(f"kind {task.kind!r} is unknown; choose from {', '.join(KINDS)}")
+    if not 2.0 <= task.duration <= 600.0:
+        raise EstimationError(f"--time {task.duration:g}: give from 2 to 600 s")
+    allowed = limits or usual_limits()
+    used = with_values(model, task.values)
+    condition = trimmed(used, aircraft, task.speed, task.density)
+    bench = _bench(used, condition, task)
+    sizes = _sizes(used, task)
+    rng = np.random.default_rng([task.seed, 20])
+    doublets = pattern_set(bench, allowed, "doublet", task.duration, sizes)
+    _refuse_untold(bench, doublets, task)
+    if task.kind == "doublet":
+        best = doublets
+    elif task.kind in PATTERNS:
+        best = pattern_set(bench, allowed, task.kind, task.duration, sizes)
+    elif task.kind == "chirp":
+        best = chirp_set(bench, allowed, task.duration, task.band)
+    else:
+        best = _sines(bench, allowed, task, sizes, rng, doublets)
+    return Design(task, bench, allowed, best, doublets, sizes, aircraft.name, condition.notes)
+
+
+def _bench(model: Model, condition: Condition, task: Task) -> Bench:
+    controls = task.controls or tuple(s.name for s in model.inputs if s.control)
+    values = {p.name: p.start for p in model.parameters}
+    return Bench(model, condition, controls, values, task.noise, task.rate_hz, task.held)
+
+
+def _sizes(model: Model, task: Task) -> dict[str, float]:
+    """What the error of each derivative is measured by: the size of an effect, the belief, else its own value."""
+    sizes = {n: (model.parameter(n).reference or model.parameter(n).start) for n in told(model.parameters)}
+    sizes |= {n: s for n, s in task.sizes.items() if n in model.parameter_names}
+    wanted = task.separate or (() if task.criterion in CRITERIA else (task.criterion,))
+    unknown = [n for n in wanted if n not in sizes]
+    if unknown:
+        raise EstimationError(
+            f"{unknown[0]!r} is no parameter with a size of model {model.name}; it has {', '.join(sizes)}"
+        )
+    return {n: sizes[n] for n in task.separate} if task.separate else sizes
+
+
+def _refuse_untold(bench: Bench, doublets: Designed, task: Task) -> None:
+    """What doublets on every control leave exactly tied, no other motion of these controls unties."""
+    std = doublets.information.std
+    tied = [n for n in task.separate if math.isinf(std[n])]
+    if tied:
+        raise EstimationError(
+            f"{' and '.join(tied)}: no motion of {', '.join(bench.controls)} in model {bench.model.name} tells them from the "
+            "other parameters; design with a model of more controls (--model six-dof), or look on the bench"
+        )
+
+
+def pattern_set(bench: Bench, limits: Limits, name: str, duration: float, sizes: Mapping[str, float]) -> Designed:
+    """A pattern twice on each control, one after the other, of the width that tells most under the limits."""
+    time = np.arange(0.0, duration + 0.5 * INTEGRATION_STEP, INTEGRATION_STEP)
+    slots = REPEATS * len(bench.controls)
+    room = (duration - FIRST) / slots
+    widths = [w for w in WIDTHS if len(PATTERNS[name]) * w + FIRST <= room] or [0.8 * room / len(PATTERNS[name])]
+
+    def flown(width: float) -> Designed:
+        commands = np.zeros((time.size, len(bench.controls)))
+        for slot in range(slots):
+            i = slot % len(bench.controls)
+            control = bench.controls[i]
+            start = FIRST + slot * room
+            commands[:, i] += pattern(name, time, start, width, limits.amplitude_of(control), limits.rate_of(control))
+        return measure(bench, limits, name, each_fitted(bench, limits, commands) * commands)
+
+    return min(map(flown, widths), key=lambda d: max(relative_bounds(d, sizes).values()))
+
+
+def chirp_set(bench: Bench, limits: Limits, duration: float, band: tuple[float, float]) -> Designed:
+    """A sweep on each control, one after the other."""
+    time = np.arange(0.0, duration + 0.5 * INTEGRATION_STEP, INTEGRATION_STEP)
+    room = (duration - FIRST) / len(bench.controls)
+    columns = [
+        chirp(time, FIRST + i * room, 0.95 * room, band, limits.amplitude_of(c)) for i, c in enumerate(bench.controls)
+    ]
+    commands = np.column_stack(columns)
+    return measure(bench, limits, "chirp", each_fitted(bench, limits, commands) * commands)
+
+
+def _sines(
+    bench: Bench,
+    limits: Limits,
+    task: Task,
+    sizes: Mapping[str, float],
+    rng: np.random.Generator,
+    doublets: Designed,
+) -> Designed:
+    """A multisine; of kind optimal, the best of optimal and flat multisines, doublets and 3-2-1-1s."""
+    try:
+        if task.kind == "multisine":
+            return multisine(bench, limits, task.duration, task.band, rng)
+        choose, judge = _criterion(task, sizes)
+        steps = pattern_set(bench, limits, "3211", task.duration, sizes)
+        sines = optimal(bench, limits, task.duration, task.band, rng, sizes, choose, judge)
+        return min((sines, steps, doublets), key=judge)
+    except ValueError as error:
+        raise EstimationError(f"--time {task.duration:g}: {error}; give more time or a wider --band") from error
+
+
+def _criterion(
+    task: Task, sizes: Mapping[str, float]
+) -> tuple[Callable[[tuple[str, ...]], Criterion], Callable[[Designed], float]]:
+    """(criterion for the allocation, judge of what was flown)."""
+
+    def worst(designed: Designed) -> float:
+        return max(relative_bounds(designed, sizes).values())
+
+    def among(names: Sequence[str]) -> Criterion:
+        return worst_of(np.array([n in sizes for n in names]))
+
+    def volume(designed: Designed) -> float:
+        return -float(np.linalg.slogdet(designed.information.matrix)[1])
+
+    def squares(designed: Designed) -> float:
+        return math.fsum(r**2 for r in relative_bounds(designed, sizes).values())
+
+    if task.separate or task.criterion == "worst":
+        return among, worst
+    if task.criterion == "D":
+        return (lambda names: d_optimal), volume
+    if task.criterion == "A":
+        return (lambda names: a_optimal), squares
+    name = task.criterion
+    return (lambda names: one_of(names.index(name))), lambda designed: designed.information.std[name]

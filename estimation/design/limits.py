@@ -1,0 +1,118 @@
+"""What a designed manoeuvre may do: amplitude and rate of each control, and the motion it may cause.
+
+A file for `--limits`, angles in degrees because people write it:
+
+    [controls.delta_a]
+    amplitude_deg = 6.0      # either side of trim
+    rate_deg_s = 200.0
+
+    [response]               # either side of trim, or [least, most]
+    beta_deg = 12.0
+    phi_deg = 35.0
+    load_factor = [0.3, 2.2]
+    airspeed = [12.0, 22.0]  # m/s
+"""
+
+import math
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, ValidationError, field_validator
+
+from estimation.errors import EstimationError
+
+Range = tuple[float, float]
+USUAL_AMPLITUDE = {"delta_a": math.radians(6.0), "delta_r": math.radians(3.5), "delta_e": math.radians(3.0)}
+"""Peaks of controls where no file says otherwise [rad]: what the published flights and their like were flown with."""
+OTHER_AMPLITUDE = math.radians(3.0)
+USUAL_RATE = math.radians(200.0)
+"""Rate of a control where no file says otherwise [rad/s]: a hobby servo's 60 deg in 0.2 s, on a surface of half its travel."""
+USUAL_RESPONSE = {"beta_deg": 15.0, "phi_deg": 40.0, "alpha_deg": 8.0, "theta_deg": 25.0}
+
+
+class ControlLimit(BaseModel):
+    """One control: peak [deg] either side of trim, rate [deg/s]."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    amplitude_deg: float = Field(gt=0.0, le=60.0)
+    rate_deg_s: PositiveFloat = math.degrees(USUAL_RATE)
+
+
+class LimitsFile(BaseModel):
+    """The file as a person writes it."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    controls: dict[str, ControlLimit] = {}
+    response: dict[str, float | Range] = {}
+
+    @field_validator("response")
+    @classmethod
+    def _ranges_in_order(cls, value: dict[str, float | Range]) -> dict[str, float | Range]:
+        for name, allowed in value.items():
+            least, most = allowed if isinstance(allowed, tuple) else (-allowed, allowed)
+            if not (math.isfinite(least) and math.isfinite(most) and least < most):
+                raise ValueError(f"{name} = {allowed}: write a positive number, or [least, most]")
+        return value
+
+
+@dataclass(frozen=True)
+class Limits:
+    """SI and radians. amplitude, rate: by control. response: signal -> (least, most), about trim where `relative`."""
+
+    amplitude: Mapping[str, float] = field(default_factory=dict)
+    rate: Mapping[str, float] = field(default_factory=dict)
+    response: Mapping[str, tuple[float, float, bool]] = field(default_factory=dict)
+
+    def amplitude_of(self, control: str) -> float:
+        """Peak either side of trim [rad]."""
+        return self.amplitude.get(control, USUAL_AMPLITUDE.get(control, OTHER_AMPLITUDE))
+
+    def rate_of(self, control: str) -> float:
+        """Highest rate [rad/s]."""
+        return self.rate.get(control, USUAL_RATE)
+
+
+_SIGNALS = {"airspeed": "V", "load_factor": "load_factor"}
+
+
+def usual_limits() -> Limits:
+    """What is allowed where no file is given."""
+    return _limits(LimitsFile(response=dict(USUAL_RESPONSE)))
+
+
+def load_limits(path: Path) -> Limits:
+    """Read a file of limits. Raises EstimationError naming file and key."""
+    try:
+        return _limits(LimitsFile.model_validate(tomllib.loads(path.read_text(encoding="utf-8"))))
+    except OSError as error:
+        raise EstimationError(f"{path}: cannot be read ({error.strerror}); name a file of limits") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise EstimationError(f"{path}: not a TOML file ({error})") from error
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"])
+        raise EstimationError(f"{path}: {where}: {first['msg']}; see docs/design.md") from error
+
+
+def _limits(file: LimitsFile) -> Limits:
+    return Limits(
+        {name: math.radians(c.amplitude_deg) for name, c in file.controls.items()},
+        {name: math.radians(c.rate_deg_s) for name, c in file.controls.items()},
+        dict(_response(name, allowed) for name, allowed in file.response.items()),
+    )
+
+
+def _response(name: str, allowed: Any) -> tuple[str, tuple[float, float, bool]]:
+    """`beta_deg = 12` is 12 deg either side of trim, a pair is absolute; `_deg` and `_deg_s` name degrees."""
+    for ending in ("_deg_s", "_deg"):
+        if name.endswith(ending):
+            signal, factor = name.removesuffix(ending), math.pi / 180.0
+            break
+    else:
+        signal, factor = _SIGNALS.get(name, name), 1.0
+    if isinstance(allowed, tuple):
+        return signal, (factor * allowed[0], factor * allowed[1], False)
+    return signal, (-factor * allowed, factor * allowed, True)

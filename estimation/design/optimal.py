@@ -1,0 +1,269 @@
+"""The best input: power over frequencies and controls by optimal design, phases of low peak, size by the limits.
+
+For small motion a linear aircraft answers each harmonic by itself, so the information of a multisine is the sum of that of its
+harmonics times their power, M = sum w_k M_k, and so is the power of every limited signal, P_j = sum w_k P_jk. Minimising a
+criterion of M under P_j <= 1 for every limit j is a convex problem. Its multiplicative algorithm: w_k <- w_k (d_k / price_k)^1/2,
+d_k the gain of the criterion by harmonic k, price_k = sum_j m_j P_jk (Titterington, Annals of Statistics 4 (1976) 132; Silvey,
+Titterington and Torsney, Commun. Statistics A7 (1978) 1379), with multipliers m_j that grow where a limit is exceeded.
+The result is then flown as it is: what counts is the motion of the model, not its linearisation.
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimation.design.limits import Limits
+from estimation.design.predict import (
+    INTEGRATION_STEP,
+    Bench,
+    Information,
+    LimitUse,
+    Motion,
+    fly,
+    information,
+    limits_used,
+)
+from estimation.design.shapes import STARTS, Multisine, deal, flat, from_zero, low_peak_multisine, total
+from estimation.errors import EstimationError
+
+Array = NDArray[np.float64]
+Criterion = Callable[[Array], tuple[float, Array]]
+"""Covariance of the relative errors (n, n) -> value to make small, and its derivative with respect to the covariance."""
+
+PROBE = math.radians(0.2)
+"""Amplitude of a single harmonic when its answer is looked at [rad]: small against every kink, large against rounding."""
+ROUNDS = 400
+RESOLUTION = 1e-4  # of the criterion, at which the multiplicative algorithm has come to rest
+WORST_POWER = 8  # p-norm over the relative bounds that stands for the worst of them
+LEAST_SHARE = 0.02  # of the power: below it a harmonic only costs peak
+UNEVEN_STARTS = 3  # of the search for phases where the power is uneven: such peaks do not get below GOOD_PEAK
+SHIFTS = 10  # zero crossings that are tried as beginnings of a wave
+SIZES = 12  # halvings when the size is fitted to the limits: to 1 in 4096, on the safe side
+
+
+@dataclass(frozen=True)
+class Designed:
+    """An input and what it does. commands: (N, nu) increments [rad] at INTEGRATION_STEP; waves: where it is a multisine."""
+
+    kind: str
+    commands: Array
+    motion: Motion
+    information: Information
+    used: tuple[LimitUse, ...]
+    waves: tuple[Multisine, ...] = ()
+
+
+def measure(bench: Bench, limits: Limits, kind: str, commands: Array, waves: Sequence[Multisine] = ()) -> Designed:
+    """Fly commands and weigh them."""
+    motion = fly(bench, commands, INTEGRATION_STEP * len(commands))
+    if not motion.reached:
+        raise EstimationError(f"{kind}: the model leaves all bounds in this manoeuvre; make it smaller or shorter")
+    used = tuple(limits_used(bench, limits, commands, motion))
+    return Designed(kind, commands, motion, information(bench, motion), used, tuple(waves))
+
+
+def fitted_size(bench: Bench, limits: Limits, commands: Array) -> float:
+    """Largest factor, at most 1e3, at which commands keep inside every limit; by halving, because motion is not linear."""
+
+    def inside(factor: float) -> bool:
+        return _inside(bench, limits, factor * commands)
+
+    peaks = np.abs(commands).max(axis=0)
+    allowed = np.array([limits.amplitude_of(c) for c in bench.controls])
+    high = min(1e3, float(np.min(allowed / np.maximum(peaks, 1e-12))))
+    if inside(high):
+        return high
+    low = 0.0
+    for _ in range(SIZES):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if inside(middle) else (low, middle)
+    return low
+
+
+def each_fitted(bench: Bench, limits: Limits, commands: Array) -> Array:
+    """(nu,) factors that bring commands to the limits: all controls together first, then each further by itself."""
+    factors = np.full(len(bench.controls), fitted_size(bench, limits, commands))
+    for i in range(len(bench.controls)):
+        low, high = 1.0, limits.amplitude_of(bench.controls[i]) / _peak(factors[i] * commands[:, i])
+        for _ in range(SIZES if high > 1.0 + 1e-6 else 0):
+            middle = 0.5 * (low + high)
+            tried = factors * np.where(np.arange(factors.size) == i, middle, 1.0)
+            low, high = (middle, high) if _inside(bench, limits, tried * commands) else (low, middle)
+        factors[i] *= low
+    return factors
+
+
+def _peak(values: Array) -> float:
+    return max(float(np.abs(values).max()), 1e-12)
+
+
+def _inside(bench: Bench, limits: Limits, commands: Array) -> bool:
+    motion = fly(bench, commands, INTEGRATION_STEP * len(commands))
+    # a rounding above 1 where a control stands at its own limit
+    return motion.reached and all(u.share <= 1.0 + 1e-9 for u in limits_used(bench, limits, commands, motion))
+
+
+@dataclass(frozen=True)
+class Harmonics:
+    """Per harmonic k: (K,) control it belongs to, (K, n, n) information a unit power, (K, j) power in every limited signal.
+
+    The latter in units in which 1 is at the limit, were all power in one sine.
+    """
+
+    control: NDArray[np.int64]
+    information: Array
+    power: Array
+    names: tuple[str, ...]
+
+
+def look_at_harmonics(bench: Bench, limits: Limits, period: float, band: tuple[float, float]) -> Harmonics:
+    """Fly every harmonic alone and small."""
+    time = np.arange(0.0, period, INTEGRATION_STEP)
+    controls, matrices, power = [], [], []
+    names: tuple[str, ...] = ()
+    for control, harmonics in enumerate(deal(len(bench.controls), period, band)):
+        for k in harmonics.tolist():
+            commands = np.zeros((time.size, len(bench.controls)))
+            commands[:, control] = PROBE * np.sin(2.0 * math.pi * k * time / period)
+            motion = fly(bench, commands, period)
+            told = information(bench, motion)
+            names = told.names
+            controls.append(control)
+            matrices.append(told.matrix / (0.5 * PROBE**2))
+            power.append([u.share**2 / (0.5 * PROBE**2) for u in limits_used(bench, limits, commands, motion)])
+    return Harmonics(np.array(controls), np.array(matrices), np.array(power), names)
+
+
+def allocate(found: Harmonics, scale: Array, criterion: Criterion) -> Array:
+    """(K,) power of each harmonic at which the criterion of the relative covariance is least, no limited signal above 1."""
+    weights = 1.0 / found.power.sum(axis=1)
+    weights /= float((weights @ found.power).max())
+    multipliers = np.full(found.power.shape[1], 1.0 / found.power.shape[1])
+    relative = found.information * scale[None, :, None] * scale[None, None, :]
+    last = math.inf
+    for _ in range(ROUNDS):
+        whole = np.tensordot(weights, relative, axes=1)
+        covariance = np.linalg.pinv(whole, rcond=1e-12, hermitian=True)
+        value, slope = criterion(covariance)
+        gain = np.einsum("ij,kji->k", covariance @ slope @ covariance, relative)
+        weights = weights * np.sqrt(np.maximum(gain, 0.0) / (found.power @ multipliers))
+        share = weights @ found.power
+        weights /= float(share.max())
+        multipliers = multipliers * np.sqrt(share / share.max())
+        multipliers /= multipliers.sum()
+        if abs(last - value) < RESOLUTION * abs(value):
+            break
+        last = value
+    return weights
+
+
+def d_optimal(covariance: Array) -> tuple[float, Array]:
+    """Logarithm of the volume of the ellipsoid of errors."""
+    sign, volume = np.linalg.slogdet(covariance)
+    return (float(volume) if sign > 0 else math.inf), np.asarray(np.linalg.pinv(covariance, hermitian=True), float)
+
+
+def a_optimal(covariance: Array) -> tuple[float, Array]:
+    """Sum of the squared relative bounds."""
+    return float(np.trace(covariance)), np.eye(len(covariance))
+
+
+def worst_of(chosen: NDArray[np.bool_]) -> Criterion:
+    """The largest of the chosen relative bounds, as a p-norm that has a derivative."""
+
+    def criterion(covariance: Array) -> tuple[float, Array]:
+        variance = np.where(chosen, np.diag(covariance), 0.0)
+        top = max(float(variance.max()), 1e-300)
+        half = WORST_POWER / 2
+        shares = (variance / top) ** (half - 1)
+        value = top * float(np.sum((variance / top) ** half)) ** (1.0 / half)
+        return value, np.diag(shares)
+
+    return criterion
+
+
+def one_of(index: int) -> Criterion:
+    """The bound of one parameter."""
+
+    def criterion(covariance: Array) -> tuple[float, Array]:
+        slope = np.zeros_like(covariance)
+        slope[index, index] = 1.0
+        return float(covariance[index, index]), slope
+
+    return criterion
+
+
+def multisine(
+    bench: Bench,
+    limits: Limits,
+    period: float,
+    band: tuple[float, float],
+    rng: np.random.Generator,
+    weights: Mapping[int, Array] | None = None,
+) -> Designed:
+    """Orthogonal multisines on all controls, as large as the limits let them.
+
+    weights: control -> (K,) power of its harmonics; None: flat, each control to its own amplitude's share.
+    """
+    dealt = deal(len(bench.controls), period, band)
+    waves = []
+    for i, (control, harmonics) in enumerate(zip(bench.controls, dealt, strict=True)):
+        power = flat(harmonics.size) if weights is None else weights[i]
+        keep = power >= LEAST_SHARE * power.max()
+        wave = low_peak_multisine(
+            period, harmonics[keep], power[keep], rng, STARTS if weights is None else UNEVEN_STARTS
+        )
+        peak = _peak(wave.values(np.arange(0.0, period, INTEGRATION_STEP)))
+        size = limits.amplitude_of(control) / peak if weights is None else math.sqrt(float(power.sum()))
+        waves.append(wave.scaled(size))
+    time = np.arange(0.0, period + 0.5 * INTEGRATION_STEP, INTEGRATION_STEP)
+    waves = calm(bench, limits, waves, time)
+    commands = total(waves, time)
+    factors = each_fitted(bench, limits, commands)
+    waves = [w.scaled(f) for w, f in zip(waves, factors.tolist(), strict=True)]
+    return measure(bench, limits, "multisine", factors * commands, waves)
+
+
+def calm(bench: Bench, limits: Limits, waves: Sequence[Multisine], time: Array) -> list[Multisine]:
+    """The waves, each but the first shifted to the zero crossing at which the motion keeps furthest from its limits."""
+
+    def pressed(tried: Sequence[Multisine]) -> float:
+        commands = total(tried, time)
+        motion = fly(bench, commands, float(time[-1]))
+        if not motion.reached:
+            return math.inf
+        return max(u.share for u in limits_used(bench, limits, commands, motion) if u.name not in bench.controls)
+
+    chosen = list(waves)
+    if not limits.response or pressed(chosen) <= 1.0:
+        return chosen
+    for i in range(len(chosen)):
+        variants = [v for shifted in from_zero(chosen[i])[:SHIFTS] for v in (shifted, shifted.scaled(-1.0))]
+        chosen[i] = min(variants, key=lambda v: pressed([*chosen[:i], v, *chosen[i + 1 :]]))
+    return chosen
+
+
+def optimal(
+    bench: Bench,
+    limits: Limits,
+    period: float,
+    band: tuple[float, float],
+    rng: np.random.Generator,
+    scale: Mapping[str, float],
+    criterion: Callable[[tuple[str, ...]], Criterion],
+    judge: Callable[[Designed], float],
+) -> Designed:
+    """The multisine of optimal power, or the flat one where the motion itself shows that it tells more.
+
+    scale: parameter -> size that its error is measured by (parameters without one enter as they are, constants).
+    criterion: told the names, gives what to make small. judge: of what was flown.
+    """
+    found = look_at_harmonics(bench, limits, period, band)
+    sizes = np.array([abs(scale.get(n, 0.0)) for n in found.names])
+    weights = allocate(found, np.where(sizes > 0.0, sizes, 1.0), criterion(found.names))
+    shares = {i: weights[found.control == i] for i in range(len(bench.controls))}
+    candidates = (multisine(bench, limits, period, band, rng), multisine(bench, limits, period, band, rng, shares))
+    return replace(min(candidates, key=judge), kind="optimal")

@@ -1,0 +1,214 @@
+"""What an input would do and what it would tell: motion through servos, limits used, Cramer-Rao bounds.
+
+The aircraft is the model itself with a first-order servo before each control and, where wanted, a pilot who holds bank and
+pitch gently. The surfaces so moved are then what a flight would have measured: they drive the model once more for the
+sensitivities S of its outputs, and with noise R the information is sum S' R^-1 S, initial states projected out.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimation.design.condition import Condition
+from estimation.design.limits import Limits
+from estimation.engine.data import Segment
+from estimation.engine.simulate import Simulator
+from estimation.errors import EstimationError
+from estimation.models.base import Model, Parameter, Signal
+
+Array = NDArray[np.float64]
+
+SERVO_LAG = 0.04
+"""Time constant of a servo [s]: a hobby servo reaches a step in about 0.1 s."""
+HOLD_GAIN = {"delta_a": ("phi", 0.10), "delta_e": ("theta", 0.18)}
+"""Control -> (what is held, rad of control per rad): a pilot's gentle hand between manoeuvres."""
+INTEGRATION_STEP = 0.02
+"""Step of simulated motion [s]: the frame of servo pulses."""
+NOISE = {
+    "beta": math.radians(0.25), "alpha": math.radians(0.3), "p": math.radians(0.4), "q": math.radians(0.4),
+    "r": math.radians(0.3), "phi": math.radians(0.3), "theta": math.radians(0.3), "psi": math.radians(0.6),
+    "V": 0.15, "ax": 0.05, "ay": 0.05, "az": 0.08,
+}  # fmt: skip
+"""Noise of the outputs where no estimate says better, 1 sigma: calibrated records of a small aircraft."""
+OTHER_NOISE_SHARE = 0.02  # of an output's own range in the manoeuvre, where nothing is known of its instrument
+
+
+@dataclass(frozen=True)
+class Bench:
+    """All that stays the same while inputs are tried. controls: inputs that the design moves, in this order.
+
+    values: parameters. noise: output -> sigma. rate_hz: of the samples. held: whether a pilot holds bank and pitch.
+    """
+
+    model: Model
+    condition: Condition
+    controls: tuple[str, ...]
+    values: Mapping[str, float]
+    noise: Mapping[str, float]
+    rate_hz: float = 20.0
+    held: bool = False
+
+    def __post_init__(self) -> None:
+        known = [s.name for s in self.model.inputs if s.control]
+        wrong = [c for c in self.controls if c not in known]
+        if wrong or not self.controls:
+            raise EstimationError(
+                f"model {self.model.name} has the controls {', '.join(known) or 'none'}, not {', '.join(wrong) or 'none'}"
+            )
+
+
+@dataclass(frozen=True)
+class Motion:
+    """time (N,); surfaces control -> (N,) as moved [rad], trim included; signals: name -> (N,) states and outputs."""
+
+    time: Array
+    surfaces: Mapping[str, Array]
+    signals: Mapping[str, Array]
+    reached: bool = True
+
+
+@dataclass(frozen=True)
+class LimitUse:
+    """Of one limit: most used and allowed, either side of trim or as a share of the range; SI and radians."""
+
+    name: str
+    used: float
+    allowed: float
+
+    @property
+    def share(self) -> float:
+        return self.used / self.allowed
+
+
+@dataclass(frozen=True)
+class Information:
+    """names (n,); matrix (n, n): information on the parameters, initial states projected out."""
+
+    names: tuple[str, ...]
+    matrix: Array
+
+    @property
+    def std(self) -> dict[str, float]:
+        """Cramer-Rao bound of each parameter; inf where the input tells nothing of it."""
+        scale = np.sqrt(np.diag(self.matrix))
+        seen = scale > 0.0
+        bound = np.full(len(self.names), np.inf)
+        if seen.any():
+            normal = self.matrix[np.ix_(seen, seen)] / np.outer(scale[seen], scale[seen])
+            values, vectors = np.linalg.eigh(normal)
+            # Directions of less than 1e-12 of the largest are rounding: what lies along them is not told.
+            inverse = np.where(values > 1e-12 * values.max(), 1.0 / np.maximum(values, 1e-300), np.inf)
+            spread = np.where(vectors**2 > 1e-9, vectors**2, 0.0)
+            with np.errstate(invalid="ignore"):
+                variance = np.nansum(np.where(spread > 0.0, spread * inverse, 0.0), axis=1)
+            bound[seen] = np.sqrt(variance) / scale[seen]
+        return dict(zip(self.names, bound.tolist(), strict=True))
+
+
+def driven_model(bench: Bench) -> Model:
+    """The model with a servo before each control: control becomes a state, its command `<control>_command` an input."""
+    model = bench.model
+    inputs = tuple(s for s in model.inputs if s.name not in bench.controls)
+    commands = tuple(Signal(f"{c}_command", "rad") for c in bench.controls)
+    states = tuple(Signal(c, "rad") for c in bench.controls)
+    lines = [f"{c}_dot = ({c}_command{_holding(bench, c)} - {c})/servo_lag" for c in bench.controls]
+    return replace(
+        model,
+        name=f"{model.name}, driven",
+        inputs=(*inputs, *commands),
+        states=(*model.states, *states),
+        outputs=(*model.outputs, *states),
+        parameters=tuple(replace(p, fixed=True, local=False) for p in model.parameters),
+        constants={**model.constants, "servo_lag": SERVO_LAG},
+        equations=(*model.equations, *lines),
+        transforms=(),
+        output_delays={},
+    )
+
+
+def _holding(bench: Bench, control: str) -> str:
+    held = HOLD_GAIN.get(control)
+    if not bench.held or held is None or held[0] not in bench.model.state_names:
+        return ""
+    signal, gain = held
+    return f" + {gain}*({signal} - ({bench.condition.of(signal)!r}))"
+
+
+def fly(bench: Bench, commands: Array, duration: float) -> Motion:
+    """The motion that commands (N, nu) [rad], increments at INTEGRATION_STEP over `duration` [s], would cause."""
+    model = driven_model(bench)
+    time = np.arange(len(commands), dtype=np.float64) * INTEGRATION_STEP
+    u = np.tile([bench.condition.of(s.name) for s in model.inputs], (len(time), 1))
+    first = len(model.inputs) - len(bench.controls)
+    trim = np.array([bench.condition.of(c) for c in bench.controls])
+    u[:, first:] = trim + commands
+    x0 = np.array([bench.condition.of(s.name) for s in model.states])
+    z = np.full((len(time), len(model.outputs)), np.nan)
+    simulator = Simulator.build(model, (), hold="linear")
+    motion = simulator.run(Segment(0, time, u, z, x0), {**model.starts(), **bench.values}, x0)
+    surfaces = {c: motion.x[:, len(bench.model.states) + i] for i, c in enumerate(bench.controls)}
+    signals = {s.name: motion.x[:, i] for i, s in enumerate(bench.model.states)}
+    signals |= {s.name: motion.y[:, i] for i, s in enumerate(bench.model.outputs)}
+    return Motion(time, surfaces, signals, motion.reached == len(time))
+
+
+def information(bench: Bench, motion: Motion) -> Information:
+    """What samples of this motion at the bench's rate would tell of the free parameters."""
+    stride = max(1, round(1.0 / (bench.rate_hz * INTEGRATION_STEP)))
+    keep = np.arange(0, len(motion.time), stride)
+    model = bench.model
+    u = np.tile([bench.condition.of(s.name) for s in model.inputs], (keep.size, 1))
+    for i, signal in enumerate(model.inputs):
+        if signal.name in motion.surfaces:
+            u[:, i] = motion.surfaces[signal.name][keep]
+    x0 = np.array([bench.condition.of(s.name) for s in model.states])
+    z = np.full((keep.size, len(model.outputs)), np.nan)
+    simulator = Simulator.build(model)
+    run = simulator.run(
+        Segment(0, motion.time[keep], u, z, x0), {**model.starts(), **bench.values}, x0, sensitivities=True
+    )
+    if run.dy is None or not run.finite:
+        raise EstimationError(f"model {model.name} leaves all bounds in this manoeuvre; make it smaller or shorter")
+    sigma = np.array([output_noise(bench, s, run.y[:, i]) for i, s in enumerate(model.outputs)])
+    scaled = (run.dy / sigma[None, :, None]).reshape(-1, run.dy.shape[2])
+    full = scaled.T @ scaled
+    n = len(simulator.free)
+    by_state = full[n:, n:]
+    kept = full[:n, :n] - full[:n, n:] @ np.linalg.pinv(by_state, rcond=1e-12, hermitian=True) @ full[n:, :n]
+    return Information(simulator.free, 0.5 * (kept + kept.T))
+
+
+def output_noise(bench: Bench, signal: Signal, values: Array) -> float:
+    """Noise of one output's instrument, 1 sigma."""
+    known = bench.noise.get(signal.name, NOISE.get(signal.name))
+    return known if known else max(OTHER_NOISE_SHARE * float(np.ptp(values)), 1e-9)
+
+
+def limits_used(bench: Bench, limits: Limits, commands: Array, motion: Motion) -> list[LimitUse]:
+    """How much of every limit a manoeuvre uses; limits on signals that the model does not have are left out."""
+    used = [
+        LimitUse(c, float(np.abs(commands[:, i]).max()), limits.amplitude_of(c)) for i, c in enumerate(bench.controls)
+    ]
+    signals = dict(motion.signals)
+    if "az" in signals:
+        signals["load_factor"] = -signals["az"] / 9.80665
+    for name, (least, most, relative) in limits.response.items():
+        if name not in signals:
+            continue
+        trim = signals[name][0] if relative else 0.0
+        middle, half = trim + 0.5 * (least + most), 0.5 * (most - least)
+        used.append(LimitUse(name, float(np.abs(signals[name] - middle).max()), half))
+    return used
+
+
+def with_values(model: Model, values: Mapping[str, float]) -> Model:
+    """The model with other parameter values, names it does not have left out."""
+    return model.with_starts({n: v for n, v in values.items() if n in model.parameter_names})
+
+
+def told(parameters: Sequence[Parameter]) -> list[str]:
+    """Derivatives proper, whose relative bound means something: constants and what is believed to be zero are left out."""
+    return [p.name for p in parameters if not p.fixed and not p.name.endswith("_0") and (p.reference or p.start) != 0.0]
