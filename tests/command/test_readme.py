@@ -1,4 +1,4 @@
-"""Every command of the README runs, and the README's numbers are those of the recordings."""
+"""Every command of the README and of the pages that are followed from top to bottom runs, in their order."""
 
 import re
 import shutil
@@ -9,9 +9,15 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-TEXT = (ROOT / "README.md").read_text(encoding="utf-8")
-BLOCKS = re.findall(r"^```\n(.*?)^```", TEXT, flags=re.M | re.S)
-COMMANDS = [line for block in BLOCKS for line in block.splitlines() if line.startswith("sideslip ")]
+PAGES = ("README.md", "docs/tutorial.md", "docs/export.md", "docs/design.md")
+
+
+def commands_of(page: str) -> list[str]:
+    """The lines of unnamed blocks that call `sideslip`."""
+    text = (ROOT / page).read_text(encoding="utf-8")
+    blocks = re.findall(r"^```(\w*)\n(.*?)^```$", text, flags=re.M | re.S)
+    return [line for name, block in blocks if not name for line in block.splitlines() if line.startswith("sideslip ")]
+
 
 # What a test must add: no window, an end, and fewer simulated nulls. The last value of an option counts.
 ADDED = {
@@ -22,23 +28,28 @@ ADDED = {
 ON_HARDWARE = ("preflight", "record")
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A working folder with what the README speaks of."""
-    path = tmp_path_factory.mktemp("readme")
-    (path / "recordings").symlink_to(ROOT / "recordings")
-    shutil.copyfile(ROOT / "daq" / "configs" / "cdfp.toml", path / "uav.toml")
-    (path / "ground.toml").write_text('[link]\nports = ["udpin:0"]\n')
-    return path
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A working folder with what the pages speak of."""
+    (tmp_path / "recordings").symlink_to(ROOT / "recordings")
+    shutil.copyfile(ROOT / "recordings" / "cdfp_ld4.mcap", tmp_path / "ld4.mcap")
+    shutil.copyfile(ROOT / "daq" / "configs" / "cdfp.toml", tmp_path / "uav.toml")
+    (tmp_path / "ground.toml").write_text('[link]\nports = ["udpin:0"]\n')
+    return tmp_path
 
 
-def test_the_readme_has_commands() -> None:
-    assert len(COMMANDS) >= 8
+@pytest.mark.parametrize("page", PAGES)
+def test_the_page_has_commands(page: str) -> None:
+    assert len(commands_of(page)) >= (8 if page == "README.md" else 2)
 
 
 @pytest.mark.timeout(400)
-def test_commands_run_in_order(folder: Path) -> None:
-    for command in COMMANDS:
+@pytest.mark.parametrize("page", PAGES)
+def test_commands_run_in_order(page: str, folder: Path) -> None:
+    elsewhere = commands_of("README.md") if page != "README.md" else []
+    for command in commands_of(page):
+        if command in elsewhere:  # run there
+            continue
         words = command.split()
         verb = words[1]
         done = subprocess.run(
@@ -54,5 +65,6 @@ def test_commands_run_in_order(folder: Path) -> None:
 
 
 def test_links_lead_somewhere() -> None:
-    for target in re.findall(r"\]\(([^)#]+)\)", TEXT):
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    for target in re.findall(r"\]\(([^)#]+)\)", text):
         assert (ROOT / target).exists(), target
