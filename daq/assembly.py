@@ -5,7 +5,7 @@ The same function builds the logger on the aircraft and in the simulator; only t
 
 import secrets
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 
 from daq.acquisition.sampler import Sampler
@@ -18,7 +18,11 @@ from daq.recorder.storage import Storage
 from daq.recorder.timing import LoopTiming
 from daq.sensors.bus import I2cBus, SerialPort
 from daq.telemetry.link import RadioLink, radio_link
+from daq.telemetry.uplink import TURN_NS
 from daq.transport.ports import BytePort
+
+_UPLINK_SHARE = 0.1
+"""What arrives may take this share of the time between two turns of the link, however high the scan rate."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,10 +97,11 @@ def assemble(
     """
     timing = LoopTiming()
     first = session or session_name(config, edge.clock)
-    started_utc_ns = edge.clock.utc_ns()
+    # Made once: a recording begun by command must not wait for the card that holds the calibration files.
+    identity = recording_info(config, text, first, edge.source, edge.clock.utc_ns())
 
     def make_recorder(name: str, place: str) -> Recorder:
-        info = recording_info(config, text, name, edge.source, edge.clock.utc_ns())
+        info = replace(identity, session=name, started_utc_ns=max(0, edge.clock.utc_ns()))
         return Recorder(config.recorder, info, edge.clock, folder=place, storage=edge.storage, timing=timing)
 
     def next_recorder() -> Recorder:
@@ -130,9 +135,10 @@ def assemble(
             config.downlink,
             edge.radio,
             edge.clock,
-            papers=lambda: recording_info(config, text, first, edge.source, started_utc_ns),
+            papers=lambda: identity,
             recordings=config.recorder.directories,
             boot=boot,
+            turn_ns=min(TURN_NS, round(_UPLINK_SHARE * config.scan.together * config.scan.period_ns)),
         )
         link.report_on(logger)
         logger.connect(link, link.uplink)

@@ -2,7 +2,8 @@
 
 The loop owns no hardware. It is given a clock, a sampler, a recorder and perhaps a link, real or simulated, and cannot
 tell which. Its deadlines are multiples of the period from one start, so that lateness never adds up; a slot that has
-passed is skipped and its number never used, and the recorder counts it as missed.
+passed is skipped and its number never used, and the recorder counts it as missed, also before the first scan of a
+recording and after its last.
 
 Every scan is read on its deadline. What comes after, the attitude, recorder and radio, can be done for several scans
 together: between two scans the caches run empty, and to fill them is half of what a scan costs.
@@ -26,6 +27,7 @@ _LOG = logging.getLogger("sideslip.logger")
 
 _HOUSEKEEPING_NS = NS
 _HEALTH_PAUSE_NS = NS // 5  # between two health reports of a flapping sensor
+_DEAF_NS = NS  # so long the uplink may be passed over because a scan is due, before it has its turn all the same
 
 
 class SensorSource(Protocol):
@@ -156,6 +158,10 @@ class Logger:
         self._housekeeping = housekeeping
         self._opening = tuple(opening)
         self._number = 0
+        self._tried = -1  # number of the last slot in which a scan was begun
+        self._first = 0  # number of the slot at `_start_ns`
+        self._start_ns: int | None = None  # None before the first slot
+        self._heard_ns = clock.monotonic_ns()
         self._states: dict[str, SensorState] = {}
         self._health_due = True
         self._words = ""
@@ -168,6 +174,8 @@ class Logger:
         self._link_fault = ""
         self._closers: list[threading.Thread] = []
         self._last_books: Statistics | None = None
+        self._ended = 0  # recordings given up for closing
+        self._books_of = 0  # the one of them whose books `_last_books` are
         sampler.on_event = self._switch
 
     def connect(self, downlink: Downlink, uplink: Uplink | None) -> None:
@@ -189,28 +197,44 @@ class Logger:
         return books
 
     def _scan_until(self, stop: Callable[[], bool]) -> None:
-        start = self._clock.monotonic_ns() + self._period_ns
-        first = self._number
+        self._start_ns = self._clock.monotonic_ns() + self._period_ns
+        self._first = self._number
         try:
             while not stop():
-                deadline = start + (self._number - first) * self._period_ns
+                deadline = self._deadline(self._number)
                 self._clock.sleep_until(deadline)
-                self._one_scan(deadline)
-                behind = self._clock.monotonic_ns() - (deadline + self._period_ns)
-                self._number += 1 + max(0, behind // self._period_ns)
+                try:
+                    self._one_scan(deadline)
+                finally:
+                    self._number = self._next_number()
         finally:
             self._hand_over()
+
+    def _deadline(self, number: int) -> int:
+        return (self._start_ns or 0) + (number - self._first) * self._period_ns
+
+    def _next_number(self) -> int:
+        """The slot that would be served next: the one under way, or the one after the last that was tried."""
+        if self._start_ns is None:
+            return self._number
+        under_way = self._first + (self._clock.monotonic_ns() - self._start_ns) // self._period_ns
+        return max(self._tried + 1, under_way)
 
     def _begin(self) -> None:
         summary = self._sampler.start()
         if self._recorder is not None:
-            self._recorder.detail(self._sampler.metadata())
-            self._recorder.start()
+            self._start(self._recorder)
         for line in self._opening:
             self.say(line.level, line.name, line.text)
         self.say(LogLevel.INFO, "logger", f"recording begins: {summary.words}")
 
+    def _start(self, recorder: Recorder) -> None:
+        recorder.detail(self._sampler.metadata())
+        recorder.reach(self._next_number())
+        recorder.start()
+
     def _one_scan(self, deadline: int) -> None:
+        self._tried = self._number
         started = self._clock.monotonic_ns()
         self._newest = self._sampler.take(self._number, deadline)
         ended = self._clock.monotonic_ns()
@@ -252,8 +276,8 @@ class Logger:
             if self._downlink is not None:
                 for scan in scans:
                     self._downlink.offer(scan)
-            if self._uplink is not None:
-                self._uplink.service(self._clock.monotonic_ns(), self)
+            if self._uplink is not None and self._may_listen():
+                self._uplink.service(self._heard_ns, self)
             if self._downlink is not None:
                 self._downlink.service(self._clock.monotonic_ns())
         except OSError as error:
@@ -265,6 +289,14 @@ class Logger:
             if self._link_fault:
                 self._link_fault = ""
                 self.say(LogLevel.INFO, "link", "radio port works again")
+
+    def _may_listen(self) -> bool:
+        """Whether the uplink has its turn now: not while a scan is due already, but now and then in any case."""
+        now = self._clock.monotonic_ns()
+        if now >= self._deadline(self._tried + 1) and now - self._heard_ns < _DEAF_NS:
+            return False
+        self._heard_ns = now
+        return True
 
     # ------------------------------------------------------------------------------------------ health and books
 
@@ -301,8 +333,7 @@ class Logger:
             return False
         self._hand_over()
         self._recorder = self._new_recorder()
-        self._recorder.detail(self._sampler.metadata())
-        self._recorder.start()
+        self._start(self._recorder)
         self._health_due = True
         self.say(LogLevel.INFO, "logger", "recording begins by command")
         return True
@@ -315,9 +346,11 @@ class Logger:
             return False
         self.say(LogLevel.INFO, "logger", "recording ends by command")
         self._recorder = None
-        closer = threading.Thread(target=self._close, args=(recorder,), name="recorder-close", daemon=True)
+        recorder.reach(self._next_number())
+        self._ended += 1
+        closer = threading.Thread(target=self._close, args=(recorder, self._ended), name="recorder-close", daemon=True)
         closer.start()  # a bad card may take its time; the scan loop does not wait for it
-        self._closers.append(closer)
+        self._closers = [c for c in self._closers if c.is_alive()] + [closer]
         return True
 
     def statistics(self) -> Statistics | None:
@@ -360,7 +393,9 @@ class Logger:
             summary = self._sampler.health()
             recorder.health(_as_message(summary, self._clock.utc_ns(), self._number))
             recorder.log(LogLevel.INFO, "logger", f"recording ends{_repetitions(summary)}")
-            self._close(recorder)
+            recorder.reach(self._number)
+            self._ended += 1
+            self._close(recorder, self._ended)
         for closer in self._closers:
             while closer.is_alive():
                 closer.join(0.005)
@@ -369,11 +404,12 @@ class Logger:
             raise RuntimeError("the logger had no recorder")
         return self._last_books
 
-    def _close(self, recorder: Recorder) -> None:
+    def _close(self, recorder: Recorder, which: int) -> None:
         books = recorder.close()
         if books.lost or books.dropped:
             _LOG.error("%d scans could not be written, %d were dropped", books.lost, books.dropped)
-        self._last_books = books
+        if which > self._books_of:  # one that was ended earlier may take longer
+            self._last_books, self._books_of = books, which
 
 
 _PYTHON_LEVEL: Mapping[LogLevel, int] = {

@@ -113,6 +113,7 @@ class Rig:
         self.ground_config = ground or LinkConfig(ports=("memory",))
         self._recordings = recordings
         self.link = self._link(boot)
+        self.clock.follow(lambda: self.link.backfill.preparing)
         self.ground = Receiver(self.ground_config, {"memory": self._ground_end}, self.clock, folder=folder)
 
     def _link(self, boot: int) -> RadioLink:

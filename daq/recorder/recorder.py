@@ -115,6 +115,11 @@ class Recorder:
                 self._news.notify_all()
         return True
 
+    def reach(self, number: int) -> None:
+        """Every slot before `number` is over: those without a scan were missed. The first call says where the session begins."""
+        with self._lock:
+            self._books.reach(number)
+
     def event(self, event: Event) -> None:
         """Record an event marker."""
         self._take_message(event)

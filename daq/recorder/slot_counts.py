@@ -44,13 +44,18 @@ class Books:
             "queue_high_water": self.high_water,
         }
 
-    def offer(self, number: int) -> int:
-        """A scan has been made; the numbers passed over since the last one were missed. Returns how many are in memory."""
+    def reach(self, number: int) -> None:
+        """The slots before `number` are over; those of which no scan was offered were missed. The first call begins the books."""
         if self.first is None:
             self.first = self.next = number
         if number > self.next:
             self.missed += number - self.next
             self._add_absent(self.next, number - 1)
+            self.next = number
+
+    def offer(self, number: int) -> int:
+        """A scan has been made; the numbers passed over since the last one were missed. Returns how many are in memory."""
+        self.reach(number)
         self.next = number + 1
         self.offered += 1
         return self.pending

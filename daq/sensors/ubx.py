@@ -19,6 +19,7 @@ PAYLOAD_LIMIT = 256  # twice the longest message this driver asks for; a longer 
 _PVT = Struct("<IHBBBBBBIiBBBBiiiiIIiiiiiIIHH4xihH")
 _VALID_DATE, _VALID_TIME, _FULLY_RESOLVED = 0x01, 0x02, 0x04
 _FIX_OK = 0x01
+_YEARS = range(2000, 2262)  # until nanoseconds since 1970 have more than 63 bits
 
 
 def checksum(data: bytes) -> tuple[int, int]:
@@ -101,7 +102,7 @@ def parse_nav_pvt(payload: bytes) -> NavPvt:
     itow, year, month, day, hour, minute, second, valid, time_accuracy, nano = f[:10]
     resolved = _VALID_DATE | _VALID_TIME | _FULLY_RESOLVED
     utc = 0
-    if valid & resolved == resolved:
+    if valid & resolved == resolved and _is_date(year, month, day, hour, minute, second):
         utc = (_midnight(year, month, day) + hour * 3600 + minute * 60 + second) * 1_000_000_000 + nano
     satellites, longitude, latitude = f[13:16]
     height_msl, horizontal_accuracy, vertical_accuracy, north, east, down = f[17:23]
@@ -109,6 +110,11 @@ def parse_nav_pvt(payload: bytes) -> NavPvt:
         itow, max(utc, 0), time_accuracy, f[10], f[11] & _FIX_OK != 0, satellites, longitude, latitude, height_msl,
         horizontal_accuracy, vertical_accuracy, north, east, down, f[25],
     )  # fmt: skip
+
+
+def _is_date(year: int, month: int, day: int, hour: int, minute: int, second: int) -> bool:
+    """Whether a receiver that vouches for its date says one: a checksum of 16 bits passes other things now and then."""
+    return year in _YEARS and 1 <= month <= 12 and 1 <= day <= 31 and hour < 24 and minute < 60 and second <= 60
 
 
 @lru_cache(maxsize=2)

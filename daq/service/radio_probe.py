@@ -11,6 +11,7 @@ from daq.transport.mavlink_codec import RADIO_STATUS_ID, Frame, FrameDecoder, Fr
 from daq.transport.ports import BytePort
 
 _STEP_NS = NS // 20
+_READ_BYTES = 4096  # a step: more than fourteen times what a radio at 57600 baud brings
 _FIXED_WING, _STANDBY, _MAVLINK_2 = 1, 3, 3
 
 
@@ -27,7 +28,7 @@ def listen(port: BytePort, clock: Clock, *, seconds: float = 3.0, system_id: int
                 port.write(
                     encoder.message("HEARTBEAT", type=_FIXED_WING, system_status=_STANDBY, mavlink_version=_MAVLINK_2)
                 )
-            for found in decoder.feed(port.read()):
+            for found in decoder.feed(port.read(_READ_BYTES)):
                 if isinstance(found, Frame) and found.msg_id == RADIO_STATUS_ID:
                     return _report(found)
         clock.sleep_until(now + _STEP_NS)

@@ -2,19 +2,31 @@
 
 The ground asks for sets of scans by number and gets exactly the bytes the recorder wrote, compressed and cut into
 fragments; it asks for lost fragments again. Count and hash of all scans let both ends know that nothing is missing.
+
+A request is 34 bytes and its answer milliseconds of work: answers are made in a thread of their own, remembered for when
+they are asked for again, and few may be under way.
 """
 
 import hashlib
 import json
+import logging
 import struct
 import zlib
+from bisect import bisect_right
 from collections import OrderedDict, deque
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future
+from dataclasses import dataclass, field
+from typing import NamedTuple
 
+from daq.contract.errors import UserError
 from daq.contract.recordings.messages import Event
 from daq.contract.recordings.recording import RecordingInfo
 from daq.contract.scan import Scan, encode_scan
 from daq.telemetry.send_queue import Item, item
+from daq.telemetry.worker import Worker
+
+_LOG = logging.getLogger("sideslip.uplink")
 
 MAX_WANTED = 24
 FRAGMENT_BYTES = 190
@@ -22,14 +34,28 @@ MAX_FRAGMENTS = 64
 PAPERS_PART_BYTES = 8192
 _CHUNK = 32  # scans compressed together in memory
 _SNAPSHOT = 64  # a hash is remembered at every multiple of this
-_MAX_REQUESTS = 16
+_MAX_REQUESTS = 16  # being prepared, and answers remembered: four times what a ground station asks for at a time
 _MAX_EVENTS = 200
+_PATIENCE_S = 2.0  # for the answer under way when the link is closed
 _LENGTH = struct.Struct("<I")
 
 
 def pack_scans(encoded: list[bytes]) -> bytes:
     """Encoded scans, each preceded by its length, compressed."""
     return zlib.compress(b"".join(_LENGTH.pack(len(e)) + e for e in encoded), 9)
+
+
+class Kept(NamedTuple):
+    """What the store holds of some scans: compressed chunks by number, and the scans of the chunk in progress."""
+
+    chunks: dict[int, bytes]
+    scans: dict[int, Scan]
+
+    def encoded(self, numbers: Sequence[int]) -> dict[int, bytes]:
+        """The encoded scans of these numbers, as far as they are here; milliseconds of work for a few dozen."""
+        rows = {n: data for chunk in self.chunks.values() for n, data in _rows(zlib.decompress(chunk)).items()}
+        rows |= {n: encode_scan(scan) for n, scan in self.scans.items()}
+        return {n: rows[n] for n in numbers if n in rows}
 
 
 class ScanStore:
@@ -45,8 +71,9 @@ class ScanStore:
         self._open_chunk = 0
         self._held = 0
         self._hash = hashlib.sha256()
-        self._snapshots: dict[int, tuple[int, bytes]] = {}  # last number -> count, digest
-        self._cache: tuple[int, dict[int, bytes]] = (-1, {})
+        self._snapshot_numbers: list[int] = []  # ascending
+        self._snapshots: list[tuple[int, bytes]] = []  # count and digest of all scans up to that number
+        self._newest: tuple[int, int, bytes] | None = None  # the summary of all, until the next scan comes
         self.first: int | None = None
         self.last = 0
         self.count = 0
@@ -59,9 +86,11 @@ class ScanStore:
         if number // _CHUNK != self._open_chunk:
             self._close_chunk()
             if self.count and number // _SNAPSHOT != self.last // _SNAPSHOT:
-                self._snapshots[self.last] = (self.count, self._hash.digest())
+                self._snapshot_numbers.append(self.last)
+                self._snapshots.append((self.count, self._hash.digest()))
             self._open_chunk = number // _CHUNK
         self._open[number] = scan
+        self._newest = None
         self.last = number
         self.count += 1
 
@@ -80,30 +109,34 @@ class ScanStore:
         while self._held > self._room and len(self._chunks) > 1:
             self._held -= len(self._chunks.popitem(last=False)[1])
 
+    def kept(self, numbers: Sequence[int]) -> Kept:
+        """What is held of these scans, to be worked on elsewhere; costs next to nothing."""
+        chunks = {n // _CHUNK for n in numbers}
+        return Kept(
+            {c: self._chunks[c] for c in chunks if c in self._chunks},
+            {n: self._open[n] for n in numbers if n in self._open},
+        )
+
     def get(self, number: int) -> bytes | None:
         """The encoded scan of a number; None when there was none or it has been given up."""
-        if number in self._open:
-            return encode_scan(self._open[number])
-        chunk = number // _CHUNK
-        if self._cache[0] != chunk:
-            packed = self._chunks.get(chunk)
-            if packed is None:
-                return None
-            self._cache = (chunk, _rows(zlib.decompress(packed)))
-        return self._cache[1].get(number)
+        return self.kept([number]).encoded([number]).get(number)
 
     def summary(self, through: int) -> tuple[int, int, bytes]:
         """Last number, count and hash of the scans up to the last remembered instant not after `through`."""
         if through >= self.last:
-            digest = self._hash.copy()
-            for data in map(encode_scan, self._open.values()):
-                digest.update(_LENGTH.pack(len(data)) + data)
-            return self.last, self.count, digest.digest()
-        known = [n for n in self._snapshots if n <= through]
-        if not known:
+            if self._newest is None:
+                self._newest = (self.last, self.count, self._digest_of_all())
+            return self._newest
+        at = bisect_right(self._snapshot_numbers, through) - 1
+        if at < 0:
             return self.first or 0, 0, hashlib.sha256().digest()
-        at = max(known)
-        return at, *self._snapshots[at]
+        return self._snapshot_numbers[at], *self._snapshots[at]
+
+    def _digest_of_all(self) -> bytes:
+        digest = self._hash.copy()
+        for data in map(encode_scan, self._open.values()):
+            digest.update(_LENGTH.pack(len(data)) + data)
+        return digest.digest()
 
 
 def _rows(data: bytes) -> dict[int, bytes]:
@@ -136,70 +169,159 @@ def papers_of(info: RecordingInfo, events: Sequence[Event] = ()) -> tuple[bytes,
     return zlib.compress(json.dumps(identity).encode(), 9), archive
 
 
+@dataclass(frozen=True, slots=True)
+class _Answer:
+    """The bytes that answer a request; empty when there is nothing to be had."""
+
+    data: bytes
+    checksum: int
+    fragments: int
+
+
+def _answer(data: bytes) -> _Answer:
+    return _Answer(data, zlib.crc32(data), -(-len(data) // FRAGMENT_BYTES))
+
+
+class _Preparation:
+    """Makes answers, and remembers them. All of it belongs to the worker's thread."""
+
+    def __init__(self, papers: Callable[[], RecordingInfo | None]) -> None:
+        self._papers = papers
+        self._info: RecordingInfo | None = None
+        self._made: tuple[int, bytes, bytes] | None = None  # papers: how many events, identity, archive
+        self._answers: OrderedDict[tuple[int, int], _Answer] = OrderedDict()
+
+    def scans(self, first: int, wanted: int, kept: Kept) -> _Answer:
+        key = (first, wanted)
+        if key in self._answers:
+            self._answers.move_to_end(key)
+            return self._answers[key]
+        numbers = [first + i for i in range(64) if wanted >> i & 1]
+        here = list(kept.encoded(numbers).values())
+        made = _answer(pack_scans(here) if here else b"")
+        if len(here) == len(numbers):  # else not offered yet, or given up: an answer that may change is not kept
+            self._answers[key] = made
+            if len(self._answers) > _MAX_REQUESTS:
+                self._answers.popitem(last=False)
+        return made
+
+    def part(self, part: int, events_so_far: int, events: tuple[Event, ...]) -> _Answer:
+        """A part of the papers: 0 the identity, then the archive."""
+        if self._info is None:
+            self._info = self._identity()
+        if self._info is None:
+            return _answer(b"")
+        if self._made is None or self._made[0] != events_so_far:
+            self._made = (events_so_far, *papers_of(self._info, events))
+        _, identity, archive = self._made
+        return _answer(identity if part == 0 else archive[(part - 1) * PAPERS_PART_BYTES : part * PAPERS_PART_BYTES])
+
+    def _identity(self) -> RecordingInfo | None:
+        try:
+            return self._papers()
+        except (OSError, UserError) as error:  # the calibration files have been taken away meanwhile
+            _LOG.error("the recording's identity cannot be sent: %s", error)
+            return None
+
+
+@dataclass(slots=True)
+class _Job:
+    """A request whose answer is being made."""
+
+    future: "Future[_Answer]"
+    fragments: int  # wanted, one bit each
+
+
+@dataclass(slots=True)
+class _Waiting:
+    """Fragments of an answer that wait to be sent."""
+
+    answer: _Answer
+    indices: deque[int] = field(default_factory=deque)
+
+
 class BackfillServer:
-    """Answers BACKFILL_REQUEST and BACKFILL_SUMMARY_REQUEST in what bandwidth is left."""
+    """Answers BACKFILL_REQUEST and BACKFILL_SUMMARY_REQUEST in what bandwidth is left.
+
+    papers: identity and attachments of the recording, None while there is none; asked in the worker's thread.
+    All methods belong to one thread; `close` ends the worker.
+    """
 
     def __init__(self, store: ScanStore, boot: int, papers: Callable[[], RecordingInfo | None]) -> None:
         self._store = store
         self._boot = boot
-        self._papers = papers
-        # What is queued is not queued again, however often it is asked for.
-        self._queue: OrderedDict[tuple[int, int, int], Item] = OrderedDict()
-        self._answers: OrderedDict[tuple[int, int], bytes] = OrderedDict()
+        self._preparation = _Preparation(papers)
+        self._worker = Worker("backfill", room=_MAX_REQUESTS)
+        # What is being made or queued is not made or queued again, however often it is asked for.
+        self._jobs: OrderedDict[tuple[int, int], _Job] = OrderedDict()
+        self._queue: OrderedDict[tuple[int, int], _Waiting] = OrderedDict()
         self._events: deque[Event] = deque(maxlen=_MAX_EVENTS)
+        self._events_so_far = 0
 
     def event(self, event: Event) -> None:
         """Keep an event for the papers."""
         self._events.append(event)
+        self._events_so_far += 1
 
-    def request(self, first: int, wanted: int, fragments: int) -> None:
-        """Queue the wanted fragments of an answer; a request that is too large or too many at once is ignored."""
-        if wanted.bit_count() > MAX_WANTED or len(self._queue) > _MAX_REQUESTS * MAX_FRAGMENTS:
-            return
-        data = self._answer(first, wanted)
-        total = (len(data) + FRAGMENT_BYTES - 1) // FRAGMENT_BYTES
-        if total > MAX_FRAGMENTS:
-            return
-        if not total:
-            self._queue[first, wanted, 0] = item("BACKFILL_DATA", wanted=wanted, first_number=first, boot=self._boot)
-        for i in range(total):
-            if fragments >> i & 1:
-                self._queue.setdefault((first, wanted, i), self._fragment(first, wanted, data, i, total))
+    def request(self, first: int, wanted: int, fragments: int) -> bool:
+        """Have the wanted fragments of an answer sent; False for a request that is too large, or one too many."""
+        key = (first, wanted)
+        job = self._jobs.get(key)
+        if job is not None:
+            job.fragments |= fragments
+            return True
+        full = key not in self._queue and len(self._queue) + len(self._jobs) >= _MAX_REQUESTS
+        if full or wanted.bit_count() > MAX_WANTED:
+            return False
+        future = self._prepare(first, wanted)
+        if future is None:
+            return False
+        self._jobs[key] = _Job(future, fragments)
+        return True
 
-    def _fragment(self, first: int, wanted: int, data: bytes, index: int, total: int) -> Item:
-        part = data[index * FRAGMENT_BYTES : (index + 1) * FRAGMENT_BYTES]
+    def _prepare(self, first: int, wanted: int) -> "Future[_Answer] | None":
+        if not wanted:
+            events = tuple(self._events)
+            return self._worker.submit(self._preparation.part, first, self._events_so_far, events)
+        kept = self._store.kept([first + i for i in range(64) if wanted >> i & 1])
+        return self._worker.submit(self._preparation.scans, first, wanted, kept)
+
+    @property
+    def preparing(self) -> bool:
+        """Whether an answer is being made; a simulated clock waits on this (`follow`)."""
+        return self._worker.busy
+
+    def _take_prepared(self) -> None:
+        """Queue the fragments of what has been made, in the order in which it was asked for."""
+        while self._jobs:
+            key, job = next(iter(self._jobs.items()))
+            if not job.future.done():
+                return
+            del self._jobs[key]
+            answer = job.future.result()
+            if answer.fragments > MAX_FRAGMENTS:
+                continue
+            waiting = self._queue.setdefault(key, _Waiting(answer))
+            if waiting.answer.data != answer.data:
+                waiting = self._queue[key] = _Waiting(answer)
+            wanted = (i for i in range(max(1, answer.fragments)) if job.fragments >> i & 1 or not answer.fragments)
+            waiting.indices.extend(i for i in wanted if i not in waiting.indices)
+            if not waiting.indices:
+                del self._queue[key]
+
+    def _fragment(self, first: int, wanted: int, answer: _Answer, index: int) -> Item:
+        part = answer.data[index * FRAGMENT_BYTES : (index + 1) * FRAGMENT_BYTES]
         return item(
             "BACKFILL_DATA",
             wanted=wanted,
             first_number=first,
-            checksum=zlib.crc32(data),
+            checksum=answer.checksum,
             boot=self._boot,
             fragment=index,
-            fragments=total,
+            fragments=answer.fragments,
             length=len(part),
             data=part,
         )
-
-    def _answer(self, first: int, wanted: int) -> bytes:
-        if not wanted:
-            return self._papers_part(first)
-        key = (first, wanted)
-        if key not in self._answers:
-            found = [self._store.get(first + i) for i in range(64) if wanted >> i & 1]
-            here = [data for data in found if data is not None]
-            if len(here) < len(found):  # not offered yet, or given up: an answer that may change is not kept
-                return pack_scans(here) if here else b""
-            self._answers[key] = pack_scans(here)
-            while len(self._answers) > _MAX_REQUESTS:
-                self._answers.popitem(last=False)
-        return self._answers[key]
-
-    def _papers_part(self, part: int) -> bytes:
-        info = self._papers()
-        if info is None:
-            return b""
-        identity, archive = papers_of(info, tuple(self._events))
-        return identity if part == 0 else archive[(part - 1) * PAPERS_PART_BYTES : part * PAPERS_PART_BYTES]
 
     def summary(self, through: int) -> Item:
         """The BACKFILL_SUMMARY of all scans up to about `through`."""
@@ -216,8 +338,19 @@ class BackfillServer:
     @property
     def busy(self) -> bool:
         """Whether anything waits to be sent."""
-        return bool(self._queue)
+        return bool(self._queue or self._jobs)
 
     def next_item(self) -> Item | None:
-        """The next fragment to send."""
-        return self._queue.popitem(last=False)[1] if self._queue else None
+        """The next fragment to send; None while there is none, or while it is being made."""
+        self._take_prepared()
+        if not self._queue:
+            return None
+        (first, wanted), waiting = next(iter(self._queue.items()))
+        index = waiting.indices.popleft()
+        if not waiting.indices:
+            del self._queue[first, wanted]
+        return self._fragment(first, wanted, waiting.answer, index)
+
+    def close(self) -> None:
+        """End the worker."""
+        self._worker.close(_PATIENCE_S)

@@ -17,6 +17,18 @@ MIN_RATE_HZ = 2.0
 """The downlink never sends fewer scans than this while it is on, whatever the radio reports."""
 
 
+class LinkLimits(BaseModel):
+    """`[downlink.limits]`: what the ground may ask at most. Beyond it, requests are refused, counted and told."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    requests_per_s: Annotated[float, Field(gt=0, le=1000)] = 50.0  # of one sender; two senders' worth for all together
+    recording_s: Annotated[float, Field(ge=0, le=3600)] = 10.0  # a recording begun by command lasts at least so long
+    recordings: Annotated[int, Field(ge=0, le=10_000)] = 100  # begun by command, until the logger is started again
+    marks_per_s: Annotated[float, Field(gt=0, le=100)] = 1.0  # events marked by command, in the long run
+    marks_at_once: Annotated[int, Field(ge=1, le=100)] = 5
+
+
 class DownlinkConfig(BaseModel):
     """What is sent to the ground, how fast, and who may command the logger.
 
@@ -40,6 +52,7 @@ class DownlinkConfig(BaseModel):
     key_file: Path | None = None  # 32 bytes or 64 hexadecimal digits, mode 0600; with it unsigned commands do nothing
     signing_state: Path | None = None  # where the signing timestamps survive a restart; default beside the key
     backfill_memory_mb: Annotated[float, Field(gt=0)] = 64.0  # scans kept compressed in memory for late requests
+    limits: LinkLimits = LinkLimits()
     scan_queue: Annotated[int, Field(ge=1, le=1000)] = (
         4  # scan frames waiting for the port before the oldest is dropped
     )

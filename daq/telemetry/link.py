@@ -14,8 +14,8 @@ from daq.telemetry.backfill import BackfillServer, ScanStore
 from daq.telemetry.config import DownlinkConfig
 from daq.telemetry.downlink import Downlink, OnboardStatus
 from daq.telemetry.log_server import LogServer
-from daq.telemetry.uplink import Uplink
-from daq.transport.ports import BytePort, SerialPort
+from daq.telemetry.uplink import TURN_NS, Uplink
+from daq.transport.ports import BytePort, SerialPort, UdpPort
 from daq.transport.reconnecting_port import open_lasting
 from daq.transport.signing import Signer, load_key
 
@@ -149,8 +149,12 @@ def radio_link(
     papers: Callable[[], RecordingInfo | None] = lambda: None,
     recordings: Sequence[Path] = (),
     boot: int | None = None,
+    turn_ns: int = TURN_NS,
 ) -> RadioLink:
-    """The link of one logger. recordings: directories whose files can be downloaded. boot: given only in tests."""
+    """The link of one logger. recordings: directories whose files can be downloaded. boot: given only in tests.
+
+    papers: asked in a thread of its own. turn_ns: how long what arrives may occupy the scan loop at a time [ns].
+    """
     boot = boot or secrets.randbelow(255) + 1
     signer = signer_for(config, clock)
     downlink = Downlink(config, port, clock, boot=boot, signer=signer, status=status)
@@ -162,6 +166,8 @@ def radio_link(
         downlink,
         signer=signer,
         backfill=backfill,
-        logs=LogServer(recordings),
+        logs=LogServer(recordings, clock.monotonic_ns),
+        turn_ns=turn_ns,
+        dropped=(lambda: port.dropped) if isinstance(port, UdpPort) else lambda: 0,
     )
     return RadioLink(downlink, uplink, store, backfill, port)

@@ -2,12 +2,16 @@
 
 With a signing key set, only frames with a good signature do anything; others are counted and reported. The one
 exception is RADIO_STATUS, which radios cannot sign and which can only slow the downlink down within limits.
+
+The scan loop gives each turn a few milliseconds, whatever arrives: so many bytes are read, so many frames are taken, and
+what is left waits for the next turn. Requests of a sender and commands that cost something on the card are limited;
+what is refused is counted and told now and then.
 """
 
 import logging
-from collections import OrderedDict
-from collections.abc import Callable, Mapping
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections import OrderedDict, deque
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Future
 from statistics import fmean
 from typing import Any, Protocol
 
@@ -21,7 +25,10 @@ from daq.telemetry.backfill import BackfillServer
 from daq.telemetry.downlink import Downlink
 from daq.telemetry.flight_state import flight_evidence
 from daq.telemetry.log_server import LogServer
+from daq.telemetry.refusals import REPORT_NS, Refusals
 from daq.telemetry.send_queue import Item, item
+from daq.telemetry.uplink_limits import CommandBudget, SenderLimits
+from daq.telemetry.worker import Worker
 from daq.transport.mavlink_codec import RADIO_STATUS_ID, Frame, FrameDecoder
 from daq.transport.ports import BytePort
 from daq.transport.signing import Signer, Verdict
@@ -29,14 +36,22 @@ from daq.transport.signing import Signer, Verdict
 _LOG = logging.getLogger("sideslip.uplink")
 
 READ_BYTES = 4096
+"""Bytes read in a turn: ten turns a second take seven times what a radio at 57600 baud brings. Noise made to be hard to
+decode costs 0.25 us a byte on a 2020s x86 core, five times that on a small ARM one: 1 to 5 ms."""
+_PIECE_BYTES = 512  # read at a time; between two pieces the clock is asked
+TURN_NS = 5_000_000
+"""A turn ends after so long, a tenth of the time between two scans at 20 Hz."""
+FRAMES = 128
+"""Frames taken in a turn; each costs some 10 us, twenty times what a ground station sends in a turn."""
 _MEMORY = 256
 _REPEAT_NS = 30 * NS
-_REPORT_NS = 5 * NS
-_WARNING = 4
 _NOTICE = 5
+_PATIENCE_S = 2.0  # for a save of the signing timestamps that is under way when the link is closed
 Fields = Mapping[str, Any]
 
 _HARMLESS = ("HEARTBEAT", "TIMESYNC", "RADIO_STATUS")
+_BUSY = "too much is under way"
+_UNLIMITED = ("HEARTBEAT", "RADIO_STATUS")  # not answered, and cheap
 
 
 class LoggerControl(Protocol):
@@ -61,7 +76,10 @@ class LoggerControl(Protocol):
 
 
 class Uplink:
-    """Reads a link's port and acts on what the ground may ask."""
+    """Reads a link's port and acts on what the ground may ask.
+
+    turn_ns: how long a turn may take. dropped: how many datagrams the port could not take so far.
+    """
 
     def __init__(
         self,
@@ -72,6 +90,8 @@ class Uplink:
         signer: Signer | None = None,
         backfill: BackfillServer | None = None,
         logs: LogServer | None = None,
+        turn_ns: int = TURN_NS,
+        dropped: Callable[[], int] = lambda: 0,
     ) -> None:
         self._port = port
         self._clock = clock
@@ -79,16 +99,21 @@ class Uplink:
         self._signer = signer
         self._backfill = backfill
         self._logs = logs
-        self._servers = tuple(server for server in (backfill, logs) if server is not None)
+        self._servers = deque(server for server in (backfill, logs) if server is not None)
         self._decoder = FrameDecoder()
+        self._frames: deque[Frame] = deque()  # decoded, not taken yet
+        self._turn_ns = turn_ns
+        self._limits = SenderLimits(downlink.config.limits.requests_per_s)
+        self._budget = CommandBudget(downlink.config.limits)
+        self._refusals = Refusals(downlink.text)
+        self._dropped = dropped
+        self._dropped_told = 0
+        self._dropped_asked_ns = 0
         self._done: OrderedDict[tuple[Any, ...], tuple[int, int]] = OrderedDict()  # command -> time, result
-        self._reported_ns: int | None = None
-        self._unreported = 0
-        self._refusal = ""
         self._saver: Future[None] | None = None
-        self._worker: ThreadPoolExecutor | None = None
+        self._worker = Worker("uplink-signing")
         downlink.outbox.bulk = self._next_bulk
-        self._handlers: Mapping[str, Callable[[Fields, int], None]] = {
+        self._handlers: Mapping[str, Callable[[Fields, int], bool]] = {
             "RADIO_STATUS": self._on_radio_status,
             "TIMESYNC": self._on_timesync,
             "SENT_MAP_REQUEST": self._on_sent_map_request,
@@ -101,35 +126,59 @@ class Uplink:
         }
 
     def _next_bulk(self) -> Item | None:
-        for server in self._servers:
+        """The next message of one of the servers; they take turns."""
+        for _ in range(len(self._servers)):
+            server = self._servers[0]
+            self._servers.rotate(-1)
             if server.busy and (made := server.next_item()) is not None:
                 return made
         return None
 
     def service(self, now_ns: int, control: LoggerControl) -> None:
-        """Act on what has arrived."""
-        data = self._port.read(READ_BYTES)
-        if data:
-            for found in self._decoder.feed(data):
-                if isinstance(found, Frame) and found.known:
-                    self._take(found, now_ns, control)
-        if self._unreported:
-            self._report_refusals(now_ns)
+        """Act on what has arrived, as far as this turn goes."""
+        until_ns = self._clock.monotonic_ns() + self._turn_ns
+        for _, frame in zip(range(FRAMES), self._arriving(until_ns), strict=False):
+            self._take(frame, now_ns, control)
+            if self._clock.monotonic_ns() >= until_ns:
+                break
+        if now_ns - self._dropped_asked_ns >= REPORT_NS:
+            self._dropped_asked_ns = now_ns
+            self._note_dropped()
+        self._refusals.tell(now_ns)
         if self._signer is not None and self._signer.needs_saving():
             self._save_signing(self._signer)
 
+    def _arriving(self, until_ns: int) -> Iterator[Frame]:
+        """Frames that were left from the last turn, then those of what is read in this one."""
+        left = READ_BYTES
+        while True:
+            while self._frames:
+                yield self._frames.popleft()
+            if left <= 0 or self._clock.monotonic_ns() >= until_ns:
+                return
+            data = self._port.read(min(left, _PIECE_BYTES))
+            if not data:
+                return
+            left -= len(data)
+            self._frames.extend(f for f in self._decoder.feed(data) if isinstance(f, Frame) and f.known)
+
+    def _note_dropped(self) -> None:
+        dropped = self._dropped()
+        more, self._dropped_told = dropped - self._dropped_told, dropped
+        if more:
+            self._refusals.note(f"{more} datagrams dropped unread: too long, or too many to be read")
+
     def close(self) -> None:
         """End the worker threads and save the signing timestamps."""
-        if self._worker is not None:
-            self._worker.shutdown(wait=True)
-            self._worker = None
-        if self._signer is not None:
+        if not self._worker.close(_PATIENCE_S):
+            _LOG.error("signing timestamps not saved: the card does not answer")
+        elif self._signer is not None:
             try:
                 self._signer.save()
             except OSError as error:
                 _LOG.error("signing timestamps not saved: %s", error)
-        if self._logs is not None:
-            self._logs.close()
+        for server in self._servers:
+            server.close()
 
     def _save_signing(self, signer: Signer) -> None:
         """Save signing timestamps in a thread, for the card may be slow, one save at a time."""
@@ -139,8 +188,6 @@ class Uplink:
             error = self._saver.exception()
             if error is not None:
                 _LOG.error("signing timestamps not saved: %s", error)
-        if self._worker is None:
-            self._worker = ThreadPoolExecutor(1, thread_name_prefix="uplink-signing")
         self._saver = self._worker.submit(signer.save)
 
     def _take(self, frame: Frame, now_ns: int, control: LoggerControl) -> None:
@@ -149,79 +196,87 @@ class Uplink:
         if self._signer is not None and frame.msg_id != RADIO_STATUS_ID:
             verdict = self._signer.judge(frame.signed_part, (frame.system, frame.component), frame.signature)
             if not verdict.accepted:
-                self._refuse(frame, verdict)
+                self._refuse_unproven(frame, verdict)
                 return
         fields = frame.fields()
         target = fields.get("target_system", 0)
         if target not in (0, self._downlink.config.system_id):
             return
+        sender = (frame.system, frame.component)
+        if frame.name not in _UNLIMITED and not self._limits.allow(sender, now_ns):
+            self._refuse(frame, "too many requests")
+            return
         if frame.name == "COMMAND_LONG":
             self._command(frame, fields, now_ns, control)
             return
         if frame.name in gcs_replies.REQUESTS:
-            made = gcs_replies.answer(
-                frame.name, fields, (frame.system, frame.component), lambda: self._downlink.config.rate_hz
-            )
-            if made is not None:
-                self._downlink.outbox.put_low(made)
+            made = gcs_replies.answer(frame.name, fields, sender, lambda: self._downlink.config.rate_hz)
+            if made is not None and not self._downlink.outbox.put_asked(made):
+                self._refuse(frame, _BUSY)
             return
         handler = self._handlers.get(frame.name)
-        if handler is not None:
-            handler(fields, now_ns)
+        if handler is not None and not handler(fields, now_ns):
+            self._refuse(frame, _BUSY)
 
-    def _refuse(self, frame: Frame, verdict: Verdict) -> None:
-        self._downlink.refusals.rejected_frames += 1
+    def _refuse_unproven(self, frame: Frame, verdict: Verdict) -> None:
         if frame.name in _HARMLESS and verdict is Verdict.UNSIGNED:
-            return
-        self._unreported += 1
-        self._refusal = f"refused {frame.name} from {frame.system}/{frame.component}: {verdict.value}"
+            self._downlink.refusals.rejected_frames += 1
+        else:
+            self._refuse(frame, verdict.value)
 
-    def _report_refusals(self, now_ns: int) -> None:
-        """Tell of refusals, at most every five seconds, all of them in time."""
-        if self._reported_ns is not None and now_ns - self._reported_ns < _REPORT_NS:
-            return
-        words = self._refusal + (f" (and {self._unreported - 1} more)" if self._unreported > 1 else "")
-        _LOG.warning("%s", words)
-        self._downlink.text(_WARNING, words)
-        self._reported_ns, self._unreported = now_ns, 0
+    def _refuse(self, frame: Frame, why: str) -> None:
+        self._downlink.refusals.rejected_frames += 1
+        self._refusals.note(f"refused {frame.name} from {frame.system}/{frame.component}: {why}")
 
     # ----------------------------------------------------------------------------------------- messages
+    # Each handler says whether the message could be taken; False when too much waits already.
 
-    def _on_radio_status(self, fields: Fields, now_ns: int) -> None:
+    def _on_radio_status(self, fields: Fields, now_ns: int) -> bool:
         self._downlink.radio_status(min(100, fields["txbuf"]), now_ns)
+        return True
 
-    def _on_timesync(self, fields: Fields, now_ns: int) -> None:
-        if fields["tc1"] == 0:
-            now = self._clock.monotonic_ns()
-            self._downlink.outbox.put_urgent(item("TIMESYNC", tc1=now, ts1=fields["ts1"]))
+    def _on_timesync(self, fields: Fields, now_ns: int) -> bool:
+        if fields["tc1"] != 0:
+            return True
+        now = self._clock.monotonic_ns()
+        return self._downlink.outbox.put_answer(item("TIMESYNC", tc1=now, ts1=fields["ts1"]))
 
-    def _on_sent_map_request(self, fields: Fields, now_ns: int) -> None:
-        if fields["boot"] == self._downlink.boot:
-            self._downlink.outbox.put_low(self._downlink.sent_map(fields["first_number"] // BLOCK))
+    def _on_sent_map_request(self, fields: Fields, now_ns: int) -> bool:
+        if fields["boot"] != self._downlink.boot:
+            return True
+        return self._downlink.outbox.put_asked(self._downlink.sent_map(fields["first_number"] // BLOCK))
 
-    def _on_backfill_request(self, fields: Fields, now_ns: int) -> None:
-        if self._backfill is not None and fields["boot"] == self._downlink.boot:
-            self._backfill.request(fields["first_number"], fields["wanted"], fields["fragments"])
+    def _on_backfill_request(self, fields: Fields, now_ns: int) -> bool:
+        if self._backfill is None or fields["boot"] != self._downlink.boot:
+            return True
+        return self._backfill.request(fields["first_number"], fields["wanted"], fields["fragments"])
 
-    def _on_backfill_summary_request(self, fields: Fields, now_ns: int) -> None:
-        if self._backfill is not None and fields["boot"] in (0, self._downlink.boot):
-            self._downlink.outbox.put_low(self._backfill.summary(fields["through_number"]))
-            self._downlink.outbox.put_low(self._downlink.statistics())
+    def _on_backfill_summary_request(self, fields: Fields, now_ns: int) -> bool:
+        if self._backfill is None or fields["boot"] not in (0, self._downlink.boot):
+            return True
+        outbox = self._downlink.outbox
+        return outbox.put_asked(self._backfill.summary(fields["through_number"])) and outbox.put_asked(
+            self._downlink.statistics()
+        )
 
-    def _on_log_request_list(self, fields: Fields, now_ns: int) -> None:
+    def _on_log_request_list(self, fields: Fields, now_ns: int) -> bool:
         if self._logs is not None:
             self._logs.request_list(fields["start"], fields["end"])
+        return True
 
-    def _on_log_request_data(self, fields: Fields, now_ns: int) -> None:
+    def _on_log_request_data(self, fields: Fields, now_ns: int) -> bool:
         if self._logs is not None:
             self._logs.request_data(fields["id"], fields["ofs"], fields["count"])
+        return True
 
-    def _on_log_request_end(self, fields: Fields, now_ns: int) -> None:
+    def _on_log_request_end(self, fields: Fields, now_ns: int) -> bool:
         if self._logs is not None:
             self._logs.request_end()
+        return True
 
-    def _on_log_erase(self, fields: Fields, now_ns: int) -> None:
-        self._downlink.text(_WARNING, "LOG_ERASE refused: recordings are not erased from the ground")
+    def _on_log_erase(self, fields: Fields, now_ns: int) -> bool:
+        self._refusals.note("LOG_ERASE refused: recordings are not erased from the ground")
+        return True
 
     # ----------------------------------------------------------------------------------------- commands
 
@@ -235,8 +290,9 @@ class Uplink:
         if known is not None and repeated and now_ns - known[0] < _REPEAT_NS:
             result = known[1]
         else:
-            result = self._obey(command, parameters, control)
-            self._done[key] = (now_ns, result)
+            result = self._obey(frame, command, parameters, now_ns, control)
+            if result != c.TEMPORARILY_REJECTED:  # which may be another answer the next time
+                self._done[key] = (now_ns, result)
             if len(self._done) > _MEMORY:
                 self._done.popitem(last=False)
             if result not in (c.ACCEPTED, c.UNSUPPORTED):
@@ -248,24 +304,44 @@ class Uplink:
             target_system=frame.system,
             target_component=frame.component,
         )
-        self._downlink.outbox.put_urgent(ack)
+        if not self._downlink.outbox.put_answer(ack):
+            self._refuse(frame, _BUSY)
 
-    def _obey(self, command: int, parameters: tuple[float, ...], control: LoggerControl) -> int:
+    def _obey(
+        self, frame: Frame, command: int, parameters: tuple[float, ...], now_ns: int, control: LoggerControl
+    ) -> int:
         match command:
-            case c.LOGGING_START:
-                if not control.start_recording() and not control.recording:
-                    return c.FAILED
-            case c.LOGGING_STOP:
-                control.stop_recording()
-            case c.EVENT_MARK:
-                control.mark_event(f"mark {_whole(parameters[0])}", "ground")
+            case c.LOGGING_START | c.LOGGING_STOP | c.EVENT_MARK:
+                why = self._change_recording(command, parameters, now_ns, control)
+                if why:
+                    self._refusals.note(f"refused command {command} from {frame.system}/{frame.component}: {why}")
+                    return c.TEMPORARILY_REJECTED
+                return c.FAILED if command == c.LOGGING_START and not control.recording else c.ACCEPTED
             case c.SET_MESSAGE_INTERVAL:
                 return self._set_rate(parameters)
             case c.PREFLIGHT_CALIBRATION:
-                return self._zero_pitot(parameters, control)
+                return self._zero_pitot(parameters, now_ns, control)
             case _:
                 return c.UNSUPPORTED
-        return c.ACCEPTED
+
+    def _change_recording(
+        self, command: int, parameters: tuple[float, ...], now_ns: int, control: LoggerControl
+    ) -> str:
+        """Begin, end or mark the recording; why not, where the budget speaks against it."""
+        why = ""
+        if command == c.EVENT_MARK:
+            why = self._budget.against_mark(now_ns)
+            if not why:
+                control.mark_event(f"mark {_whole(parameters[0])}", "ground")
+        elif command == c.LOGGING_STOP and control.recording:
+            why = self._budget.against_stop(now_ns)
+            if not why:
+                control.stop_recording()
+        elif command == c.LOGGING_START and not control.recording:
+            why = self._budget.against_start()
+            if not why and control.start_recording():
+                self._budget.started(now_ns)
+        return why
 
     def _set_rate(self, parameters: tuple[float, ...]) -> int:
         if parameters[0] != SCAN_FAST_ID:
@@ -273,18 +349,18 @@ class Uplink:
         interval = parameters[1]
         rate = self._downlink.config.rate_hz if interval == 0 else 1e6 / interval if interval > 0 else 0.0
         if not self._downlink.set_rate(rate):
-            self._downlink.text(_WARNING, f"downlink rate {rate:.1f} Hz refused: outside 2 Hz to the byte budget")
+            self._refusals.note(f"downlink rate {rate:.1f} Hz refused: outside 2 Hz to the byte budget")
             return c.DENIED
         return c.ACCEPTED
 
-    def _zero_pitot(self, parameters: tuple[float, ...], control: LoggerControl) -> int:
+    def _zero_pitot(self, parameters: tuple[float, ...], now_ns: int, control: LoggerControl) -> int:
         others = [p for i, p in enumerate(parameters[:6]) if i != c.AIRSPEED_PARAMETER - 1]
         if parameters[c.AIRSPEED_PARAMETER - 1] != c.AIRSPEED_CALIBRATION or any(others):
             return c.UNSUPPORTED
         scans = list(self._downlink.recent)
-        evidence = flight_evidence(scans)
-        if evidence is not None:
-            self._downlink.text(_WARNING, f"pitot not zeroed: {evidence}")
+        evidence = flight_evidence(scans) or self._budget.against_mark(now_ns)
+        if evidence:
+            self._refusals.note(f"pitot not zeroed: {evidence}")
             return c.TEMPORARILY_REJECTED
         counts = [s.values["pitot_pressure"] for s in scans if "pitot_pressure" in s.values]
         control.mark_event(c.pitot_zero_text(fmean(counts), len(counts)), "ground")

@@ -3,9 +3,11 @@
 The common Python decoder drops as many bytes as a damaged frame claims to have, and with them the frames behind it.
 This one moves on by a single byte after every failure, so nothing behind a damaged frame is lost. Only MAVLink 2 is
 accepted, with one exception: the MAVLink 1 RADIO_STATUS that SiK radios put into the stream, and only exactly that.
-No byte sequence makes the decoder raise.
+No byte sequence makes the decoder raise, and none makes it work much: what cannot begin a frame by its first three bytes
+is passed over by a compiled search, and a checksum is computed only where length, flags and message id go together.
 """
 
+import re
 import struct
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -31,6 +33,13 @@ _SIK_HEADER = bytes([51, 68])
 _SIK_PAYLOAD = 9
 _SIK_FRAME = 6 + _SIK_PAYLOAD + CHECKSUM_BYTES
 RADIO_STATUS_ID = 109
+
+# Where a frame may begin, by as much of its head as is there: length not zero and flags known; or RADIO_STATUS of a SiK radio.
+_BEGINS = re.compile(
+    rb"\xfd(?:\Z|[^\x00](?:\Z|[\x00\x01]))"
+    rb"|\xfe(?:\Z|\x09(?:\Z|.(?:\Z|\x33(?:\Z|\x44(?:\Z|\x6d)))))",
+    re.DOTALL,
+)
 
 Value = int | float | str | bytes | tuple[int | float, ...]
 
@@ -192,13 +201,14 @@ class FrameDecoder:
         out: list[Frame | Junk] = []
         at, size = 0, len(buffer)
         while at < size:
-            first = buffer[at]
-            if first == MAGIC:
-                found = _frame_at(buffer, at, size, last)
-            elif first == MAGIC_V1:
-                found = _sik_frame_at(buffer, at, size, last)
-            else:
-                found = 0
+            possible = _BEGINS.search(buffer, at)
+            begin = possible.start() if possible is not None else size
+            self._junk += buffer[at:begin]
+            at = begin
+            if at == size:
+                break
+            examine = _frame_at if buffer[at] == MAGIC else _sik_frame_at
+            found = examine(buffer, at, size, last)
             if found is None:
                 break
             if isinstance(found, Frame):
@@ -209,11 +219,8 @@ class FrameDecoder:
                 self.counts.frame_bytes += len(found.raw)
                 continue
             self._damaged += found
-            end = at + 1
-            while end < size and buffer[end] != MAGIC and buffer[end] != MAGIC_V1:
-                end += 1
-            self._junk += buffer[at:end]
-            at = end
+            self._junk.append(buffer[at])
+            at += 1
         self._rest = bytes(buffer[at:])
         if self._junk and (last or len(self._junk) > MAX_FRAME_BYTES * 4):
             self._flush_junk(out)

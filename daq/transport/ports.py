@@ -3,13 +3,18 @@
 `read` returns what has arrived, possibly nothing; `write` takes what fits and says how much that was. A loop that
 scans sensors or draws pictures can therefore use any of them directly. Listeners bind to loopback unless a host is
 named.
+
+Whoever sends faster than a reader reads gains nothing: a read gives at most as many bytes as were asked for, from a
+bounded number of datagrams; the rest waits in the system's buffer, and what finds no room there is gone.
 """
 
 import errno
 import os
 import select
 import socket
+import struct
 from collections import deque
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, Literal, Protocol
 
@@ -19,6 +24,13 @@ DEFAULT_BAUD = 57600
 MAX_PEERS = 8
 _LOOPBACK = "127.0.0.1"
 _READ_BYTES = 65536
+DATAGRAM_BYTES = 2048
+"""Longer datagrams are dropped and counted: none of MAVLink needs more than an Ethernet frame's 1472 bytes."""
+DATAGRAMS = 256
+"""Datagrams taken in one read at most: an empty one costs time too, but no bytes of the limit."""
+_RECEIVE_BUFFER = 1 << 20
+_SO_MEMINFO, _MEMINFO_DROPS = 55, 8  # Linux, asm-generic/socket.h and linux/sock_diag.h: nine 32-bit counts
+_MEMINFO = struct.Struct("9I")
 _CLIENT_BACKLOG = 1 << 20
 _CONNECT_S = 3.0
 _WOULD_BLOCK = (errno.EAGAIN, errno.EWOULDBLOCK, errno.EINTR)
@@ -115,7 +127,7 @@ class UdpPort:
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
         try:
             self._socket.setblocking(False)
-            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
             if local is not None:
                 self._socket.bind(local)
             if remote is not None:
@@ -125,6 +137,8 @@ class UdpPort:
             raise
         self._fixed = remote is not None
         self._peers: dict[Any, None] = {}
+        self._held: tuple[str, bytes] | None = None  # taken from the system, not given to the reader yet
+        self._too_long = 0
 
     @property
     def address(self) -> tuple[str, int]:
@@ -132,27 +146,59 @@ class UdpPort:
         name = self._socket.getsockname()
         return str(name[0]), int(name[1])
 
-    def receive(self) -> list[tuple[str, bytes]]:
-        """All datagrams that have arrived, with a name of their sender."""
+    @property
+    def dropped(self) -> int:
+        """Datagrams that were not taken: too long, or the system's buffer was full."""
+        with suppress(OSError):  # not Linux
+            counts = self._socket.getsockopt(socket.SOL_SOCKET, _SO_MEMINFO, _MEMINFO.size)
+            return self._too_long + int(_MEMINFO.unpack(counts)[_MEMINFO_DROPS])
+        return self._too_long
+
+    def receive(self, limit: int = _READ_BYTES) -> list[tuple[str, bytes]]:
+        """Datagrams that have arrived, at most `limit` bytes together, with a name of their sender.
+
+        One that does not fit into what is left of the limit comes with the next call; only one longer than the
+        limit itself is given in parts.
+        """
         out: list[tuple[str, bytes]] = []
-        while True:
-            try:
-                data, peer = self._socket.recvfrom(_READ_BYTES)
-            except OSError as error:
-                if error.errno in _PEER_GONE:
-                    continue
-                if error.errno in _WOULD_BLOCK:
-                    return out
-                raise
-            if not self._fixed:
-                self._peers.pop(peer, None)
-                self._peers[peer] = None
-                if len(self._peers) > MAX_PEERS:
-                    self._peers.pop(next(iter(self._peers)))
-            out.append((f"{peer[0]}:{peer[1]}", data))
+        for _ in range(DATAGRAMS):
+            name, data = self._held or self._next_datagram()
+            self._held = None
+            if len(data) > limit and not out:
+                data, rest = data[:limit], data[limit:]
+                self._held = (name, rest)
+            elif len(data) > limit:
+                self._held = (name, data)
+                break
+            if data:
+                out.append((name, data))
+                limit -= len(data)
+            if not name or not limit:
+                break
+        return out
+
+    def _next_datagram(self) -> tuple[str, bytes]:
+        """The next datagram and its sender's name; no data for one that is of no use, no name when none has arrived."""
+        try:
+            data, peer = self._socket.recvfrom(DATAGRAM_BYTES + 1)
+        except OSError as error:
+            if error.errno in _PEER_GONE:
+                return "gone", b""
+            if error.errno in _WOULD_BLOCK:
+                return "", b""
+            raise
+        if len(data) > DATAGRAM_BYTES:
+            self._too_long += 1
+            return "too long", b""
+        if not self._fixed:
+            self._peers.pop(peer, None)
+            self._peers[peer] = None
+            if len(self._peers) > MAX_PEERS:
+                self._peers.pop(next(iter(self._peers)))
+        return f"{peer[0]}:{peer[1]}", data
 
     def read(self, limit: int = _READ_BYTES) -> bytes:
-        return b"".join(data for _, data in self.receive())
+        return b"".join(data for _, data in self.receive(limit))
 
     def write(self, data: bytes) -> int:
         """Send one datagram to each peer; with nobody to send to it is taken and gone, as on a radio."""
@@ -184,9 +230,11 @@ class _Stream:
         self.name = name
         self.open = True
         self._connection = connection
-        self._backlog = b""
+        self._backlog = bytearray()
 
     def read(self, limit: int) -> bytes:
+        if not limit:
+            return b""  # not to be taken for the end of the connection
         try:
             data = self._connection.recv(limit)
         except OSError as error:
@@ -198,19 +246,17 @@ class _Stream:
         return data
 
     def write(self, data: bytes) -> int:
-        waiting = self._backlog + data
+        if self._backlog:
+            del self._backlog[: self._send(self._backlog)]
+        return 0 if self._backlog or not data else self._send(data)
+
+    def _send(self, data: bytes | bytearray) -> int:
         try:
-            sent = self._connection.send(waiting) if waiting else 0
+            return self._connection.send(data)
         except OSError as error:
             if error.errno not in _WOULD_BLOCK:
                 self.close()
-            sent = 0
-        taken = sent - len(self._backlog)
-        if taken >= 0:
-            self._backlog = b""
-            return taken
-        self._backlog = self._backlog[sent:]
-        return 0
+            return 0
 
     def push(self, data: bytes) -> None:
         """Hand over all of `data`; a peer that falls too far behind is disconnected."""
@@ -251,7 +297,7 @@ class TcpServerPort:
     def __init__(self, host: str, number: int) -> None:
         self._listener = socket.create_server((host, number))
         self._listener.setblocking(False)
-        self._streams: list[_Stream] = []
+        self._streams: list[_Stream] = []  # the first is asked first, and goes to the end
 
     @property
     def address(self) -> tuple[str, int]:
@@ -259,15 +305,20 @@ class TcpServerPort:
         name = self._listener.getsockname()
         return str(name[0]), int(name[1])
 
-    def receive(self) -> list[tuple[str, bytes]]:
-        """What has arrived, by peer."""
+    def receive(self, limit: int = _READ_BYTES) -> list[tuple[str, bytes]]:
+        """What has arrived, by peer, at most `limit` bytes together; peers take turns at being first."""
         self._accept()
-        out = [(s.name, data) for s in self._streams if (data := s.read(_READ_BYTES))]
-        self._streams = [s for s in self._streams if s.open]
+        out: list[tuple[str, bytes]] = []
+        for waiting, stream in zip(range(len(self._streams), 0, -1), tuple(self._streams), strict=True):
+            data = stream.read(limit // waiting)  # its fair share of what those before it left
+            if data:
+                out.append((stream.name, data))
+                limit -= len(data)
+        self._streams = [s for s in (*self._streams[1:], *self._streams[:1]) if s.open]
         return out
 
     def read(self, limit: int = _READ_BYTES) -> bytes:
-        return b"".join(data for _, data in self.receive())
+        return b"".join(data for _, data in self.receive(limit))
 
     def write(self, data: bytes) -> int:
         self._accept()
@@ -277,7 +328,7 @@ class TcpServerPort:
         return len(data)
 
     def _accept(self) -> None:
-        while True:
+        for _ in range(MAX_PEERS):
             try:
                 connection, peer = self._listener.accept()
             except OSError as error:
@@ -337,7 +388,7 @@ class SerialPort:
 class MemoryPort:
     """One end of a pair that exchanges bytes within a process; see `memory_pair`."""
 
-    def __init__(self, inbox: deque[bytes], outbox: deque[bytes]) -> None:
+    def __init__(self, inbox: deque[memoryview], outbox: deque[memoryview]) -> None:
         self._inbox = inbox
         self._outbox = outbox
 
@@ -352,7 +403,7 @@ class MemoryPort:
         return bytes(out)
 
     def write(self, data: bytes) -> int:
-        self._outbox.append(bytes(data))
+        self._outbox.append(memoryview(bytes(data)))  # what is left of it is not copied at every read
         return len(data)
 
     def close(self) -> None:
@@ -361,6 +412,6 @@ class MemoryPort:
 
 def memory_pair() -> tuple[MemoryPort, MemoryPort]:
     """Two connected ports: what one writes the other reads."""
-    left: deque[bytes] = deque()
-    right: deque[bytes] = deque()
+    left: deque[memoryview] = deque()
+    right: deque[memoryview] = deque()
     return MemoryPort(left, right), MemoryPort(right, left)

@@ -14,6 +14,8 @@ from daq.transport.ports import BytePort, PortError, SerialPort, TcpClientPort, 
 
 FIRST_RETRY_NS = 500_000_000
 LONGEST_RETRY_NS = 8_000_000_000
+PATIENCE_S = 1.0
+"""To close a port waits this long for an attempt to open it; a name server may take longer to answer."""
 _READ_BYTES = 65536
 _NOBODY_THERE = (
     errno.ECONNREFUSED, errno.ENETUNREACH, errno.EHOSTUNREACH, errno.ENETDOWN, errno.ETIMEDOUT, errno.EAGAIN,
@@ -82,11 +84,9 @@ class LastingPort:
         return taken
 
     def close(self) -> None:
-        """Give the port back; waits for an attempt to open that is under way."""
+        """Give the port back; an attempt to open it that is still under way gives its own back when it is done."""
         if self._attempt is not None:
-            self._attempt.thread.join()
-            if self._attempt.port is not None:
-                self._attempt.port.close()
+            self._attempt.abandon()
             self._attempt = None
         if self._port is not None:
             self._port.close()
@@ -126,14 +126,29 @@ class _Attempt:
     def __init__(self, open_again: Callable[[], ClosingPort]) -> None:
         self.port: ClosingPort | None = None
         self._open_again = open_again
+        self._lock = threading.Lock()
+        self._abandoned = False
         self.thread = threading.Thread(target=self._run, name="port-opening", daemon=True)
         self.thread.start()
 
+    def abandon(self) -> None:
+        """Nobody wants the port any more: wait a little for it, then leave it to the thread to close it."""
+        self.thread.join(PATIENCE_S)
+        with self._lock:
+            self._abandoned = True
+            if self.port is not None:
+                self.port.close()
+
     def _run(self) -> None:
         try:
-            self.port = self._open_again()
+            port = self._open_again()
         except (OSError, PortError):
-            self.port = None
+            return
+        with self._lock:
+            if self._abandoned:
+                port.close()
+            else:
+                self.port = port
 
 
 def open_lasting(text: str, open_serial: Callable[[str, int], SerialPort]) -> BytePort:

@@ -226,6 +226,9 @@ def prepare_flight(
     assembly = assemble(config, text, edge, session=session, folder="", boot=1 + seed % 255)
     assembly.recorder.detail({"simulation.scenario": scenario.name, "simulation.seed": str(seed)})
     clock.follow(assembly.recorder.busy)
+    if assembly.link is not None:
+        backfill = assembly.link.backfill
+        clock.follow(lambda: backfill.preparing)
     flight = SimulatedFlight(
         scenario=scenario,
         folder=folder,

@@ -1,6 +1,7 @@
 """The logger as the service runs it, on a replayed bus and GPS port, until SIGTERM; prints its books as one JSON line.
 
-Arguments: configuration, recorded answers, for how many seconds GPS fixes come. Who measures looks from outside.
+Arguments: configuration, recorded answers, for how many seconds GPS fixes come; then, if the radio is to be a real port, its
+description (`udpin:14550`), and how long a bus transfer takes [us]. Who measures looks from outside.
 """
 
 import json
@@ -15,17 +16,19 @@ from daq.clock import RealClock
 from daq.config import load_config
 from daq.recorder.timing import describe
 from daq.service.run import run_until_signal
-from daq.transport.ports import memory_pair
-from tests.benchmarks.replayed_bus import ReplayedBus, ReplayedReceiver
+from daq.telemetry.link import open_port
+from daq.transport.ports import BytePort, memory_pair
+from tests.benchmarks.replayed_bus import ReplayedBus, ReplayedReceiver, TimedBus
 
 _EMPTY_RADIO_S = 10.0
 
 
-def main(config_path: Path, answers: Path, seconds: float) -> None:
+def main(config_path: Path, answers: Path, seconds: float, radio: str = "", transfer_us: float = 0.0) -> None:
     """Run the logger and print how it went."""
     config, text = load_config(config_path)
-    air, ground = memory_pair()
-    bus = ReplayedBus(answers)
+    memory, ground = memory_pair()
+    air: BytePort = open_port(radio) if radio else memory
+    bus = TimedBus(answers, transfer_us * 1e-6) if transfer_us else ReplayedBus(answers)
     set_up = Sampler.start
 
     def start(sampler: Sampler) -> HealthSummary:
@@ -44,6 +47,7 @@ def main(config_path: Path, answers: Path, seconds: float) -> None:
     listener.start()
     edge = Edge(RealClock(), bus, ReplayedReceiver(answers, seconds), "simulated", radio=air)
     outcome = run_until_signal(config, text, edge, [])
+    air.close()
     over.set()
     listener.join()
     books = outcome.books
@@ -52,6 +56,7 @@ def main(config_path: Path, answers: Path, seconds: float) -> None:
         "slots": books.slots,
         "written": books.written,
         "missed": books.missed,
+        "closes": books.closes,
         "later_than_5_ms": books.late_scans,
         "timing_us": {name: {"p50": p50, "p99": p99} for name, p50, p99 in describe(books)},
     }
@@ -59,4 +64,4 @@ def main(config_path: Path, answers: Path, seconds: float) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), Path(sys.argv[2]), float(sys.argv[3]))
+    main(Path(sys.argv[1]), Path(sys.argv[2]), float(sys.argv[3]), *sys.argv[4:5], *map(float, sys.argv[5:6]))

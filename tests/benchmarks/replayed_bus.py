@@ -137,6 +137,32 @@ class ReplayedBus:
         pass
 
 
+class TimedBus(ReplayedBus):
+    """A replayed bus whose transfers take time, in which the interpreter is given away as the kernel's driver gives it."""
+
+    def __init__(self, path: Path, transfer_s: float) -> None:
+        super().__init__(path)
+        self._transfer_s = transfer_s
+
+    def read_byte_data(self, address: int, register: int, /) -> int:
+        time.sleep(self._transfer_s)
+        return super().read_byte_data(address, register)
+
+    def read_i2c_block_data(self, address: int, register: int, length: int, /) -> list[int]:
+        time.sleep(self._transfer_s)
+        return super().read_i2c_block_data(address, register, length)
+
+    def write_byte_data(self, address: int, register: int, value: int, /) -> None:
+        time.sleep(self._transfer_s)
+
+    def write_i2c_block_data(self, address: int, register: int, data: Sequence[int], /) -> None:
+        time.sleep(self._transfer_s)
+
+    def i2c_rdwr(self, *messages: Any) -> None:
+        time.sleep(self._transfer_s)
+        super().i2c_rdwr(*messages)
+
+
 def _in_turn(answers: Answers) -> dict[Question, Callable[[], list[int]]]:
     return {question: cycle(given).__next__ for question, given in answers.items()}
 

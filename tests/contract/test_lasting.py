@@ -2,6 +2,7 @@
 
 import os
 import pty
+import threading
 import time
 import tty
 from collections.abc import Callable, Iterator
@@ -9,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from daq.transport import reconnecting_port
 from daq.transport.ports import BytePort, PortError, SerialPort, TcpServerPort
 from daq.transport.reconnecting_port import FIRST_RETRY_NS, LONGEST_RETRY_NS, LastingPort, open_lasting
 from groundstation.receiver.link import open_port
@@ -177,3 +179,26 @@ def test_busy_listener_is_one_sentence(closing: list[BytePort]) -> None:
     closing.append(server)
     with pytest.raises(PortError, match="is another program using it"):
         open_lasting(f"tcpin:{server.address[1]}", lambda *_: pytest.fail("no serial port"))
+
+
+def test_closing_does_not_wait_for_a_host_that_does_not_answer(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(reconnecting_port, "PATIENCE_S", 0.01, raising=False)
+    answered = threading.Event()
+    late = TcpServerPort("127.0.0.1", 0)
+    closed = threading.Event()
+    late.close = lambda: (TcpServerPort.close(late), closed.set())  # type: ignore[assignment,method-assign,func-returns-value]
+
+    def opening() -> TcpServerPort:
+        assert answered.wait(20.0)
+        return late
+
+    port = quick(LastingPort(opening, None, why="no answer"))  # type: ignore[arg-type]
+    away(port)
+    closer = threading.Thread(target=port.close)
+    closer.start()
+    closer.join(5.0)
+    waits = closer.is_alive()
+    answered.set()
+    closer.join()
+    assert not waits
+    assert closed.wait(20.0), "what is opened too late is closed at once"

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from daq.contract.link.dialect import sideslip_dialect
 from daq.contract.link.wire import SCAN_FAST_ID, layouts, pack_scan
+from daq.transport import mavlink_codec
 from daq.transport.mavlink_codec import Frame, FrameDecoder, FrameEncoder, Junk, frames_of, message_types
 from tests.link_rig import random_scan
 
@@ -128,3 +129,47 @@ def test_values_that_do_not_fit_are_a_programming_fault() -> None:
         FrameEncoder(1, 1).message("HEARTBEAT", type=300)
     with pytest.raises(ValueError, match="no field tpye"):
         FrameEncoder(1, 1).message("HEARTBEAT", tpye=3)
+
+
+_AWKWARD = st.lists(
+    st.one_of(
+        st.sampled_from(
+            [b"\xfd", b"\xfe", b"\xfd\x01\x00", b"\xfd\x09\x01", b"\xfe\x09\x00\x33\x44\x6d", b"\x00", b"\xfd\x00"]
+        ),
+        st.sampled_from(stream(4)),
+        st.sampled_from(stream(2)).map(lambda frame: frame[:-1]),
+        st.binary(max_size=6),
+    ),
+    max_size=30,
+)
+
+
+@given(_AWKWARD, st.integers(1, 40))
+@settings(max_examples=300, deadline=None)
+def test_pieces_of_any_size_give_the_same_frames_and_damage(parts: list[bytes], size: int) -> None:
+    """Where a buffer ends within the head of a frame decides nothing."""
+    data = b"".join(parts)
+    whole, pieces = FrameDecoder(), FrameDecoder()
+    at_once = frames_of([*whole.feed(data), *whole.finish()])
+    in_pieces = [f for at in range(0, len(data), size) for f in pieces.feed(data[at : at + size])]
+    assert frames_of([*in_pieces, *pieces.finish()]) == at_once
+    assert (pieces.counts.frames, pieces.counts.discarded_bytes) == (whole.counts.frames, whole.counts.discarded_bytes)
+
+
+@pytest.mark.parametrize(
+    ("noise", "looks"),
+    [(b"\xfd", 0.001), (b"\xfe", 0.001), (b"\xfd\xfe", 0.001), (b"\xfd\xff", 0.001), (b"\xfd\x10\x00", 0.35)],
+)
+def test_noise_of_magic_bytes_is_passed_over_without_examining_each(
+    monkeypatch: pytest.MonkeyPatch, noise: bytes, looks: float
+) -> None:
+    examined: list[int] = []
+    for name in ("_frame_at", "_sik_frame_at"):
+        real = getattr(mavlink_codec, name)
+        monkeypatch.setattr(mavlink_codec, name, lambda *a, real=real: (examined.append(1), real(*a))[1])
+    decoder = FrameDecoder()
+    data = noise * (60_000 // len(noise))
+    decoder.feed(data)
+    decoder.finish()
+    assert decoder.counts.discarded_bytes == len(data)
+    assert len(examined) <= looks * len(data)

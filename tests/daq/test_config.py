@@ -9,6 +9,7 @@ from pydantic import BaseModel
 
 from daq.config import ConfigError, LoggerConfig, ScanConfig, load_config, parse_config, read_calibration
 from daq.sensors.config import cdfp_sensors
+from daq.telemetry.config import LinkLimits
 from firmware_sim.hardware.registers.ublox import Fix, nav_pvt
 from firmware_sim.hardware.sensor_models import GnssModel
 from firmware_sim.physics.atmosphere import Site
@@ -36,6 +37,7 @@ def test_example_shows_the_defaults() -> None:
         assert table[section].keys() == plain.keys(), f"[{section}] of the example leaves keys out"
         different = [k for k, v in table[section].items() if v != plain[k] and k not in marked]
         assert not different, f"[{section}] {different}: neither default nor marked CDFP"
+    assert table["downlink"]["limits"] == LinkLimits().model_dump(mode="json")
 
 
 @pytest.mark.parametrize(
@@ -56,6 +58,8 @@ def test_scans_are_handed_over_together_as_far_as_a_scan_has_room(
         ("[scan]\nrate_hz = 'fast'", ["scan.rate_hz is 'fast'", "number"]),
         ("[recorder]\nqueue_s = 0.1\nflush_s = 5", ["recorder.queue_s"]),
         ("[recorder]\ndirectories = []", ["recorder.directories"]),
+        ("[downlink.limits]\nmarks_per_s = 0", ["downlink.limits.marks_per_s is 0", "greater than 0"]),
+        ("[downlink.limits]\nmarks = 3", ["downlink.limits.marks is not known"]),
         ("[wings]\nspan = 3", ["wings is not known"]),
         ("[sensors.imu]\naddress = 300", ["sensors.imu.address is 300"]),
         ("[downlink]\nrate_hz = 50", ["downlink", "50"]),

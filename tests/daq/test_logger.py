@@ -4,6 +4,7 @@ import threading
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from daq.acquisition.health import GroupHealth, HealthSummary
@@ -11,7 +12,7 @@ from daq.acquisition.sampler import EventMark, UnfinishedScan
 from daq.acquisition.supervisor import Outcome
 from daq.clock import NS, RealClock, SimulatedClock
 from daq.contract.recordings.accounting import verify
-from daq.contract.recordings.messages import Event, LogLevel
+from daq.contract.recordings.messages import Event, LogLevel, Statistics
 from daq.contract.recordings.reading import read_recording
 from daq.contract.scan import GroupStatus, Scan, SensorState
 from daq.logger import Control, Logger, Opening
@@ -302,3 +303,144 @@ def test_clock_runs_in_real_time_too(tmp_path: Path) -> None:
     assert books.closes
     assert books.written == len(sampler.numbers)
     assert verify(tmp_path).ok
+
+
+class Stalling:
+    """An uplink whose turn takes long, and which can do something in it; it should not, but if it does it is counted."""
+
+    def __init__(self, rig: Rig, at: int, stall_ns: int, then: Callable[[Control], object] = lambda _: None) -> None:
+        self.turns: list[int] = []
+        self._rig, self._at, self._stall_ns, self._then = rig, at, stall_ns, then
+
+    def service(self, now_ns: int, control: Control) -> None:
+        self.turns.append(now_ns)
+        if len(self._rig.sampler.numbers) == self._at:
+            self._rig.clock.advance(self._stall_ns)
+            self._then(control)
+            self._at = -1
+
+
+def stalled(path: Path, at: int, stall_ns: int, **options: Callable[[Control], object]) -> Rig:
+    rig = Rig(path, link=FakeLink())
+    rig.logger.connect(FakeLink(), Stalling(rig, at, stall_ns, **options))
+    return rig
+
+
+def test_slots_that_pass_while_the_end_is_awaited_are_missed_too(tmp_path: Path) -> None:
+    rig = stalled(tmp_path, 34, 6_800_000_000)
+    books = rig.logger.run(rig.until(8.0))  # it is asked to end during the stall: no scan follows
+    # The last scan begins at 34 * 50 ms; its turn of the link lasts 2 ms + 6.8 s: slot 170 is under way then.
+    assert rig.sampler.numbers[-1] == 33
+    assert (books.slots, books.written, books.missed) == (170 - 1, 34, 135)
+    assert books.absent == ((34, 168),)
+    assert books.closes
+    result = verify(tmp_path / "s1")
+    assert result.ok, result.text
+    assert result.missed == 135
+
+
+def test_slots_that_pass_before_a_recording_is_ended_by_command_are_missed_in_it(tmp_path: Path) -> None:
+    rig = stalled(tmp_path, 40, 1_000_000_000, then=lambda control: control.stop_recording())
+    books = rig.logger.run(rig.until(6.0))
+    assert books.session == "s1"
+    assert (books.slots, books.written, books.missed) == (59, 40, 19), "slot 59 is under way and belongs to nobody"
+    assert verify(tmp_path / "s1").missed == 19
+    assert verify(tmp_path / "s1").ok
+
+
+def test_slots_that_pass_after_a_recording_is_begun_by_command_are_missed_in_it(tmp_path: Path) -> None:
+    rig = Rig(tmp_path, link=FakeLink())
+
+    def begin(control: Control) -> None:
+        control.stop_recording()
+        control.start_recording()
+        rig.clock.advance(1_000_000_000)
+
+    rig.logger.connect(FakeLink(), Stalling(rig, 40, 0, then=begin))
+    books = rig.logger.run(rig.until(6.0))
+    assert books.session == "s2"
+    assert (books.missed, books.absent) == (20 - 1, ((40, 58),))
+    assert books.closes
+    assert verify(tmp_path / "s2").ok
+    assert sorted([*read_recording(tmp_path / "s1").numbers, *read_recording(tmp_path / "s2").numbers]) == [
+        *range(40),
+        *range(59, books.next_number),
+    ]
+
+
+def test_a_slot_whose_scan_fails_is_missed(tmp_path: Path) -> None:
+    def fails(number: int) -> int:
+        if number == 50:
+            raise ZeroDivisionError
+        return 0
+
+    rig = Rig(tmp_path, duration_ns=fails)
+    with pytest.raises(ZeroDivisionError):
+        rig.logger.run(rig.until(5))
+    books = rig.logger.statistics()
+    assert books is not None
+    assert (books.slots, books.written, books.missed) == (51, 50, 1)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_whatever_stalls_slots_close_with_the_clock(tmp_path: Path, seed: int) -> None:
+    """Each slot since the first is written or missed: counted from the clock, not from the logger's own numbers."""
+    rng = np.random.default_rng(seed)
+    rig = Rig(tmp_path, link=FakeLink(), duration_ns=lambda _: int(rng.choice([2e6, 2e6, 2e6, 60e6, 400e6])))
+
+    class Slow(Questions):
+        def service(self, now_ns: int, control: Control) -> None:
+            rig.clock.advance(int(rng.choice([0, 0, 0, 30e6, 700e6])))
+
+    rig.logger.connect(FakeLink(), Slow())
+    asked: list[int] = []
+
+    def stop() -> bool:
+        asked.append(rig.clock.monotonic_ns())
+        return asked[-1] >= 20 * NS
+
+    books = rig.logger.run(stop)
+    since_first = (asked[-1] - asked[0]) // 50_000_000
+    assert abs(books.slots - since_first) <= 1
+    assert books.slots == books.written + books.missed
+    assert books.written == len(rig.sampler.numbers)
+    assert books.missed > 50
+    assert verify(tmp_path / "s1").ok
+
+
+def test_the_uplink_waits_while_a_scan_is_due_but_not_for_ever(tmp_path: Path) -> None:
+    rig = Rig(tmp_path, link=FakeLink(), duration_ns=lambda _: 60_000_000)  # each scan takes longer than a period
+    uplink = Stalling(rig, -1, 0)
+    rig.logger.connect(FakeLink(), uplink)
+    rig.logger.run(rig.until(20.0))
+    pauses = [b - a for a, b in zip(uplink.turns, uplink.turns[1:], strict=False)]
+    assert 15 <= len(uplink.turns) <= 21
+    assert min(pauses) >= NS
+    assert max(pauses) <= NS + 150_000_000
+
+
+def test_books_at_the_end_are_those_of_the_last_recording_however_long_an_earlier_one_takes_to_close(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig = Rig(tmp_path)
+    later_closed = threading.Event()
+    close = Recorder.close
+
+    def slow(recorder: Recorder, timeout_s: float = 60.0) -> Statistics:
+        if recorder.session == "s1":
+            assert later_closed.wait(20.0)
+        books = close(recorder, timeout_s)
+        if recorder.session == "s2":
+            later_closed.set()
+        return books
+
+    monkeypatch.setattr(Recorder, "close", slow)
+
+    def stop() -> bool:
+        n = len(rig.sampler.numbers)
+        if n == 20:
+            rig.logger.stop_recording()
+            rig.logger.start_recording()
+        return n >= 40
+
+    assert rig.logger.run(stop).session == "s2"

@@ -156,6 +156,23 @@ class EndsItself(RealClock):
             signal.raise_signal(signal.SIGTERM)
 
 
+def test_the_scan_loop_has_the_interpreter_back_soon_while_it_runs_and_nothing_is_changed_afterwards(
+    tmp_path: Path,
+) -> None:
+    config = parse_config('[recorder]\ndirectories = ["rec"]\n[scan]\nrate_hz = 100\n[sensors]\n', tmp_path / "l.toml")
+    seen: list[float] = []
+
+    class Looks(EndsItself):
+        def sleep_until(self, monotonic_ns: int) -> None:
+            seen.append(sys.getswitchinterval())
+            super().sleep_until(monotonic_ns)
+
+    before = sys.getswitchinterval()
+    run_until_signal(config, "", Edge(Looks(), None, None, "simulated"), [])
+    assert max(seen) < 0.001 < before
+    assert sys.getswitchinterval() == before
+
+
 def test_unit_file_fits_the_service() -> None:
     parser = configparser.ConfigParser(strict=False, interpolation=None)
     parser.optionxform = str  # type: ignore[assignment,method-assign]

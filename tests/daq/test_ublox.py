@@ -61,6 +61,17 @@ def test_time_counts_only_when_fully_resolved(valid: int) -> None:
     assert parse_nav_pvt(pvt(valid=valid)).utc_ns == 0
 
 
+@pytest.mark.parametrize(
+    ("at", "value"),
+    [(4, 0), (4, 9999), (4, 65535), (6, 0), (6, 13), (6, 255), (7, 0), (7, 32), (8, 24), (9, 60), (10, 61)],
+)
+def test_a_date_that_is_none_is_no_time_and_no_error(at: int, value: int) -> None:
+    """Byte offsets of year (two bytes), month, day, hour, minute, second."""
+    payload = bytearray(pvt())
+    payload[at : at + (2 if at == 4 else 1)] = value.to_bytes(2 if at == 4 else 1, "little")
+    assert parse_nav_pvt(bytes(payload)).utc_ns == 0
+
+
 def test_leap_second_is_not_an_error() -> None:
     assert parse_nav_pvt(pvt(second=60)).utc_ns - parse_nav_pvt(pvt(second=59)).utc_ns == 10**9
 
