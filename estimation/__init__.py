@@ -10,30 +10,50 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from estimation.aircraft import Aircraft, load_aircraft
+    from estimation.engine.data import Preparation
     from estimation.engine.simulate import simulate, simulate_with_sensitivities
+    from estimation.estimators.estimator import Estimator, Extra, Look, Task
+    from estimation.estimators.gauss_newton import LoopOptions
     from estimation.estimators.output_error import OutputErrorOptions, output_error
     from estimation.estimators.result import Result
-    from estimation.models import InputTransform, Model, Parameter, Signal, load_model, read_model, write_model
+    from estimation.models import (
+        InputTransform,
+        Model,
+        Parameter,
+        ParameterRole,
+        Signal,
+        load_model,
+        read_model,
+        write_model,
+    )
 
 _HOMES = {
     "Aircraft": "estimation.aircraft",
     "load_aircraft": "estimation.aircraft",
+    "Preparation": "estimation.engine.data",
     "simulate": "estimation.engine.simulate",
     "simulate_with_sensitivities": "estimation.engine.simulate",
+    "LoopOptions": "estimation.estimators.gauss_newton",
     "OutputErrorOptions": "estimation.estimators.output_error",
     "output_error": "estimation.estimators.output_error",
+    "Estimator": "estimation.estimators.estimator",
+    "Extra": "estimation.estimators.estimator",
+    "Look": "estimation.estimators.estimator",
+    "Task": "estimation.estimators.estimator",
     "Result": "estimation.estimators.result",
     "InputTransform": "estimation.models",
     "Model": "estimation.models",
     "Parameter": "estimation.models",
+    "ParameterRole": "estimation.models",
     "Signal": "estimation.models",
     "load_model": "estimation.models",
     "read_model": "estimation.models",
     "write_model": "estimation.models",
 }
 __all__ = [
-    "Aircraft", "InputTransform", "Model", "OutputErrorOptions", "Parameter", "Result", "Signal", "load_aircraft",
-    "load_model", "output_error", "read_model", "simulate", "simulate_with_sensitivities", "write_model",
+    "Aircraft", "Estimator", "Extra", "InputTransform", "Look", "LoopOptions", "Model", "OutputErrorOptions", "Parameter",
+    "ParameterRole", "Preparation", "Result", "Signal", "Task", "load_aircraft", "load_model", "output_error", "read_model",
+    "simulate", "simulate_with_sensitivities", "write_model",
 ]  # fmt: skip
 
 

@@ -56,5 +56,5 @@ def _flight_info(file: Path) -> dict[str, Any]:
         "last_scan": None,
         "channels": columns,
         "software": flight.provenance.software,
-        "notes": list(flight.notes),
+        "notes": [note.text for note in flight.notes],
     }

@@ -64,7 +64,7 @@ class UnfinishedScan(NamedTuple):
     outcomes: dict[str, Outcome]
 
 
-def _ignore(_: EventMark) -> None:
+def _ignore(_: object) -> None:
     return
 
 
@@ -73,7 +73,8 @@ class Sampler:
 
     bus, serial: the I2C bus and the GPS receiver's port, real or simulated; None where nothing fitted needs them.
     autopilot: serial port of the `mavlink_servo` driver. pulse: returns the monotonic time of the newest
-    pulse-per-second edge [ns], or None. on_event: told about every edge of the event switch.
+    pulse-per-second edge [ns], or None. on_event: told about every edge of the event switch; on_taken: about every scan as
+    soon as it is read, in the sampler's thread.
     Raises DriverConfigError when the configuration asks for a driver or port that is not there.
     """
 
@@ -88,8 +89,10 @@ class Sampler:
         autopilot: SerialPort | None = None,
         pulse: Callable[[], int | None] | None = None,
         on_event: Callable[[EventMark], None] = _ignore,
+        on_taken: Callable[[UnfinishedScan], None] = _ignore,
     ) -> None:
         self.on_event = on_event
+        self.on_taken = on_taken
         self._config = config
         self._clock = clock
         self._pulse = pulse
@@ -175,7 +178,9 @@ class Sampler:
                 self.on_event(EventMark(time_ns, number, "switch"))
         utc, accuracy = self.timebase.utc(start)
         lateness_us = min(max(0, start - deadline_ns) // 1000, 2**32 - 1)
-        return UnfinishedScan(number, start, utc, accuracy, lateness_us, outcomes)
+        taken = UnfinishedScan(number, start, utc, accuracy, lateness_us, outcomes)
+        self.on_taken(taken)
+        return taken
 
     def finish(self, taken: UnfinishedScan) -> Scan:
         """The scan, with the attitude at its instant."""

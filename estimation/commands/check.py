@@ -48,13 +48,13 @@ def check(
 ) -> int:
     """Check that accelerations, rates, attitude and air data of each FLIGHT tell the same story."""
     from estimation.aircraft import load_aircraft
-    from estimation.commands.estimate import select_segments, write_json
+    from estimation.commands.outputs import write_json
     from estimation.compatibility.correct import corrected
     from estimation.compatibility.excitation import excitation_findings, predicted_bounds
-    from estimation.compatibility.present import factor_lines, published_lines, write_figure
     from estimation.compatibility.reconstruction import compatibility
-    from estimation.laboratory import unique_names
     from estimation.models.kinematic import STANDARD_FACTORS
+    from estimation.report.compatibility_tables import factor_lines, published_lines, write_figure
+    from estimation.session.flights import select_segments, unique_names
     from groundstation.flight import read_flight, write_flight
     from groundstation.flight.quality import quality_report, worst
 
@@ -127,7 +127,7 @@ def _as_json(
     results: "Sequence[tuple[str, Compatibility]]",
 ) -> dict[str, object]:
     """As in the interface: one entry a flight, and the joint factors where there are any."""
-    from estimation.compatibility.present import fit_of
+    from estimation.report.compatibility_tables import fit_of
 
     entries = []
     for flight, findings, (_, result) in zip(flights, quality, results, strict=False):

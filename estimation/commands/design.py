@@ -94,7 +94,7 @@ def design(
     found = designed(chosen, craft, task, load_limits(limits_path) if limits_path else None)
     write_manoeuvre(found, output)
     if json_path is not None:
-        from estimation.commands.estimate import write_json
+        from estimation.commands.outputs import write_json
 
         write_json(found.to_json(), json_path)
     for line in lines(found, task):

@@ -7,20 +7,30 @@ from typing import TYPE_CHECKING
 
 import click
 
-if TYPE_CHECKING:
-    from estimation.estimators.bootstrap import Bootstrap
-    from estimation.estimators.result import Result
-    from estimation.laboratory import Session
-    from groundstation.flight import Flight
+from estimation.estimators.estimator import Extra, Extras
+from estimation.estimators.registry import listed, names
 
-SHORTEST = 8  # samples of a stretch, as the engine has it
+if TYPE_CHECKING:
+    from estimation.estimators.result import Bootstrap, Result
+    from estimation.session.session import Session
+
 EXAMPLE = "Example: sideslip estimate ld1.mcap ld2.mcap --method ml,ngn --joint --report out/"
+
+
+def _able(extra: Extra) -> str:
+    """The methods that heed an extra, as help says them."""
+    return f"method{'s' if len(names(extra)) > 1 else ''} {listed(names(extra))}"
 
 
 @click.command(epilog=EXAMPLE)
 @click.argument("flights", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="FLIGHT...")
 @click.option(
-    "--method", "methods", default="ml", show_default=True, help="Comma-separated: ml, fem, ngn, ngn-improved, ls."
+    "--method",
+    "methods",
+    default=names()[0],
+    show_default=True,
+    metavar="NAMES",
+    help=f"Comma-separated: {', '.join(names())}; module:NAME is an estimator of your own.",
 )
 @click.option("--model", default="lateral", show_default=True,
               help="lateral, lateral-simple, longitudinal, six-dof, a MODEL.toml, or module:Class.")  # fmt: skip
@@ -32,8 +42,14 @@ EXAMPLE = "Example: sideslip estimate ld1.mcap ld2.mcap --method ml,ngn --joint 
 @click.option("--segments", help="Use only these stretches, each with its own initial states: 2:12,15:25 [s].")
 @click.option("--each-segment", is_flag=True,
               help="Take each segment as a flight of its own: estimates each, their scatter, --joint all of them.")  # fmt: skip
-@click.option("--raw-inputs", is_flag=True, help="Take measured inputs with their noise, as a plain output error does.")
-@click.option("--stepwise", is_flag=True, help="Method ls keeps only the terms that a partial F ratio finds.")
+@click.option(
+    "--raw-inputs",
+    is_flag=True,
+    help=f"Take measured inputs with their noise, as a plain output error does ({_able(Extra.RAW_INPUTS)}).",
+)
+@click.option(
+    "--stepwise", is_flag=True, help=f"Keep only the terms that a partial F ratio finds ({_able(Extra.STEPWISE)})."
+)
 @click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write the results as JSON.")
 @click.option(
     "--report", "report_folder", type=click.Path(path_type=Path), help="Write an HTML report with tables and figures."
@@ -51,10 +67,10 @@ EXAMPLE = "Example: sideslip estimate ld1.mcap ld2.mcap --method ml,ngn --joint 
 @click.option("--truth", "truth_path", type=click.Path(path_type=Path),
               help="True derivatives of simulated flights (JSON), shown beside the means.")  # fmt: skip
 @click.option("--profile", default="", metavar="NAMES",
-              help="Comma-separated parameters: 95 % interval by profile likelihood (method ml).")  # fmt: skip
+              help=f"Comma-separated parameters: 95 % interval by profile likelihood ({_able(Extra.PROFILE)}).")  # fmt: skip
 @click.option("--bootstrap", default=0, metavar="N",
-              help="Spread by N refits: of simulated repetitions (ml), or with N networks on resampled stretches (ngn, "
-              "ngn-improved; 64 where not given).")  # fmt: skip
+              help=f"Spread by N refits ({_able(Extra.BOOTSTRAP)}): of simulated repetitions, or networks on resampled "
+              "stretches (64 where not given).")  # fmt: skip
 @click.option("--seed", default=0, show_default=True, help="Of the bootstrap, and of the networks.")
 @click.option(
     "--brief", is_flag=True, help="Print each flight in one line; tables for the mean and the joint estimate only."
@@ -87,12 +103,13 @@ def estimate(
 
     for library in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
         os.environ.setdefault(library, "1")  # matrices of a fit are small: threads only wait for one another
-    from estimation import laboratory
     from estimation.aircraft import load_aircraft
     from estimation.commands.outputs import check_outputs
     from estimation.commands.truth import read_truth
     from estimation.models import load_model
     from estimation.models.load import asks_for_aircraft
+    from estimation.session import runner
+    from estimation.session.flights import select_segments, separated
     from groundstation.flight import read_flight
 
     check_outputs(
@@ -105,12 +122,12 @@ def estimate(
         read = [part for flight in read for part in separated(flight)]
     if aircraft is None and not asks_for_aircraft(model):
         craft = replace(craft, name=read[0].provenance.aircraft or "not stated")
-    names = tuple(dict.fromkeys(m.strip() for m in methods.split(",") if m.strip()))
+    chosen_methods = tuple(dict.fromkeys(m.strip() for m in methods.split(",") if m.strip()))
     truth = {} if truth_path is None else read_truth(truth_path, [f.name for f in read])
     profiled = tuple(dict.fromkeys(n.strip() for n in profile.split(",") if n.strip()))
-    extras = laboratory.Extras(profiled, bootstrap, seed, raw_inputs, stepwise)
-    session = laboratory.estimate(
-        chosen, read, craft, names, joint=joint, device=device, progress=_progress(), extras=extras
+    extras = Extras(profiled, bootstrap, seed, raw_inputs, stepwise)
+    session = runner.estimate(
+        chosen, read, craft, chosen_methods, joint=joint, device=device, progress=_progress(), extras=extras
     )
     session = replace(session, truth=truth)
     # files first: a reader that closes the pipe early (| head) must not cost a result
@@ -130,6 +147,8 @@ def write_files(
 ) -> Iterator[str]:
     """Write what was asked for; a line on each file that a person opens."""
     if json_path is not None:
+        from estimation.commands.outputs import write_json
+
         write_json(session.to_json(), json_path)
     if model_path is not None:
         from estimation.models import write_model
@@ -138,12 +157,12 @@ def write_files(
         write_model(best.fitted_model, model_path)
         yield f"model: {model_path}"
     if figure_path is not None:
-        from estimation.histories import write_histories
+        from estimation.report.histories import write_histories
 
         write_histories(session, figure_path)
         yield f"figure: {figure_path}"
     if histories_folder is not None:
-        from estimation.histories import write_flights
+        from estimation.report.histories import write_flights
 
         for path in write_flights(session, histories_folder):
             yield f"histories: {path} (look at them with: sideslip view {path})"
@@ -151,69 +170,6 @@ def write_files(
         from estimation.report.page import write_estimate_report
 
         yield f"report: {write_estimate_report(session, report_folder)}"
-
-
-def select_segments(flight: "Flight", text: str | None) -> "Flight":
-    """The stretches `2:12,15:25` [s] of a flight, as segments; EstimationError where they make no sense."""
-    if text is None:
-        return flight
-    import numpy as np
-
-    from estimation.errors import EstimationError
-    from groundstation.flight import Flight
-
-    label = np.full(len(flight), -1)
-    spans: list[tuple[float, float]] = []
-    for i, part in enumerate(text.split(",")):
-        begin, colon, end = part.partition(":")
-        try:
-            a, b = float(begin), float(end)
-        except ValueError:
-            raise EstimationError(
-                f"--segments {text!r}: write stretches as begin:end in seconds, like 2:12,15:25"
-            ) from None
-        inside = (flight.time >= a) & (flight.time <= b)
-        if not colon or b <= a or not inside.any():
-            raise EstimationError(
-                f"--segments {part}: no samples of {flight.name} there; it runs from {flight.time[0]:g} to {flight.time[-1]:g} s"
-            )
-        if inside.sum() < SHORTEST:
-            raise EstimationError(
-                f"--segments {part}: only {int(inside.sum())} samples of {flight.name} lie there, one each "
-                f"{flight.sample_interval:.3g} s; a stretch needs at least {SHORTEST}"
-            )
-        if any(a < end_ and b > begin_ for begin_, end_ in spans):
-            raise EstimationError(f"--segments {text}: {part} overlaps another stretch; give each sample once")
-        spans.append((a, b))
-        label[inside] = i
-    keep = label >= 0
-    chosen = flight.part(keep)
-    return Flight.build(
-        flight.name,
-        chosen.time,
-        dict(chosen.columns),
-        segment=label[keep],
-        provenance=flight.provenance,
-        notes=flight.notes,
-    )
-
-
-def separated(flight: "Flight") -> list["Flight"]:
-    """Every segment as a flight of its own, named <flight>.1, <flight>.2 ..."""
-    parts = flight.segments
-    if len(parts) == 1:
-        return [flight]
-    return [flight.part(part, f"{flight.name}.{i}") for i, part in enumerate(parts, start=1)]
-
-
-def write_json(data: object, path: Path) -> None:
-    """JSON to a file, in one step."""
-    import json
-
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(path.name + ".part")
-    partial.write_text(json.dumps(data, indent=1, allow_nan=False) + "\n", encoding="utf-8")
-    partial.replace(path)
 
 
 class _Progress:

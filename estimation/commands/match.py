@@ -39,11 +39,10 @@ def match(
 ) -> int:
     """Predict each FLIGHT with MODEL.toml, parameters frozen and only initial states refitted, and judge the match."""
     from estimation.aircraft import load_aircraft
-    from estimation.commands.estimate import select_segments, write_json
-    from estimation.commands.outputs import check_outputs
-    from estimation.laboratory import unique_names
+    from estimation.commands.outputs import check_outputs, write_json
     from estimation.models import load_model
-    from estimation.proof import predict
+    from estimation.session.flights import select_segments, unique_names
+    from estimation.session.proof_of_match import predict
     from groundstation.flight import read_flight
 
     check_outputs(json=json_path, figure=figure_path, histories=histories_folder)
@@ -67,12 +66,12 @@ def match(
     if json_path is not None:
         write_json({"model": str(chosen.name), "flights": [p.to_json() for p in proofs]}, json_path)
     if figure_path is not None:
-        from estimation.histories import write_proof
+        from estimation.report.histories import write_proof
 
         write_proof(proofs, figure_path)
         click.echo(f"figure: {figure_path}")
     if histories_folder is not None:
-        from estimation.histories import write_beside
+        from estimation.report.histories import write_beside
 
         for flight, proof in zip(read, proofs, strict=True):
             path = write_beside(flight, proof.result, histories_folder)

@@ -1,4 +1,4 @@
-"""Options that name files to write: looked at before any work is done, so that no result is lost at the end."""
+"""Files to write: their options looked at before any work is done, so that no result is lost at the end."""
 
 import os
 from pathlib import Path
@@ -52,3 +52,13 @@ def _check_folder(option: str, folder: Path) -> None:
         raise EstimationError(
             f"{option} {folder}: cannot be written ({error.strerror}); choose another place"
         ) from error
+
+
+def write_json(data: object, path: Path) -> None:
+    """JSON to a file, in one step."""
+    import json
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_name(path.name + ".part")
+    partial.write_text(json.dumps(data, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    partial.replace(path)

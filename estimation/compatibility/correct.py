@@ -33,12 +33,10 @@ def corrected(flight: Flight, result: Compatibility) -> Flight:
     if arm.any():
         _move(flight, columns, arm)
     note = f"instrument factors removed: {', '.join(f'{n} {v:+.4g}' for n, v in value.items())}"
-    notes = [*flight.notes, note]
-    if left:
-        notes.append(f"not removed because this data cannot tell them: {', '.join(left)}")
+    told = [f"not removed because this data cannot tell them: {', '.join(left)}"] if left else []
     detail = {**flight.provenance.detail, "compatibility": {n: float(v) for n, v in value.items()}}
-    moved = flight.with_columns(**columns)
-    return replace(moved, notes=tuple(notes), provenance=replace(flight.provenance, detail=detail))
+    moved = flight.with_columns(**columns).with_notes(note, *told)
+    return replace(moved, provenance=replace(flight.provenance, detail=detail))
 
 
 def _earlier(flight: Flight, values: np.ndarray, delay: float) -> np.ndarray:

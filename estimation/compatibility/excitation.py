@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from estimation.aircraft import Aircraft
 from estimation.engine.data import FlightData, prepare
+from estimation.engine.prepared import PIECES, cut
 from estimation.engine.simulate import simulate_with_sensitivities
 from estimation.errors import DataError
 from estimation.estimators.arrow import pseudo_inverse
-from estimation.estimators.output_error import PIECES, cut
 from estimation.estimators.uncertainty import STILL, TIED, estimates, input_movement
 from estimation.models import load_model
 from estimation.models.base import Model

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimation.compatibility.kalman import CHUNK, Record, rk4
-from estimation.engine.trace import Traced, constant_names, trace
+from estimation.engine.trace import Traced, trace
 from estimation.models.base import Model
 
 Array = NDArray[np.float64]
@@ -60,12 +60,12 @@ def _piece(model: Model, record: Record, rows: slice, p: Array, start: Array, sp
 
 
 def _motion(model: Model, record: Record, rows: slice, p: Array, x0: Array) -> Array:
-    step = _stepper(trace(model))
+    step = _stepper(trace(model.structure))
     u = record.u[rows]
     table = np.hstack([u, np.vstack([u[1:], u[-1:]])]).T
     count = table.shape[1]
     table = np.hstack([table, np.repeat(table[:, -1:], -count % CHUNK, axis=1)])
-    constants = np.array([model.constants[n] for n in constant_names(model)])
+    constants = np.array([model.constants[n] for n in model.structure.constants_kept])
     fixed = np.tile(np.concatenate([p, constants, [record.step]])[:, None], (1, CHUNK))
     state, outs = x0, []
     for first in range(0, table.shape[1], CHUNK):

@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from estimation.engine.trace import constant_names, trace
+from estimation.engine.trace import trace
 from estimation.models.base import Model
 
 Array = NDArray[np.float64]
@@ -72,7 +72,7 @@ class KalmanFilter:
         """delayed: pairs (output index, parameter index of its delay)."""
         self.model = model
         self.delayed = delayed
-        self._constants = np.array([model.constants[n] for n in constant_names(model)])
+        self._constants = np.array([model.constants[n] for n in model.structure.constants_kept])
         self._step = _step_function(model, len(delayed))
         self._many = self._step.mapaccum(CHUNK)
 
@@ -186,7 +186,7 @@ def rk4(f: ca.Function, x: ca.SX, u: tuple[ca.SX, ca.SX, ca.SX], p: ca.SX, h: ca
 
 def _build(model: Model, delayed: tuple[tuple[int, int], ...]) -> ca.Function:
     """(state and covariance; data; constants) -> (the same one sample on; normalised innovations, log variances, ...)."""
-    traced = trace(model)
+    traced = trace(model.structure)
     nx, nu, np_, ny = traced.sizes
     x, P = ca.SX.sym("x", nx), ca.SX.sym("P", nx, nx)
     u0, u1 = ca.SX.sym("u0", nu), ca.SX.sym("u1", nu)

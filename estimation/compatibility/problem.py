@@ -13,7 +13,7 @@ from estimation.compatibility.kalman import KalmanFilter, NoiseLevels, Record, R
 from estimation.compatibility.records import attitude_errors, records_of, with_rate_derivatives
 from estimation.models.base import Model
 from estimation.models.kinematic import FILTER_ERRORS
-from estimation.preprocess import noise_level
+from estimation.signals.preprocess import noise_level
 from groundstation.flight import Flight
 
 Array = NDArray[np.float64]

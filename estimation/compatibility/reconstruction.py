@@ -18,7 +18,7 @@ from estimation.compatibility.records import ATTITUDE_ERROR, attitude_errors, sh
 from estimation.compatibility.result import Compatibility, Factor, ReconstructedFlight
 from estimation.errors import DataError
 from estimation.models.base import Model
-from estimation.models.kinematic import MEASUREMENTS, STANDARD_FACTORS, channels_of_factor, compatibility_model
+from estimation.models.kinematic import FACTORS, MEASUREMENTS, STANDARD_FACTORS, compatibility_model
 from groundstation.flight import Flight, MissingColumnError
 
 Array = NDArray[np.float64]
@@ -54,7 +54,7 @@ def _absent(asked: Model, flights: Sequence[Flight]) -> dict[str, str]:
     absent: dict[str, str] = {}
     columns: list[str] = []
     for name in asked.parameter_names:
-        channels = channels_of_factor(name)
+        channels = FACTORS[name].channels
         if channels and not any(shows_motion(f, c) for f in flights for c in channels):
             absent[name] = f"{' and '.join(channels)} not measured, or stuck at one value"
             columns += channels

@@ -17,9 +17,9 @@ from pathlib import Path
 import numpy as np
 
 from estimation.engine.kernel import Array, Columns, Drive, Motion
-from estimation.engine.trace import Traced, constant_names, trace
+from estimation.engine.trace import Traced, trace
 from estimation.models import expressions
-from estimation.models.base import Model
+from estimation.models.parts import Structure
 
 FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-fPIC", "-shared")
 LOOP = Path(__file__).with_name("loop.c")
@@ -82,18 +82,18 @@ def compiler() -> str | None:
     return None if wanted == "none" else shutil.which(wanted)
 
 
-def cached_kernel(model: Model) -> CompiledKernel | None:
+def cached_kernel(structure: Structure) -> CompiledKernel | None:
     """The compiled back end if its library is in the cache already."""
-    path = _library_path(model)
-    return _open(path, _sizes(model)) if path.is_file() else None
+    path = _library_path(structure)
+    return _open(path, structure.sizes) if path.is_file() else None
 
 
-def compile_kernel(model: Model) -> CompiledKernel | None:
+def compile_kernel(structure: Structure) -> CompiledKernel | None:
     """The compiled back end, compiling now if needed; None where there is no working compiler."""
-    path = _library_path(model)
-    if not path.is_file() and not _build(trace(model), path):
+    path = _library_path(structure)
+    if not path.is_file() and not _build(trace(structure), path):
         return None
-    return _open(path, _sizes(model))
+    return _open(path, structure.sizes)
 
 
 def cache_folder() -> Path:
@@ -102,13 +102,8 @@ def cache_folder() -> Path:
     return Path(base) / "sideslip" / "compiled"
 
 
-def _sizes(model: Model) -> tuple[int, int, int, int]:
-    parameters = len(model.parameters) + len(constant_names(model))
-    return len(model.states), len(model.inputs), parameters, len(model.outputs)
-
-
-def _library_path(model: Model) -> Path:
-    seed = "\n".join((model.structure, _generator_digest(), *FLAGS, _processor()))
+def _library_path(structure: Structure) -> Path:
+    seed = "\n".join((structure.digest, _generator_digest(), *FLAGS, _processor()))
     return cache_folder() / f"{hashlib.sha256(seed.encode()).hexdigest()[:32]}.so"
 
 

@@ -4,19 +4,20 @@ Integration never crosses a gap in time, a segment border or a stretch in which 
 a measured output is simply not counted.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.contract.channels import COLUMN_BY_NAME
+from estimation.engine.derived import DERIVED, bridged, derived, way_to
 from estimation.engine.kernel import Array
 from estimation.engine.plausible import refuse_impossible, stuck
 from estimation.errors import DataError
 from estimation.models.base import Model, Signal
-from estimation.preprocess import denoise, denoise_many, noise_level
+from estimation.signals.preprocess import denoise_many, noise_level
 from groundstation.flight import Flight
+from groundstation.flight.notes import Note, NoteKind, once, unknown_columns
 
 SHORTEST_SEGMENT = 8  # samples
 LONGEST_BRIDGE = 3  # missing input samples that a straight line may bridge
@@ -24,8 +25,6 @@ FLAT = 1e-12
 DRAWS = 24  # of what may still be wrong with the inputs
 DRAWN = 200_000  # samples times draws: long flights need fewer, for they average over time
 FEWEST_DRAWS = 12
-FLYING = 5.0  # m/s; slower than this a pitot tube says nothing of density
-SLOW = 10.0  # s over which density hardly changes
 SEED = 20  # of the draws: the same flight gives the same bound
 
 
@@ -64,7 +63,7 @@ class FlightData:
     segments: tuple[Segment, ...]
     states: Array
     noise: Mapping[str, tuple[float, float]]
-    notes: tuple[str, ...]
+    notes: tuple[Note, ...]
     absent_outputs: tuple[str, ...]
     errors: NDArray[np.float32] | None = None
 
@@ -97,7 +96,7 @@ def prepare(model: Model, flight: Flight, preparation: Preparation = AS_USUAL) -
     Raises MissingColumnError naming the columns that the model needs and the flight lacks, DataError when no stretch
     long enough is left.
     """
-    notes = [_less_used(n, model) for n in flight.notes]
+    notes = [n for said in flight.notes if (n := _less_used(said, model)) is not None]
     required = [s.source for s in (*model.inputs, *model.outputs) if not s.optional and s.source not in DERIVED]
     flight.require(dict.fromkeys(required), f"model {model.name}")
     refuse_impossible(flight, (*model.inputs, *model.states), model.outputs, notes)
@@ -113,21 +112,16 @@ def prepare(model: Model, flight: Flight, preparation: Preparation = AS_USUAL) -
     )
     if not segments:
         raise DataError(_nothing_left(model, flight))
-    return FlightData(
-        flight.name, len(flight), segments, states, noise, tuple(n for n in dict.fromkeys(notes) if n), absent, errors
-    )
+    return FlightData(flight.name, len(flight), segments, states, noise, once(notes), absent, errors)
 
 
-UNKNOWN = "columns not known to Sideslip, kept as they are: "
-
-
-def _less_used(note: str, model: Model) -> str:
-    """The note on unknown columns without those that the model knows; empty where none is left."""
-    if not note.startswith(UNKNOWN):
+def _less_used(note: Note, model: Model) -> Note | None:
+    """The note on unknown columns without those that the model knows; None where none is left."""
+    if note.kind is not NoteKind.UNKNOWN_COLUMNS:
         return note
     used = {s.source for s in (*model.states, *model.inputs, *model.outputs)}
-    left = [c for c in note.removeprefix(UNKNOWN).split(", ") if c.rpartition(" as ")[2] not in used]
-    return UNKNOWN + ", ".join(left) if left else ""
+    left = {column: label for column, label in note.columns if column not in used}
+    return unknown_columns(left) if left else None
 
 
 def _nothing_left(model: Model, flight: Flight) -> str:
@@ -143,17 +137,19 @@ def _missing_optional(flight: Flight, signal: Signal) -> bool:
     return signal.optional and not flight.measured(signal.source)
 
 
-def _pieces(flight: Flight, inputs: Sequence[Signal], notes: list[str]) -> list[tuple[int, int]]:
+def _pieces(flight: Flight, inputs: Sequence[Signal], notes: list[Note]) -> list[tuple[int, int]]:
     """Index ranges without a gap, a segment border or a long hole in an input."""
     usable = np.ones(len(flight), bool)
     for signal in inputs:
-        way = None if signal.source in flight.columns else _way(flight, signal.source)
+        way = None if signal.source in flight.columns else way_to(flight, signal.source)
         for source in way.needs if way else (signal.source,):
             if source not in flight.columns:
                 continue
             holes = _long_holes(~np.isfinite(flight[source]), flight.segment)
             if holes.any():
-                notes.append(f"{source} not measured at {int(holes.sum())} samples: those left out")
+                notes.append(
+                    Note(NoteKind.LEFT_OUT, f"{source} not measured at {int(holes.sum())} samples: those left out")
+                )
             usable &= ~holes
     ranges = []
     for part in flight.segments:
@@ -162,7 +158,8 @@ def _pieces(flight: Flight, inputs: Sequence[Signal], notes: list[str]) -> list[
     short = [(a, b) for a, b in ranges if b - a < SHORTEST_SEGMENT]
     if short:
         lost = sum(b - a for a, b in short)
-        notes.append(f"{len(short)} stretches shorter than {SHORTEST_SEGMENT} samples left out ({lost} samples)")
+        text = f"{len(short)} stretches shorter than {SHORTEST_SEGMENT} samples left out ({lost} samples)"
+        notes.append(Note(NoteKind.LEFT_OUT, text))
     return [r for r in ranges if r not in short]
 
 
@@ -185,22 +182,22 @@ def _inputs(
     pieces: list[tuple[int, int]],
     preparation: Preparation,
     noise: dict[str, tuple[float, float]],
-    notes: list[str],
+    notes: list[Note],
 ) -> tuple[Array, NDArray[np.float32] | None]:
     """(samples, nu) inputs, de-noised piece by piece, NaN outside the pieces; and `FlightData.errors`."""
     u = np.full((len(flight), len(model.inputs)), np.nan)
     for i, signal in enumerate(model.inputs):
         if _missing_optional(flight, signal):
-            notes.append(f"{signal.source} not measured: taken as zero")
+            notes.append(Note(NoteKind.NOT_MEASURED, f"{signal.source} not measured: taken as zero"))
             u[:, i] = 0.0
         elif flight.measured(signal.source):
             for a, b in pieces:
-                u[a:b, i] = _bridged(flight[signal.source][a:b])
+                u[a:b, i] = bridged(flight[signal.source][a:b])
             _say_stuck(flight, signal.source, stuck(flight.time, flight[signal.source]), notes, "is its sensor stuck?")
         else:
-            u[:, i] = _derived(flight, signal.source, pieces, notes)
+            u[:, i] = derived(flight, signal.source, pieces, notes)
     if not preparation.denoise:
-        notes.append("measured inputs taken with their noise")
+        notes.append(Note(NoteKind.OTHER, "measured inputs taken with their noise"))
         for i, signal in enumerate(model.inputs):
             if flight.measured(signal.source):
                 noise[signal.name] = (max((noise_level(u[a:b, i]) for a, b in pieces), default=0.0), 0.0)
@@ -248,17 +245,8 @@ def _denoise_columns(
             noise[names[i]] = (float(np.median([n for n, _ in heard[i]])), float(np.median([r for _, r in heard[i]])))
 
 
-def _bridged(values: Array) -> Array:
-    missing = ~np.isfinite(values)
-    if missing.any():
-        index = np.arange(values.size)
-        values = values.copy()
-        values[missing] = np.interp(index[missing], index[~missing], values[~missing])
-    return values
-
-
 def _outputs(
-    model: Model, flight: Flight, pieces: list[tuple[int, int]], notes: list[str]
+    model: Model, flight: Flight, pieces: list[tuple[int, int]], notes: list[Note]
 ) -> tuple[Array, tuple[str, ...]]:
     z = np.full((len(flight), len(model.outputs)), np.nan)
     absent = []
@@ -267,14 +255,15 @@ def _outputs(
             z[:, i] = flight[signal.source]
             _leave_out_stuck(flight, signal.source, z[:, i], notes)
         elif signal.source in DERIVED and not _missing_optional(flight, signal):
-            z[:, i] = _derived(flight, signal.source, pieces, notes)
+            z[:, i] = derived(flight, signal.source, pieces, notes)
         else:
-            notes.append(f"{signal.source} not measured: not compared")
+            notes.append(Note(NoteKind.NOT_MEASURED, f"{signal.source} not measured: not compared"))
             absent.append(signal.name)
             continue
         finite = z[np.isfinite(z[:, i]), i]
         if finite.size > SHORTEST_SEGMENT and np.ptp(finite) <= FLAT:
-            notes.append(f"{signal.source} stands still at {finite[0]:g}: a dead channel, not compared")
+            text = f"{signal.source} stands still at {finite[0]:g}: a dead channel, not compared"
+            notes.append(Note(NoteKind.STUCK, text))
             absent.append(signal.name)
             z[:, i] = np.nan
     if len(absent) == len(model.outputs):
@@ -284,20 +273,21 @@ def _outputs(
     return z, tuple(absent)
 
 
-def _leave_out_stuck(flight: Flight, source: str, values: Array, notes: list[str]) -> None:
+def _leave_out_stuck(flight: Flight, source: str, values: Array, notes: list[Note]) -> None:
     """Samples of a stuck sensor become NaN in `values`; those and the missing ones are said."""
     missing = int((~np.isfinite(values)).sum())
     if missing:
-        notes.append(f"{source} not measured at {missing} samples: not compared there")
+        notes.append(Note(NoteKind.NOT_MEASURED, f"{source} not measured at {missing} samples: not compared there"))
     still = stuck(flight.time, values)
     _say_stuck(flight, source, still, notes, "not compared there")
     values[still] = np.nan
 
 
-def _say_stuck(flight: Flight, source: str, still: NDArray[np.bool_], notes: list[str], what: str) -> None:
+def _say_stuck(flight: Flight, source: str, still: NDArray[np.bool_], notes: list[Note], what: str) -> None:
     if still.any():
         at = flight.time[still]
-        notes.append(f"{source} repeats one value for {int(still.sum())} samples from t = {at[0]:g} s on: {what}")
+        text = f"{source} repeats one value for {int(still.sum())} samples from t = {at[0]:g} s on: {what}"
+        notes.append(Note(NoteKind.STUCK, text))
 
 
 def _states(model: Model, flight: Flight, pieces: list[tuple[int, int]]) -> Array:
@@ -312,7 +302,7 @@ def _states(model: Model, flight: Flight, pieces: list[tuple[int, int]]) -> Arra
         and flight.measured(source)
         and np.isfinite(flight[source][a:b]).sum() >= SHORTEST_SEGMENT // 2
     ]
-    parts = [_bridged(flight[source][a:b]) for a, b, _, source in places]
+    parts = [bridged(flight[source][a:b]) for a, b, _, source in places]
     for (a, b, i, _), done in zip(places, denoise_many(parts, order=2), strict=True):
         states[a:b, i] = done.values
     return states
@@ -326,84 +316,3 @@ def _initial(model: Model, flight: Flight, states: Array, at: int) -> Array:
         elif isinstance(signal.start, int | float):
             x0[i] = float(signal.start)
     return x0
-
-
-# ------------------------------------------------------------------------------------------------- derived columns
-
-
-def slope(time: Array, values: Array) -> Array:
-    """Derivative of a signal from its de-noised curve, by central differences. time, values: (N,)."""
-    return np.gradient(denoise(_bridged(values), order=2).values, time)
-
-
-@dataclass(frozen=True)
-class Way:
-    """How a column is made where the flight lacks it. build: function of time (N,) and of each needed column (N,)."""
-
-    needs: tuple[str, ...]
-    build: Callable[..., Array]
-
-
-def _way(flight: Flight, name: str) -> Way | None:
-    """The first way to make a column of which the flight has all that it needs."""
-    return next((w for w in DERIVED.get(name, ()) if all(flight.measured(n) for n in w.needs)), None)
-
-
-def with_derived(flight: Flight, names: Sequence[str]) -> Flight:
-    """The flight with those of the named columns added that it lacks and that can be made from others of its columns."""
-    segments = [(s.start, s.stop) for s in flight.segments]
-    lacking = [n for n in names if not flight.measured(n) and _way(flight, n) is not None]
-    return flight.with_columns(**{n: _derived(flight, n, segments, []) for n in lacking}) if lacking else flight
-
-
-def _derived(flight: Flight, name: str, pieces: list[tuple[int, int]], notes: list[str]) -> Array:
-    way = _way(flight, name)
-    if way is None:
-        ways = " or ".join(" and ".join(w.needs) for w in DERIVED[name])
-        flight.require([name], f"this model (or {ways} to derive it from)")
-        raise DataError(f"{flight.name}: {name} is not measured")
-    result = np.full(len(flight), np.nan)
-    for a, b in pieces:
-        result[a:b] = way.build(flight.time[a:b], *(flight[n][a:b] for n in way.needs))
-    origin = " and ".join(way.needs)
-    _refuse_impossible_result(flight, name, origin, result)
-    notes.append(f"{name} derived from {origin}")
-    return result
-
-
-def _refuse_impossible_result(flight: Flight, name: str, origin: str, values: Array) -> None:
-    if name not in COLUMN_BY_NAME or not np.isfinite(values).any():
-        return
-    low, high = COLUMN_BY_NAME[name].plausible
-    middle = float(np.nanmedian(values))
-    if not low <= middle <= high:
-        raise DataError(
-            f"{flight.name}: {name} derived from {origin} would be {middle:.3g} {COLUMN_BY_NAME[name].unit}, outside {low:g} to "
-            f"{high:g}; check their units, or add the column {name}"
-        )
-
-
-def _standard_density(time: Array, altitude: Array) -> Array:
-    """Density [kg/m3] of the standard atmosphere's troposphere at altitude [m] (ICAO Doc 7488)."""
-    return 1.225 * (1.0 - 2.25577e-5 * _bridged(altitude)) ** 4.25588
-
-
-def _density_of_air_data(time: Array, p_dynamic: Array, V: Array) -> Array:
-    """Density [kg/m3] from dynamic pressure [Pa] and true airspeed [m/s], rho = 2 p_dynamic / V^2, both averaged over `SLOW` s:
-    density changes slowly, and what noise is left would act like noise of the airspeed. Below `FLYING` the median of the rest."""
-    width = min(max(1, round(SLOW / float(np.median(np.diff(time))))), time.size)
-    columns = (_bridged(p_dynamic), _bridged(V**2), np.ones(time.size))
-    # with zeros beyond the ends, which cancel: the mean there is over what there is
-    pressure, square, share = (np.convolve(c, np.full(width, 1.0 / width), "same") for c in columns)
-    flying = square > FLYING**2 * share
-    if not flying.any():
-        return np.full(time.size, np.nan)
-    density = 2.0 * pressure / np.maximum(square, FLYING**2 * share)
-    return np.where(flying, density, np.median(density[flying]))
-
-
-DERIVED: Mapping[str, tuple[Way, ...]] = {
-    **{f"{n}_dot": (Way((n,), slope),) for n in ("V", "alpha", "beta", "p", "q", "r", "phi", "theta", "psi")},
-    "rho": (Way(("p_dynamic", "V"), _density_of_air_data), Way(("altitude",), _standard_density)),
-}
-"""Columns that are made from others where the flight lacks them, the best way first."""

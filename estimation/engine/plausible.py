@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from daq.contract.channels import COLUMN_BY_NAME
 from estimation.errors import DataError
 from estimation.models.base import Signal
-from estimation.preprocess import QUIET, noise_level
+from estimation.signals.preprocess import QUIET, noise_level
 from groundstation.flight import Array, Flight
+from groundstation.flight.notes import Note, NoteKind
 
 FOLDED = ("theta", "alpha", "beta", "delta_e", "delta_a", "delta_r", "cmd_e", "cmd_a", "cmd_r")
 """Angles that never exceed a right angle."""
@@ -31,7 +32,7 @@ STUCK = 1.0  # s without any change in a noisy channel
 STUCK_SAMPLES = 20
 
 
-def refuse_impossible(flight: Flight, driving: Sequence[Signal], shown: Sequence[Signal], notes: list[str]) -> None:
+def refuse_impossible(flight: Flight, driving: Sequence[Signal], shown: Sequence[Signal], notes: list[Note]) -> None:
     """DataError for a column of another unit or sign; what is only unlikely goes to `notes`.
 
     driving: inputs and states, by whose airspeed and density a model divides; shown: outputs, which may be of an aircraft
@@ -56,12 +57,13 @@ def refuse_impossible(flight: Flight, driving: Sequence[Signal], shown: Sequence
             _refuse_other_unit(flight, rate, angle)
 
 
-def _angle(flight: Flight, name: str, values: Array, notes: list[str]) -> None:
+def _angle(flight: Flight, name: str, values: Array, notes: list[Note]) -> None:
     size = float(np.quantile(np.abs(values), 0.99))
     if name in FOLDED:
         _refuse_degrees(flight, name, size, 0.5 * np.pi, "rad")
         if name != "theta" and size > LARGE:
-            notes.append(f"{name} reaches {size:.2g} rad ({size * DEGREES:.0f} deg): make sure that it is in radians")
+            text = f"{name} reaches {size:.2g} rad ({size * DEGREES:.0f} deg): make sure that it is in radians"
+            notes.append(Note(NoteKind.UNLIKELY, text))
     elif name in TURNING and np.abs(np.diff(values)).max(initial=0.0) > 1.5 * 2.0 * np.pi:
         _refuse_degrees(flight, name, size, 0.0, "rad")  # a jump by 360
 

@@ -15,6 +15,7 @@ from estimation.engine.data import AS_USUAL, FlightData, Preparation, Segment, p
 from estimation.engine.kernel import Array, Columns, Drive, Kernel, Motion
 from estimation.engine.transforms import apply_transforms, transform_derivatives
 from estimation.models.base import Model
+from estimation.models.parts import Structure
 from groundstation.flight import Flight
 
 Compile = Literal["auto", "always", "never"]
@@ -34,33 +35,19 @@ def usual_hold(model: Model) -> Hold:
 
 
 @lru_cache(maxsize=128)
-def _kernel(structure: str, compile_: Compile, worth: bool, model_box: "_Box") -> Kernel:
-    model = model_box.model
+def _kernel(structure: Structure, compile_: Compile, worth: bool) -> Kernel:
     if compile_ != "never":
-        found = compile_kernel(model) if (worth or compile_ == "always") else cached_kernel(model)
+        found = compile_kernel(structure) if (worth or compile_ == "always") else cached_kernel(structure)
         if found is not None:
             return found
     from estimation.engine.virtual import VirtualKernel
 
-    return VirtualKernel(model)
-
-
-class _Box:
-    """Carries a model past the cache key: models of equal structure share a kernel."""
-
-    def __init__(self, model: Model) -> None:
-        self.model = model
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Box)
-
-    def __hash__(self) -> int:
-        return 0
+    return VirtualKernel(structure)
 
 
 def kernel_for(model: Model, work: float = 0.0, compile_: Compile = "auto") -> Kernel:
     """The back end for a model. work: samples x evaluations x columns / 20 that it is wanted for."""
-    return _kernel(model.structure, compile_, work > WORTH_COMPILING, _Box(model))
+    return _kernel(model.structure, compile_, work > WORTH_COMPILING)
 
 
 @dataclass(frozen=True)
@@ -92,15 +79,15 @@ class Simulator:
 
     def vector(self, values: Mapping[str, float]) -> Array:
         """Parameters and constants in the order of the traced functions."""
-        from_constants = sorted(set(self.model.constants) - set(self.model.parameter_names))
+        constants = self.model.structure.constants_kept
         return np.array(
-            [values[n] for n in self.model.parameter_names] + [self.model.constants[n] for n in from_constants], float
+            [values[n] for n in self.model.parameter_names] + [self.model.constants[n] for n in constants], float
         )
 
     def columns(self, gain_free: Array | None = None) -> Columns:
         """Sensitivity columns: free parameters, then the initial states, then free entries of the gain."""
         nx, ny = len(self.model.states), len(self.model.outputs)
-        names = (*self.model.parameter_names, *sorted(set(self.model.constants) - set(self.model.parameter_names)))
+        names = (*self.model.parameter_names, *self.model.structure.constants_kept)
         at = {name: i for i, name in enumerate(self.free)}
         parameter = np.array([at.get(n, -1) for n in names], np.int32)
         count = len(self.free) + nx

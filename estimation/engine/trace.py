@@ -1,6 +1,6 @@
 """Model text -> CasADi functions of (x, u, p): rates and outputs with their exact Jacobians.
 
-p holds the model's parameters followed by its constants (in the order of `constant_names`), so that a changed mass or a
+p holds the model's parameters followed by its constants (in the order of `Structure.constants_kept`), so that a changed mass or a
 fixed parameter needs no new tracing; only parameters have derivatives. Jacobians are sparse; their patterns travel with
 the functions.
 """
@@ -13,8 +13,8 @@ from typing import Any
 import casadi as ca
 
 from estimation.errors import ModelError
-from estimation.models.base import Model
 from estimation.models.expressions import evaluate, names_in
+from estimation.models.parts import Structure
 
 Pattern = tuple[tuple[int, ...], tuple[int, ...]]  # rows, columns of the non-zeros
 
@@ -44,38 +44,16 @@ class Traced:
     sizes: tuple[int, int, int, int]  # states, inputs, parameters with constants, outputs
 
 
-def constant_names(model: Model) -> tuple[str, ...]:
-    """Constants in the order in which they follow the parameters; one that a parameter has replaced is left out."""
-    return tuple(sorted(set(model.constants) - set(model.parameter_names)))
-
-
-def trace(model: Model) -> Traced:
-    """CasADi functions of a model; the same object for every model of equal structure."""
-    return _trace(
-        model.state_names,
-        model.input_names,
-        model.parameter_names,
-        constant_names(model),
-        model.output_names,
-        tuple(model.definitions.items()),
-    )
-
-
 @lru_cache(maxsize=256)
-def _trace(
-    states: tuple[str, ...],
-    inputs: tuple[str, ...],
-    parameters: tuple[str, ...],
-    constants: tuple[str, ...],
-    outputs: tuple[str, ...],
-    lines: tuple[tuple[str, str], ...],
-) -> Traced:
-    x, u, t, c = (ca.SX.sym(k, len(v)) for k, v in zip("xutc", (states, inputs, parameters, constants), strict=True))
+def trace(structure: Structure) -> Traced:
+    """CasADi functions of a model; the same object for every model of equal structure."""
+    kinds = (structure.states, structure.inputs, structure.parameters, structure.constants_kept)
+    x, u, t, c = (ca.SX.sym(k, len(v)) for k, v in zip("xutc", kinds, strict=True))
     p = ca.vertcat(t, c)
     symbols: dict[str, Any] = {}
-    for vector, names in ((x, states), (u, inputs), (t, parameters), (c, constants)):
+    for vector, names in zip((x, u, t, c), kinds, strict=True):
         symbols |= {name: vector[i] for i, name in enumerate(names)}
-    definitions = dict(lines)
+    definitions = structure.definitions
 
     def resolve(name: str) -> Any:
         if name not in symbols:
@@ -87,8 +65,8 @@ def _trace(
                 raise ModelError(f"the line of {name!r} cannot be calculated: {error}") from error
         return symbols[name]
 
-    f = ca.vertcat(*(resolve(f"{s}_dot") for s in states))
-    shown = (f"{o}_measured" if f"{o}_measured" in definitions else o for o in outputs)
+    f = ca.vertcat(*(resolve(f"{s}_dot") for s in structure.states))
+    shown = (f"{o}_measured" if f"{o}_measured" in definitions else o for o in structure.outputs)
     y = ca.vertcat(*(resolve(name) for name in shown))
     patterns: dict[str, Pattern] = {}
     jacobians: dict[str, Any] = {}
@@ -110,7 +88,7 @@ def _trace(
         outputs_jacobian=function("outputs_jacobian", y, jacobians["y_x"], jacobians["y_p"]),
         outputs_by_input=function("outputs_by_input", jacobians["y_u"]),
         patterns=patterns,
-        sizes=(len(states), len(inputs), len(parameters) + len(constants), len(outputs)),
+        sizes=structure.sizes,
     )
 
 

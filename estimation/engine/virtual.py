@@ -14,8 +14,8 @@ import casadi as ca
 import numpy as np
 
 from estimation.engine.kernel import Array, Columns, Drive, Motion
-from estimation.engine.trace import Pattern, Traced, constant_names, trace
-from estimation.models.base import Model
+from estimation.engine.trace import Pattern, Traced, trace
+from estimation.models.parts import Structure
 
 BLOCKS = (128, 16)
 LIMIT = 1e12
@@ -26,10 +26,9 @@ class VirtualKernel:
 
     label = "virtual machine"
 
-    def __init__(self, model: Model) -> None:
-        self._traced = trace(model)
-        parameters = len(model.parameters) + len(constant_names(model))
-        self.sizes = (len(model.states), len(model.inputs), parameters, len(model.outputs))
+    def __init__(self, structure: Structure) -> None:
+        self._traced = trace(structure)
+        self.sizes = structure.sizes
 
     def run(
         self,

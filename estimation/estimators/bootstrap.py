@@ -7,9 +7,8 @@ what the fit took away (`estimators.coloured`), and the noise that de-noising le
 Tibshirani, An Introduction to the Bootstrap, sections 6.5 and 13.3.)
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -17,49 +16,17 @@ from estimation.engine.data import FlightData
 from estimation.engine.kernel import Array
 from estimation.errors import EstimationError
 from estimation.estimators.coloured import Spectrum, coloured_noise, square_root
-from estimation.estimators.gauss_newton import Outcome, minimise
+from estimation.estimators.gauss_newton import minimise
 from estimation.estimators.input_error import Disturbed, disturbed
 from estimation.estimators.likelihood import LikelihoodPoint, OutputErrorProblem
-from estimation.estimators.output_error import STANDARD, OutputErrorOptions, build_problem, reopened
-from estimation.estimators.result import Result
+from estimation.estimators.output_error import STANDARD, Fit, OutputErrorOptions, build_problem, reopened
+from estimation.estimators.result import Bootstrap, Result, Spread
 from estimation.estimators.uncertainty import noise_spectra
 from estimation.models.base import Model
 from groundstation.flight import Flight
 
 FEWEST = 10  # replicates
 PERCENTILES = (2.5, 97.5)
-
-
-@dataclass(frozen=True)
-class Spread:
-    """One parameter over the replicates. std: their standard deviation; bias: their mean less the estimate they were
-    made with; interval: 95 %, between percentiles."""
-
-    std: float
-    bias: float
-    interval: tuple[float, float]
-
-
-@dataclass(frozen=True)
-class Bootstrap:
-    """names: parameters the data can see; estimates: (replicates that came to an end, names), local parameters as their
-    mean over flights; failed: replicates that did not. text: why there is nothing, else empty."""
-
-    names: tuple[str, ...]
-    estimates: Array
-    parameters: Mapping[str, Spread]
-    failed: int
-    text: str = ""
-
-    def to_json(self) -> dict[str, Any]:
-        data: dict[str, Any] = {
-            "replicates": len(self.estimates),
-            "failed": self.failed,
-            "parameters": {
-                n: {"std": s.std, "bias": s.bias, "interval": list(s.interval)} for n, s in self.parameters.items()
-            },
-        }
-        return {**data, "status": self.text} if self.text else data
 
 
 def parametric_bootstrap(
@@ -79,7 +46,6 @@ def parametric_bootstrap(
         return Bootstrap((), np.zeros((0, 0)), {}, 0, f"no bootstrap: {result.text}")
     problem, best = reopened(model, flights, result, options, replicates)
     point = best.point
-    assert isinstance(point, LikelihoodPoint)
     options = replace(options, substeps=problem.simulator.substeps)
     roots = [square_root(s) for s in noise_spectra(problem, best.unknowns, point)]
     inputs = [disturbed(problem, best.unknowns, i) for i in range(len(problem.flights))]
@@ -139,7 +105,7 @@ def _repeated(
     return repeated
 
 
-def _prior_redrawn(problem: OutputErrorProblem, best: Outcome, rng: np.random.Generator) -> Model:
+def _prior_redrawn(problem: OutputErrorProblem, best: Fit, rng: np.random.Generator) -> Model:
     """A prior is a measurement made earlier: repeated, it falls elsewhere too."""
     values = problem.values(best.unknowns, 0)
     return problem.model.with_prior(

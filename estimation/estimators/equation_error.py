@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from estimation.engine.data import FlightData
 from estimation.engine.kernel import Array
+from estimation.engine.prepared import compared, prepared
 from estimation.engine.simulate import Simulator, simulate
 from estimation.errors import DataError
 from estimation.estimators.arrow import pseudo_inverse
@@ -24,8 +25,9 @@ from estimation.estimators.coloured import Piece, score_covariance
 from estimation.estimators.gauss_newton import Status
 from estimation.estimators.result import FlightFit, Result
 from estimation.estimators.uncertainty import TIED, estimates
+from estimation.models import load_model
 from estimation.models.base import Model
-from estimation.validation import fits
+from estimation.signals.goodness_of_fit import fits
 from groundstation.flight import Flight
 
 Index = NDArray[np.intp]
@@ -85,9 +87,6 @@ def equation_error(
     stepwise: choose the parameters by partial F; the rest stay at zero and say so. Raises DataError where a state of
     the model is not measured.
     """
-    from estimation.estimators.output_error import compared, prepared
-    from estimation.models import load_model
-
     chosen = load_model(model)
     chosen, data = compared(chosen, prepared(chosen, flights))
     if not states_measured(data):

@@ -14,10 +14,11 @@ import numpy as np
 
 from estimation.engine.data import FlightData
 from estimation.engine.kernel import Array, Motion
+from estimation.engine.prepared import compared, prepared
 from estimation.engine.simulate import Simulator
 from estimation.estimators.gauss_newton import LoopOptions, Status, minimise
 from estimation.estimators.likelihood import OutputErrorProblem
-from estimation.estimators.output_error import STANDARD, OutputErrorOptions, compared, describe, output_error, prepared
+from estimation.estimators.output_error import STANDARD, OutputErrorOptions, describe, output_error
 from estimation.estimators.result import Result
 from estimation.models import load_model
 from estimation.models.base import Model, Parameter

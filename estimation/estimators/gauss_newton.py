@@ -10,7 +10,7 @@ non-finite checks live here. The outcome is a named state with a sentence, never
 import math
 from dataclasses import dataclass
 from enum import Enum
-from typing import Protocol, TypeVar
+from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,16 +90,18 @@ AS_USUAL_LOOP = LoopOptions()
 
 
 @dataclass(frozen=True)
-class Outcome:
+class Outcome(Generic[P]):
+    """Where the loop ended. point: evaluated there, with derivatives."""
+
     status: Status
     unknowns: Array
-    point: object
+    point: P
     iterations: int
     evaluations: int
     history: tuple[float, ...]
 
 
-def minimise(problem: Problem[P], start: Array, options: LoopOptions = AS_USUAL_LOOP) -> Outcome:
+def minimise(problem: Problem[P], start: Array, options: LoopOptions = AS_USUAL_LOOP) -> Outcome[P]:
     """Lower the cost from `start` until the predicted reduction is negligible."""
     unknowns = problem.clip(start)
     point = problem.evaluate(unknowns, True)

@@ -8,30 +8,36 @@ bounds and says what the data could not tell.
 from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 
-from estimation.engine.data import AS_USUAL, FlightData, Preparation, prepare
+from estimation.engine.data import AS_USUAL, FlightData, Preparation
 from estimation.engine.kernel import Array
+from estimation.engine.prepared import PIECES, compared, cut, prepared
 from estimation.engine.simulate import Compile, Hold, Simulator
-from estimation.errors import DataError
+from estimation.errors import DataError, ModelError
+from estimation.estimators.equation_error import start_values
 from estimation.estimators.gauss_newton import AS_USUAL_LOOP, LoopOptions, Outcome, Status, minimise
 from estimation.estimators.likelihood import LikelihoodPoint, Noise, OutputErrorProblem
 from estimation.estimators.result import Estimate, FlightFit, Result
 from estimation.estimators.uncertainty import estimates, uncertainty
 from estimation.models import load_model
 from estimation.models.base import Model
-from estimation.validation import fits
+from estimation.signals.goodness_of_fit import fits
 from groundstation.flight import Flight
 
 
 @dataclass(frozen=True)
 class OutputErrorOptions:
-    """noise: diagonal or full residual covariance. sigma: given noise per output instead. free_states: names of the
-    states whose initial values are estimated (default: all). improve_start: try the equation-error solution too.
-    compile_: auto uses gcc where it repays. substeps: Runge-Kutta steps per sample. hold: inputs
-    between samples, by default as `engine.simulate.usual_hold`."""
+    """What can be chosen of a fit by output or filter error.
+
+    noise: diagonal or full covariance R of the residuals. sigma: standard deviation per output [its unit] given instead, every
+    output named. free_states: names of the states whose initial values are estimated in each segment (default: all); the
+    others start where they were measured, or at their signal's `start`. improve_start: try the equation-error solution as
+    start too. compile_: auto uses gcc where it repays. substeps: Runge-Kutta steps per sample. hold: inputs between samples,
+    by default as `engine.simulate.usual_hold`. preparation: of the inputs. loop: limits of the search. Names that the model
+    does not have raise ModelError when the fit begins.
+    """
 
     noise: Noise = "diagonal"
     sigma: Mapping[str, float] | None = None
@@ -45,8 +51,8 @@ class OutputErrorOptions:
 
 
 STANDARD = OutputErrorOptions()
+Fit = Outcome[LikelihoodPoint]
 HOPELESS = 0.2  # median r2 below which a fit is tried again from pieces
-PIECES = (8.0, 4.0, 2.0, 1.0)  # s
 GROWTH = 1e4  # of a disturbance over a record: from here the end of it says nothing about its beginning
 NEARBY = 1.0  # predicted reduction of the log likelihood from which all integration steps are taken
 MOVED = 1.5e-4  # of the log likelihood: integration error that moves an estimate by some hundredth of its bound
@@ -76,7 +82,7 @@ def output_error(
     return describe(problem, outcome, "ml")
 
 
-def optimum(problem: OutputErrorProblem, start: Array, options: OutputErrorOptions) -> Outcome:
+def optimum(problem: OutputErrorProblem, start: Array, options: OutputErrorOptions) -> Fit:
     """The optimum from `start`: the way there with half the integration steps, the end with all of them."""
     steps = problem.simulator.substeps
     if steps < 2 or problem.size == 0:
@@ -101,12 +107,11 @@ def _enough(problem: OutputErrorProblem) -> None:
         )
 
 
-def _hopeless(problem: OutputErrorProblem, outcome: Outcome) -> bool:
+def _hopeless(problem: OutputErrorProblem, outcome: Fit) -> bool:
     """Whether a fit failed or explains the motion no better than its mean."""
     if outcome.status is not Status.CONVERGED:
         return True
     point = outcome.point
-    assert isinstance(point, LikelihoodPoint)
     z = np.concatenate([s.z for f in problem.flights for s in f.segments])
     r = np.concatenate([r for flight in point.residuals for r in flight])
     with np.errstate(invalid="ignore"):
@@ -114,10 +119,9 @@ def _hopeless(problem: OutputErrorProblem, outcome: Outcome) -> bool:
     return bool(np.nanmedian(r2) < HOPELESS)
 
 
-def _unstable(problem: OutputErrorProblem, outcome: Outcome) -> bool:
+def _unstable(problem: OutputErrorProblem, outcome: Fit) -> bool:
     """Whether what the outputs owe to the initial state grows beyond all measure within some segment."""
     point = outcome.point
-    assert isinstance(point, LikelihoodPoint)
     states = len(problem.free) + problem.free_states
     for motions in point.motions:
         for motion in motions:
@@ -131,8 +135,8 @@ def _unstable(problem: OutputErrorProblem, outcome: Outcome) -> bool:
 
 
 def _rescued(
-    model: Model, data: list[FlightData], options: OutputErrorOptions, problem: OutputErrorProblem, outcome: Outcome
-) -> tuple[OutputErrorProblem, Outcome]:
+    model: Model, data: list[FlightData], options: OutputErrorOptions, problem: OutputErrorProblem, outcome: Fit
+) -> tuple[OutputErrorProblem, Fit]:
     """A fit on short pieces with initial states of their own, then the whole again from there.
 
     An unstable aircraft cannot be simulated for long from anywhere; short pieces can, and their estimates are good.
@@ -148,41 +152,22 @@ def _rescued(
         if done.status is not Status.CONVERGED or _hopeless(short, done):
             continue
         again = minimise(problem, problem.pack(short.values(done.unknowns, 0)), options.loop)
-        whole = not _hopeless(problem, again) and _cost(again) <= _cost(outcome)
+        whole = not _hopeless(problem, again) and again.point.cost <= outcome.point.cost
         if whole and _unstable(problem, again):  # by Akaike's criterion: the pieces have more unknowns
-            whole = _cost(again) + problem.size <= _cost(done) + short.size
+            whole = again.point.cost + problem.size <= done.point.cost + short.size
         if whole:
             return problem, again
         return short, replace(done, status=Status.CUT)
     return problem, outcome
 
 
-def _cost(outcome: Outcome) -> float:
-    point = outcome.point
-    assert isinstance(point, LikelihoodPoint)
-    return point.cost
-
-
-def cut(data: FlightData, seconds: float) -> FlightData:
-    """The same flight in pieces of about `seconds`, each starting from its measured state."""
-    parts = []
-    for s in data.segments:
-        count = max(1, round((s.time[-1] - s.time[0]) / seconds))
-        edges = np.linspace(0, len(s), count + 1).round().astype(int).tolist()
-        for a, b in pairwise(edges):
-            measured = data.states[s.first + a]
-            parts.append(s.part(a, b, np.where(np.isfinite(measured), measured, s.x0)))
-    return replace(data, segments=tuple(parts))
-
-
 def _fine_enough(
-    problem: OutputErrorProblem, outcome: Outcome, options: OutputErrorOptions
-) -> tuple[OutputErrorProblem, Outcome]:
+    problem: OutputErrorProblem, outcome: Fit, options: OutputErrorOptions
+) -> tuple[OutputErrorProblem, Fit]:
     """Refit with finer integration steps where twice as many change the outputs by more than a twentieth of the noise,
     or would move the estimates by more than about a hundredth of their bounds."""
     while outcome.status in (Status.CONVERGED, Status.CUT) and problem.simulator.substeps < FINEST:
         point = outcome.point
-        assert isinstance(point, LikelihoodPoint)
         finer = replace(problem.simulator, substeps=2 * problem.simulator.substeps)
         worst = 0.0
         residuals: list[list[Array]] = []
@@ -207,33 +192,6 @@ def _fine_enough(
     return problem, outcome
 
 
-def prepared(
-    model: Model,
-    flights: Flight | FlightData | Sequence[Flight | FlightData],
-    preparation: Preparation = AS_USUAL,
-) -> list[FlightData]:
-    """Flights prepared for a model, those that are so already taken as they are."""
-    many = [flights] if isinstance(flights, Flight | FlightData) else list(flights)
-    if not many:
-        raise DataError("no flight given: at least one is needed")
-    return [f if isinstance(f, FlightData) else prepare(model, f, preparation) for f in many]
-
-
-def compared(model: Model, data: list[FlightData]) -> tuple[Model, list[FlightData]]:
-    """Model and data without the outputs that no flight measures."""
-    absent = set(data[0].absent_outputs).intersection(*(d.absent_outputs for d in data[1:]))
-    if not absent:
-        return model, data
-    keep = [i for i, n in enumerate(model.output_names) if n not in absent]
-    slim = [
-        replace(
-            d, segments=tuple(replace(s, z=np.ascontiguousarray(s.z[:, keep])) for s in d.segments), absent_outputs=()
-        )
-        for d in data
-    ]
-    return model.without_outputs(*absent), slim
-
-
 def build_problem(
     model: Model, data: list[FlightData], options: OutputErrorOptions, fits_wanted: int = 1
 ) -> OutputErrorProblem:
@@ -245,8 +203,16 @@ def build_problem(
     )
     free_states = None
     if options.free_states is not None:
+        if unknown := [n for n in options.free_states if n not in model.state_names]:
+            raise ModelError(
+                f"model {model.name}: free_states: no state {unknown[0]!r}; it has {', '.join(model.state_names)}"
+            )
         free_states = np.array([n in options.free_states for n in model.state_names])
-    sigma = None if options.sigma is None else np.array([options.sigma[n] for n in model.output_names])
+    sigma = None
+    if options.sigma is not None:
+        if lacking := [n for n in model.output_names if n not in options.sigma]:
+            raise ModelError(f"model {model.name}: sigma: none given for output {lacking[0]!r}; every output needs one")
+        sigma = np.array([options.sigma[n] for n in model.output_names])
     return OutputErrorProblem(model, data, simulator, noise=options.noise, sigma=sigma, free_states=free_states)
 
 
@@ -256,7 +222,7 @@ def reopened(
     result: Result,
     options: OutputErrorOptions = STANDARD,
     fits_wanted: int = 1,
-) -> tuple[OutputErrorProblem, Outcome]:
+) -> tuple[OutputErrorProblem, Fit]:
     """The problem of an earlier fit at its optimum, in the same pieces and steps, for `fits_wanted` fits more."""
     chosen = load_model(model).with_starts(result.fitted_model.starts())
     chosen, data = compared(chosen, prepared(chosen, flights, options.preparation))
@@ -281,8 +247,6 @@ def _starts(problem: OutputErrorProblem, options: OutputErrorOptions) -> Array:
     given = problem.pack(problem.model.starts())
     if not options.improve_start:
         return given
-    from estimation.estimators.equation_error import start_values
-
     better = start_values(problem.simulator, problem.flights)
     if better is None:
         return given
@@ -290,11 +254,10 @@ def _starts(problem: OutputErrorProblem, options: OutputErrorOptions) -> Array:
     return other if problem.evaluate(other, False).cost < problem.evaluate(given, False).cost else given
 
 
-def describe(problem: OutputErrorProblem, outcome: Outcome, method: str) -> Result:
+def describe(problem: OutputErrorProblem, outcome: Fit, method: str) -> Result:
     """The result of an optimisation: bounds, verdicts, histories, fit."""
     model, unknowns = problem.model, outcome.unknowns
     point = outcome.point
-    assert isinstance(point, LikelihoodPoint)
     if outcome.status is Status.DIVERGED:
         return _failed(problem, outcome, method)
     problem.segment_blocks(point)
@@ -320,7 +283,7 @@ def describe(problem: OutputErrorProblem, outcome: Outcome, method: str) -> Resu
     )  # fmt: skip
 
 
-def _failed(problem: OutputErrorProblem, outcome: Outcome, method: str) -> Result:
+def _failed(problem: OutputErrorProblem, outcome: Fit, method: str) -> Result:
     names = tuple(problem.free[i] for i in problem.shared)
     nothing = np.full((len(names), len(names)), np.nan)
     why = "no usable simulation was found"

@@ -8,18 +8,17 @@ ratio of Cramer-Rao to corrected bound (R. E. Chandler and S. Bate, Biometrika 9
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 
 from estimation.engine.data import FlightData
 from estimation.engine.kernel import Array
 from estimation.errors import EstimationError
-from estimation.estimators.gauss_newton import Outcome, minimise
-from estimation.estimators.likelihood import LikelihoodPoint, OutputErrorProblem
-from estimation.estimators.output_error import STANDARD, OutputErrorOptions, build_problem, reopened
-from estimation.estimators.result import Result, finite
+from estimation.estimators.gauss_newton import minimise
+from estimation.estimators.likelihood import OutputErrorProblem
+from estimation.estimators.output_error import STANDARD, Fit, OutputErrorOptions, build_problem, reopened
+from estimation.estimators.result import Profile, Result
 from estimation.models.base import Model
 from groundstation.flight import Flight
 
@@ -27,30 +26,6 @@ ROOT_95 = 1.959963984540054  # square root of the 95 % point of chi-square, one 
 BEYOND = 1.15  # of the expected half-width: how far the curve is drawn
 FARTHEST = 4.0  # times that, where the interval is longer than expected
 FEWEST = 5  # points
-
-
-@dataclass(frozen=True)
-class Profile:
-    """values, deviance: (points,) ascending, the estimate among them. interval: 95 %, residuals believed white;
-    interval_coloured: widened as the corrected bound is. An end is infinite where the data sets none; a limit of the
-    parameter ends an interval. text: why there is no curve or no end, else empty."""
-
-    name: str
-    estimate: float
-    values: Array
-    deviance: Array
-    interval: tuple[float, float]
-    interval_coloured: tuple[float, float]
-    text: str = ""
-
-    def to_json(self) -> dict[str, Any]:
-        data: dict[str, Any] = {
-            "interval": [finite(v) for v in self.interval],
-            "interval_coloured": [finite(v) for v in self.interval_coloured],
-            "values": self.values.tolist(),
-            "deviance": self.deviance.tolist(),
-        }
-        return {**data, "status": self.text} if self.text else data
 
 
 def profile_likelihood(
@@ -102,11 +77,11 @@ def _no_curve(result: Result, parameter: str) -> str:
 class _Line:
     """Refits along one parameter, each started from its neighbour. center: value at the optimum."""
 
-    def __init__(self, problem: OutputErrorProblem, best: Outcome, name: str, options: OutputErrorOptions) -> None:
+    def __init__(self, problem: OutputErrorProblem, best: Fit, name: str, options: OutputErrorOptions) -> None:
         self.problem, self.name, self.options = problem, name, options
         self.at = [problem.free[i] for i in problem.shared].index(name)
         self.best, self.center = best.unknowns, float(best.unknowns[self.at])
-        self.lowest = _cost(best)  # with the parameter's own prior
+        self.lowest = best.point.cost  # with the parameter's own prior
         chosen = problem.model.parameter(name)
         self.limits = (chosen.lower, chosen.upper)
         self.lower_found = False
@@ -133,15 +108,10 @@ class _Line:
             if not outcome.status.usable:
                 break
             unknowns = outcome.unknowns
-            deviance = 2.0 * (_cost(outcome) + self._prior(value) - self.lowest)
+            deviance = 2.0 * (outcome.point.cost + self._prior(value) - self.lowest)
             self.lower_found |= deviance < -0.01
             found.append((value, deviance))
         return found
-
-
-def _cost(outcome: Outcome) -> float:
-    assert isinstance(outcome.point, LikelihoodPoint)
-    return outcome.point.cost
 
 
 def _interval(values: Array, root: Array, level: float, limits: tuple[float, float]) -> tuple[float, float]:

@@ -6,18 +6,15 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from estimation.estimators.gauss_newton import Status
 from estimation.models.base import Model
-from estimation.validation import ChannelFit
-
-if TYPE_CHECKING:
-    from estimation.estimators.bootstrap import Bootstrap
-    from estimation.estimators.profile import Profile
+from estimation.signals.goodness_of_fit import ChannelFit
+from groundstation.flight.notes import Note
 
 Array = NDArray[np.float64]
 
@@ -64,7 +61,63 @@ class FlightFit:
     initial_states: tuple[Array, ...]
     local: Mapping[str, Estimate]
     fit: Mapping[str, ChannelFit]
-    notes: tuple[str, ...] = ()
+    notes: tuple[Note, ...] = ()
+
+
+@dataclass(frozen=True)
+class Spread:
+    """One parameter over the replicates. std: their standard deviation; bias: their mean less the estimate they were
+    made with; interval: 95 %, between percentiles."""
+
+    std: float
+    bias: float
+    interval: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Bootstrap:
+    """names: parameters the data can see; estimates: (replicates that came to an end, names), local parameters as their
+    mean over flights; failed: replicates that did not. text: why there is nothing, else empty."""
+
+    names: tuple[str, ...]
+    estimates: Array
+    parameters: Mapping[str, Spread]
+    failed: int
+    text: str = ""
+
+    def to_json(self) -> dict[str, Any]:
+        data: dict[str, Any] = {
+            "replicates": len(self.estimates),
+            "failed": self.failed,
+            "parameters": {
+                n: {"std": s.std, "bias": s.bias, "interval": list(s.interval)} for n, s in self.parameters.items()
+            },
+        }
+        return {**data, "status": self.text} if self.text else data
+
+
+@dataclass(frozen=True)
+class Profile:
+    """values, deviance: (points,) ascending, the estimate among them. interval: 95 %, residuals believed white;
+    interval_coloured: widened as the corrected bound is. An end is infinite where the data sets none; a limit of the
+    parameter ends an interval. text: why there is no curve or no end, else empty."""
+
+    name: str
+    estimate: float
+    values: Array
+    deviance: Array
+    interval: tuple[float, float]
+    interval_coloured: tuple[float, float]
+    text: str = ""
+
+    def to_json(self) -> dict[str, Any]:
+        data: dict[str, Any] = {
+            "interval": [finite(v) for v in self.interval],
+            "interval_coloured": [finite(v) for v in self.interval_coloured],
+            "values": self.values.tolist(),
+            "deviance": self.deviance.tolist(),
+        }
+        return {**data, "status": self.text} if self.text else data
 
 
 @dataclass(frozen=True)
@@ -87,8 +140,8 @@ class Result:
     flights: tuple[FlightFit, ...]
     engine: str = ""
     extra: Mapping[str, Any] = field(default_factory=dict)
-    profile: Mapping[str, "Profile"] = field(default_factory=dict)
-    bootstrap: "Bootstrap | None" = None
+    profile: Mapping[str, Profile] = field(default_factory=dict)
+    bootstrap: Bootstrap | None = None
 
     @property
     def converged(self) -> bool:

@@ -31,7 +31,7 @@ from estimation.gap.whitening import (
     whitener,
 )  # fmt: skip
 from estimation.models.base import Model
-from estimation.preprocess import noise_level
+from estimation.signals.preprocess import noise_level
 
 LEAST_NOISE = 0.25  # of the variance that the sample-to-sample scatter of a channel shows
 PASSES = 3

@@ -14,7 +14,7 @@ from estimation.engine.kernel import Array
 from estimation.engine.simulate import Segment
 from estimation.gap.effects.base import Effect, Form
 from estimation.models.base import Model, Signal
-from estimation.preprocess import noise_level
+from estimation.signals.preprocess import noise_level
 from groundstation.flight import Flight
 
 CLEARLY = 1.5  # times the usual standard deviation: a channel noisier than that has a noise of its own

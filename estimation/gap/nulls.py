@@ -19,7 +19,7 @@ from estimation.gap.edges import find_edges
 from estimation.gap.fitting import Fit, Problem
 from estimation.gap.whitening import GYRO, RATE_OF, WANDERING, WANDERING_S, NoiseModel, linear_motion
 from estimation.models.base import Model
-from estimation.preprocess import denoise_many
+from estimation.signals.preprocess import denoise_many
 
 EDGE_FREEDOM = 0.2  # of the change over an interval, where the flights do not tell how far a surface strays in between
 BANK = 6  # de-noised realisations kept per input; a null draws one of them and its sign

@@ -12,79 +12,29 @@ import hashlib
 import json
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 from estimation.errors import ModelError
 from estimation.models import plain
 from estimation.models.consistency import check_model
-from estimation.models.expressions import names_in, split_line
-from estimation.models.parts import TRANSFORM_KINDS, InputTransform, Parameter, Signal
+from estimation.models.expressions import names_in
+from estimation.models.parts import TRANSFORM_KINDS, InputTransform, ModelParts, Parameter, ParameterRole, Signal
 
-__all__ = ["TRANSFORM_KINDS", "InputTransform", "Model", "Parameter", "Signal"]
+__all__ = ["TRANSFORM_KINDS", "InputTransform", "Model", "Parameter", "ParameterRole", "Signal"]
 
 
 @dataclass(frozen=True)
-class Model:
+class Model(ModelParts):
     """States, inputs, outputs, parameters and equations; immutable, every change makes a new one.
 
     Raises ModelError on construction when a name is used twice, a symbol is not defined, definitions run in a circle,
     or a state has no `<state>_dot` line.
     """
 
-    name: str
-    states: tuple[Signal, ...]
-    inputs: tuple[Signal, ...]
-    outputs: tuple[Signal, ...]
-    parameters: tuple[Parameter, ...]
-    equations: tuple[str, ...]
-    constants: Mapping[str, float] = field(default_factory=dict)
-    title: str = ""
-    transforms: tuple[InputTransform, ...] = ()
-    output_delays: Mapping[str, str] = field(default_factory=dict)
-    description: str = ""
-
     def __post_init__(self) -> None:
         check_model(self)
-
-    # ------------------------------------------------------------------------------------------------ names
-    @property
-    def state_names(self) -> tuple[str, ...]:
-        return tuple(s.name for s in self.states)
-
-    @property
-    def input_names(self) -> tuple[str, ...]:
-        return tuple(s.name for s in self.inputs)
-
-    @property
-    def output_names(self) -> tuple[str, ...]:
-        return tuple(s.name for s in self.outputs)
-
-    @property
-    def parameter_names(self) -> tuple[str, ...]:
-        return tuple(p.name for p in self.parameters)
-
-    @property
-    def free_names(self) -> tuple[str, ...]:
-        """Names of the parameters that are estimated."""
-        return tuple(p.name for p in self.parameters if not p.fixed)
-
-    def parameter(self, name: str) -> Parameter:
-        """The parameter of that name; ModelError naming the nearest ones otherwise."""
-        for parameter in self.parameters:
-            if parameter.name == name:
-                return parameter
-        raise ModelError(f"model {self.name}: no parameter {name!r}; it has {', '.join(self.parameter_names)}")
-
-    def starts(self) -> dict[str, float]:
-        """Start value of every parameter, fixed ones included."""
-        return {p.name: p.start for p in self.parameters}
-
-    @cached_property
-    def definitions(self) -> Mapping[str, str]:
-        """Symbol -> expression text, in the order of the text."""
-        return dict(split_line(line) for line in self.equations)
 
     def output_expression(self, name: str) -> str:
         """What output `name` shows: `<name>_measured` where the text defines it, else the quantity itself."""
@@ -157,11 +107,24 @@ class Model:
         definitions[measured] = expression
 
     def with_biases(self, *outputs: str, local: bool = True) -> "Model":
-        """A new model with a constant instrument bias `bias_<output>` on each named output, one value per flight."""
+        """A new model with a constant instrument bias `bias_<output>` on each named output, one value per flight.
+
+        Raises ModelError where the model has a parameter of that name.
+        """
         model = self
         for output in outputs:
+            if f"bias_{output}" in model.parameter_names:
+                raise ModelError(
+                    f"model {self.name}: has a parameter bias_{output} already; give that one another name"
+                )
             unit = next((s.unit for s in self.outputs if s.name == output), "")
-            bias = Parameter(f"bias_{output}", unit, local=local, description=f"instrument bias of {output}")
+            bias = Parameter(
+                f"bias_{output}",
+                unit,
+                local=local,
+                description=f"instrument bias of {output}",
+                role=ParameterRole.INSTRUMENT,
+            )
             model = model.plus(outputs={output: f"{output} + bias_{output}"}, parameters=[bias])
         return model
 
@@ -192,6 +155,14 @@ class Model:
     def with_limits(self, **limits: tuple[float, float]) -> "Model":
         """A new model with bounds name=(lower, upper)."""
         return self._changed({n: {"lower": float(a), "upper": float(b)} for n, (a, b) in limits.items()})
+
+    def with_role(self, role: ParameterRole, *names: str) -> "Model":
+        """A new model in which the named parameters have another role."""
+        return self._changed({n: {"role": role} for n in names})
+
+    def free_of(self, *roles: ParameterRole) -> tuple[str, ...]:
+        """Names of the estimated parameters that have one of the roles."""
+        return tuple(p.name for p in self.parameters if p.role in roles and not p.fixed)
 
     def with_local(self, *names: str) -> "Model":
         """A new model in which each flight has its own value of the named parameters."""
@@ -241,15 +212,6 @@ class Model:
             output_delays={str(k): str(v) for k, v in plain.table(data, "output_delays").items()},
             equations=plain.lines(data["equations"]),
         )
-
-    @cached_property
-    def structure(self) -> str:
-        """Digest of what decides the traced functions: names and equations, not values."""
-        parts = [
-            self.state_names, self.input_names, self.output_names, self.parameter_names,
-            tuple(sorted(self.constants)), self.equations,
-        ]  # fmt: skip
-        return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:24]
 
     @cached_property
     def digest(self) -> str:

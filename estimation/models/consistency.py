@@ -2,17 +2,13 @@
 
 import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
 from estimation.errors import ModelError
 from estimation.models.expressions import check_name, names_in, split_line
-from estimation.models.parts import TRANSFORM_KINDS
-
-if TYPE_CHECKING:
-    from estimation.models.base import Model
+from estimation.models.parts import TRANSFORM_KINDS, ModelParts
 
 
-def check_model(model: "Model") -> None:
+def check_model(model: ModelParts) -> None:
     """Raise ModelError naming the first thing that does not fit."""
     where = f"model {model.name}"
     symbols: dict[str, str] = {}
@@ -50,7 +46,7 @@ def check_model(model: "Model") -> None:
     _check_transforms(model)
 
 
-def _check_circles(model: "Model", definitions: Mapping[str, str]) -> None:
+def _check_circles(model: ModelParts, definitions: Mapping[str, str]) -> None:
     done: set[str] = set()
 
     def visit(symbol: str, path: tuple[str, ...]) -> None:
@@ -66,7 +62,7 @@ def _check_circles(model: "Model", definitions: Mapping[str, str]) -> None:
         visit(symbol, ())
 
 
-def _check_parameters(model: "Model") -> None:
+def _check_parameters(model: ModelParts) -> None:
     for p in model.parameters:
         where = f"model {model.name}: parameter {p.name}"
         if not p.lower <= p.start <= p.upper:
@@ -77,7 +73,7 @@ def _check_parameters(model: "Model") -> None:
             raise ModelError(f"{where}: a prior needs a mean and a standard deviation greater than zero")
 
 
-def _check_transforms(model: "Model") -> None:
+def _check_transforms(model: ModelParts) -> None:
     for t in model.transforms:
         where = f"model {model.name}: transform {t.kind} of {t.input}"
         if t.kind not in TRANSFORM_KINDS:

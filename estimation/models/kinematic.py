@@ -10,35 +10,60 @@ Table 2.
 """
 
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 
 from estimation.aircraft import GRAVITY
 from estimation.errors import ModelError
-from estimation.models.base import Model, Parameter, Signal
+from estimation.models.base import Model, Parameter, ParameterRole, Signal
 
 STANDARD_FACTORS = ("dax", "day", "daz", "dp", "dq", "dr", "K_beta", "dbeta")
 """Table 2 of the paper."""
 
-FACTORS: dict[str, Parameter] = {
-    **{f"da{x}": Parameter(f"da{x}", "m/s2", description=f"bias of the specific force, {x}") for x in "xyz"},
-    **{f"d{r}": Parameter(f"d{r}", "rad/s", description=f"bias of the rate {r}") for r in "pqr"},
-    "K_alpha": Parameter("K_alpha", "1", start=1.0, description="scale of angle of attack"),
-    "dalpha": Parameter("dalpha", "rad", description="bias of angle of attack"),
-    "K_beta": Parameter("K_beta", "1", start=1.0, description="scale of sideslip"),
-    "dbeta": Parameter("dbeta", "rad", description="bias of sideslip"),
-    "K_V": Parameter("K_V", "1", start=1.0, description="scale of airspeed"),
-    "dV": Parameter("dV", "m/s", description="bias of airspeed"),
-    "dphi": Parameter("dphi", "rad", description="bias of bank angle"),
-    "dtheta": Parameter("dtheta", "rad", description="bias of pitch attitude"),
-    "x_imu": Parameter("x_imu", "m", description="IMU ahead of the centre of gravity"),
-    "y_imu": Parameter("y_imu", "m", description="IMU right of the centre of gravity"),
-    "z_imu": Parameter("z_imu", "m", description="IMU below the centre of gravity"),
-    "x_vane": Parameter("x_vane", "m", description="vane ahead of the centre of gravity"),
-    "y_vane": Parameter("y_vane", "m", description="alpha vane right of the centre of gravity"),
-    "z_vane": Parameter("z_vane", "m", description="beta vane below the centre of gravity"),
-}
+AIR = ("V", "alpha", "beta")
+"""Where specific force shows: it moves the air-relative velocity and nothing else."""
 
-DELAYS: dict[str, str] = {f"tau_{c}": c for c in ("alpha", "beta", "V", "phi", "theta", "psi")}
-"""Delay factor -> the output that is late [s]."""
+
+@dataclass(frozen=True)
+class Factor:
+    """An instrument factor. channels: measured ones, of which one is needed for it to show; none for a bias of an input.
+
+    late: the output that the factor delays, else empty.
+    """
+
+    parameter: Parameter
+    channels: tuple[str, ...] = ()
+    late: str = ""
+
+
+def _factor(name: str, unit: str, description: str, *channels: str, start: float = 0.0) -> Factor:
+    return Factor(Parameter(name, unit, start, description=description, role=ParameterRole.INSTRUMENT), channels)
+
+
+def _delay(channel: str) -> Factor:
+    name = f"tau_{channel}"
+    return Factor(Parameter(name, "s", lower=-0.3, upper=0.3, role=ParameterRole.INSTRUMENT), (channel,), channel)
+
+
+_FACTORS = (
+    *(_factor(f"da{x}", "m/s2", f"bias of the specific force, {x}", *AIR) for x in "xyz"),
+    *(_factor(f"d{r}", "rad/s", f"bias of the rate {r}") for r in "pqr"),
+    _factor("K_alpha", "1", "scale of angle of attack", "alpha", start=1.0),
+    _factor("dalpha", "rad", "bias of angle of attack", "alpha"),
+    _factor("K_beta", "1", "scale of sideslip", "beta", start=1.0),
+    _factor("dbeta", "rad", "bias of sideslip", "beta"),
+    _factor("K_V", "1", "scale of airspeed", "V", start=1.0),
+    _factor("dV", "m/s", "bias of airspeed", "V"),
+    _factor("dphi", "rad", "bias of bank angle", "phi"),
+    _factor("dtheta", "rad", "bias of pitch attitude", "theta"),
+    _factor("x_imu", "m", "IMU ahead of the centre of gravity", *AIR),
+    _factor("y_imu", "m", "IMU right of the centre of gravity", *AIR),
+    _factor("z_imu", "m", "IMU below the centre of gravity", *AIR),
+    _factor("x_vane", "m", "vane ahead of the centre of gravity", "alpha", "beta"),
+    _factor("y_vane", "m", "alpha vane right of the centre of gravity", "alpha", "beta"),
+    _factor("z_vane", "m", "beta vane below the centre of gravity", "alpha", "beta"),
+    *(_delay(c) for c in ("alpha", "beta", "V", "phi", "theta", "psi")),
+)
+FACTORS: Mapping[str, Factor] = {f.parameter.name: f for f in _FACTORS}
 
 ATTITUDE = ("phi", "theta", "psi")
 
@@ -55,18 +80,6 @@ MEASUREMENTS = {
     "theta": Signal("theta", "rad", "pitch attitude"),
     "psi": Signal("psi", "rad", "heading"),
 }
-
-
-def channels_of_factor(name: str) -> tuple[str, ...]:
-    """The measured channels, of which one is needed, for a factor to show; none for those of the inputs."""
-    if name in DELAYS:
-        return (DELAYS[name],)
-    if name.endswith("_vane"):
-        return ("alpha", "beta")
-    if (name.startswith("da") and len(name) == 3) or name.endswith("_imu"):
-        return ("V", "alpha", "beta")  # specific force moves the air-relative velocity and nothing else
-    channel = name.removeprefix("K_").removeprefix("d")
-    return (channel,) if channel in MEASUREMENTS else ()
 
 
 def compatibility_model(
@@ -86,10 +99,9 @@ def compatibility_model(
     """
     wanted, measured = tuple(factors), tuple(outputs)
     given = dict(known or {})
-    unknown = [f for f in (*wanted, *given) if f not in FACTORS and f not in DELAYS]
+    unknown = [f for f in (*wanted, *given) if f not in FACTORS]
     if unknown:
-        choices = ", ".join([*FACTORS, *DELAYS])
-        raise ModelError(f"compatibility: no factor {unknown[0]!r}; choose from {choices}")
+        raise ModelError(f"compatibility: no factor {unknown[0]!r}; choose from {', '.join(FACTORS)}")
     for axis in "xyz":
         if f"{axis}_imu" in wanted and f"{axis}_vane" in wanted:
             raise ModelError(
@@ -137,7 +149,7 @@ def compatibility_model(
         f"psi_measured = psi{wandering('psi')}",
         *(f"{a}_{e}_dot = -{a}_{e}/{FILTER_ERRORS[e][1]!r}" for a, e in errors),
     )
-    delayed = {DELAYS[f]: f for f in wanted if f in DELAYS}
+    delayed = {FACTORS[f].late: f for f in wanted if FACTORS[f].late}
     return Model(
         name="compatibility",
         title="flight-path kinematics",
@@ -154,7 +166,7 @@ def compatibility_model(
             *(Signal(f"{n}_dot", "rad/s2") for n in "pqr" if lever),
         ),
         outputs=tuple(MEASUREMENTS[n] for n in measured),
-        parameters=tuple(FACTORS[f] if f in FACTORS else Parameter(f, "s", lower=-0.3, upper=0.3) for f in wanted),
+        parameters=tuple(FACTORS[f].parameter for f in wanted),
         equations=equations,
         constants={"g": GRAVITY},
         output_delays=delayed,

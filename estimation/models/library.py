@@ -9,6 +9,7 @@ Source of the lateral aerodynamics: The Aeronautical Journal (2018), pp 889-912,
 
 from estimation.aircraft import Aircraft
 from estimation.models.base import Model, Parameter, Signal
+from estimation.models.parts import usual_role
 
 BETA = Signal("beta", "rad", "angle of sideslip")
 ROLL_RATE = Signal("p", "rad/s", "roll rate")
@@ -70,7 +71,7 @@ def aerodynamic_parameters(names: tuple[str, ...], aircraft: Aircraft) -> tuple[
     for name in names:
         prior = aircraft.prior(name)
         if prior is None:
-            parameters.append(Parameter(name, "1/rad"))
+            parameters.append(Parameter(name, "1/rad", role=usual_role(name)))
         else:
             parameters.append(
                 Parameter(
@@ -80,6 +81,7 @@ def aerodynamic_parameters(names: tuple[str, ...], aircraft: Aircraft) -> tuple[
                     reference=prior.value,
                     reference_std=prior.std,
                     reference_source=prior.source,
+                    role=usual_role(name),
                 )
             )
     return tuple(parameters)

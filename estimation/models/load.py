@@ -1,8 +1,6 @@
 """Get a model: by built-in name, from a TOML file of equations, or from a class of one's own; write one to TOML."""
 
-import importlib
 import json
-import sys
 import tomllib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -12,11 +10,7 @@ from estimation.aircraft import Aircraft, load_aircraft
 from estimation.errors import ModelError
 from estimation.models.base import Model
 from estimation.models.library import BUILDERS
-
-MISTAKES = (
-    ImportError, SyntaxError, NameError, AttributeError, TypeError, ValueError, KeyError, IndexError, ZeroDivisionError,
-)  # fmt: skip
-"""What a mistake in somebody's own module or class raises."""
+from estimation.own_code import MISTAKES, named, said
 
 
 def load_model(which: str | Path | type | Model, aircraft: Aircraft | str | None = None) -> Model:
@@ -105,23 +99,9 @@ def _value(value: Any) -> str:
 
 
 def _import_class(text: str) -> type:
-    module_name, _, class_name = text.partition(":")
-    if not all(part.isidentifier() for part in (*module_name.split("."), class_name)):
-        raise ModelError(f"model {text!r}: write it as module:Class, like docs.examples.roll_yaw:RollYaw")
-    here = str(Path.cwd())
-    added = here not in sys.path
-    if added:
-        sys.path.insert(0, here)
-    try:
-        module = importlib.import_module(module_name)
-    except MISTAKES as error:
-        raise ModelError(f"model {text!r}: cannot import {module_name}: {_said(error)}") from error
-    finally:
-        if added:
-            sys.path.remove(here)
-    found = getattr(module, class_name, None)
+    found = named(text, f"model {text!r}", "module:Class, like docs.examples.roll_yaw:RollYaw", ModelError)
     if not isinstance(found, type):
-        raise ModelError(f"model {text!r}: {module_name} has no class {class_name!r}")
+        raise ModelError(f"model {text!r}: that is {type(found).__name__}, not a class")
     return found
 
 
@@ -131,15 +111,4 @@ def _from_class(cls: type, aircraft: Aircraft | str | None) -> Model:
     try:
         return model_from_class(cls, load_aircraft(aircraft) if isinstance(aircraft, str) else aircraft)
     except MISTAKES as error:
-        raise ModelError(f"model class {cls.__name__}: {_said(error)}") from error
-
-
-def _said(error: Exception) -> str:
-    """An error of somebody's Python text, with its place where that is known."""
-    trace = error.__traceback__
-    while trace is not None and trace.tb_next is not None:
-        trace = trace.tb_next
-    where = (
-        f" (line {error.lineno})" if isinstance(error, SyntaxError) else f" (line {trace.tb_lineno})" if trace else ""
-    )
-    return f"{type(error).__name__}: {error}{where if not isinstance(error, ImportError) else ''}"
+        raise ModelError(f"model class {cls.__name__}: {said(error)}") from error

@@ -18,12 +18,14 @@ A class whose constructor takes an argument is given the aircraft.
 """
 
 import inspect
+import math
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, Self
 
 from estimation.aircraft import Aircraft
 from estimation.errors import ModelError
 from estimation.models.base import Model, Parameter, Signal
+from estimation.models.parts import usual_role
 
 _LEVEL = {"+": 1, "-": 1, "*": 2, "/": 2, "neg": 3, "**": 4}
 _NUMPY = {
@@ -215,10 +217,11 @@ def _parameter(name: str, value: object) -> Parameter:
     if isinstance(value, Parameter):
         return value
     if isinstance(value, str):
-        return Parameter(name, value)
+        return Parameter(name, value, role=usual_role(name))
     if isinstance(value, tuple) and 1 <= len(value) <= 4:
-        numbers = dict(zip(("start", "lower", "upper"), map(float, value[1:]), strict=False))
-        return Parameter(name, str(value[0]), **numbers)  # type: ignore[arg-type]
+        given = [float(v) for v in value[1:]]
+        start, lower, upper = (*given, *(0.0, -math.inf, math.inf)[len(given) :])
+        return Parameter(name, str(value[0]), start, lower, upper, role=usual_role(name))
     raise ModelError(f"parameter {name!r}: give a unit, (unit, start), (unit, start, lower, upper) or a Parameter")
 
 

@@ -1,19 +1,22 @@
 """Parts of a model as plain data, as a TOML file holds them, and back."""
 
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
+from enum import Enum
 from typing import Any
 
 from estimation.errors import ModelError
-from estimation.models.parts import InputTransform, Parameter, Signal
+from estimation.models.parts import InputTransform, Parameter, ParameterRole, Signal, usual_role
 
 
 def without_defaults(item: Any) -> dict[str, Any]:
     """A part as a table, keys at their default left out."""
     cls = type(item)
     default = cls("x", "x", ("x",)) if cls is InputTransform else cls("x")
+    if isinstance(item, Parameter):
+        default = cls("x", role=usual_role(item.name))
     data = {k: v for k, v in asdict(item).items() if k in ("name", "kind", "input") or v != getattr(default, k)}
-    return {k: list(v) if isinstance(v, tuple) else v for k, v in data.items()}
+    return {k: list(v) if isinstance(v, tuple) else v.value if isinstance(v, Enum) else v for k, v in data.items()}
 
 
 def number(value: object, key: str) -> float:
@@ -81,14 +84,22 @@ def item(cls: type[Any], key: str, data: object) -> Any:
 def parameter(data: object) -> Parameter:
     """A parameter from a table, or from its name alone."""
     if isinstance(data, Mapping):
-        texts = {"name", "unit", "reference_source", "description"}
+        texts = {"name", "unit", "reference_source", "description", "role"}
         flags = {"fixed", "local"}
         for key, value in data.items():
             if key in Parameter.__dataclass_fields__ and key not in texts | flags:
                 number(value, f"parameter {data.get('name')!r}: {key}")
             if key in flags and not isinstance(value, bool):
                 raise ModelError(f"parameter {data.get('name')!r}: {key} = {value!r} must be true or false")
-    return item(Parameter, "parameters", data)  # type: ignore[no-any-return]
+    made: Parameter = item(Parameter, "parameters", data)
+    stated = data.get("role") if isinstance(data, Mapping) else None
+    return replace(made, role=usual_role(made.name) if stated is None else _role(made.name, stated))
+
+
+def _role(name: str, value: object) -> ParameterRole:
+    if value not in tuple(ParameterRole):
+        raise ModelError(f"parameter {name!r}: role = {value!r} is none of {', '.join(ParameterRole)}")
+    return ParameterRole(str(value))
 
 
 def transform(data: object) -> InputTransform:

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 from estimation.estimators.uncertainty import companions
 
 if TYPE_CHECKING:
-    from estimation.laboratory import Session
     from estimation.models.base import Model
+    from estimation.session.session import Session
 
 CONTROL_WORDS = {"delta_a": "aileron", "delta_r": "rudder", "delta_e": "elevator"}
 MOTION_ADVICE = {

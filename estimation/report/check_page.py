@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from estimation.compatibility.present import fit_of
 from estimation.compatibility.result import Compatibility, ReconstructedFlight
 from estimation.report import published
+from estimation.report.compatibility_tables import fit_of
 from estimation.report.figures import MEASURED, Picture, broken_at_gaps, picture, styled
 from estimation.report.html import write_page
 from estimation.report.names import face, html, tex

@@ -6,16 +6,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from estimation.estimators.result import FlightFit, Result
+from estimation.models.base import ParameterRole
 from estimation.report import published
 from estimation.report.estimate_tables import is_published
-from estimation.report.figures import COLOURS, MARKERS, MEASURED, Picture, broken_at_gaps, picture, styled
+from estimation.report.figures import MEASURED, Picture, broken_at_gaps, look, picture, styled
 from estimation.report.names import axis_label, face, tex
-from estimation.validation import autocorrelation
+from estimation.signals.goodness_of_fit import autocorrelation
 
 if TYPE_CHECKING:
-    from estimation.laboratory import FlightEstimates, Session
     from estimation.models.base import Model
-    from estimation.proof import Proof
+    from estimation.session.proof_of_match import Proof
+    from estimation.session.session import FlightEstimates, Session
 
 ACROSS = 4
 PUBLISHED = "#8b95a1"
@@ -25,7 +26,8 @@ def scatter_figure(session: "Session") -> Picture:
     """Figure 8: each derivative over flights and methods, joint band, wind tunnel, published flights."""
     from matplotlib.figure import Figure
 
-    names = [n for n in session.model.free_names if not n.endswith("_0")] or list(session.model.free_names)
+    trims = session.model.free_of(ParameterRole.CONSTANT)
+    names = [n for n in session.model.free_names if n not in trims] or list(trims)
     rows = -(-len(names) // ACROSS)
     with styled():
         figure = Figure(figsize=(11.6, 2.05 * rows + 0.9), layout="constrained")
@@ -38,7 +40,7 @@ def scatter_figure(session: "Session") -> Picture:
         figure.legend(handles.values(), handles.keys(), loc="outside upper center", ncols=6)
     caption = (
         "Each derivative over flights and methods, bars of one corrected bound; a flight that cannot tell has no mark. "
-        "Dashed: believed before flying. Band: joint maximum likelihood, ± one corrected bound."
+        "Dashed: believed before flying. Band: joint estimate, ± one corrected bound."
     )
     if is_published(session):
         caption += " Grey, right of the line: the four published flights (Figure 8 of the paper)."
@@ -53,11 +55,11 @@ def _scatter_panel(axis: Any, session: "Session", name: str) -> None:
         told = [(x, e) for x, e in at if e is not None and e.identifiable and np.isfinite(e.std_coloured)]
         if told:
             axis.errorbar([x for x, _ in told], [e.estimate for _, e in told], [e.std_coloured for _, e in told],
-                          fmt=MARKERS.get(method, "o"), color=COLOURS.get(method, "k"), ms=3.6, lw=0.9, capsize=1.8,
+                          fmt=look(method).marker, color=look(method).colour, ms=3.6, lw=0.9, capsize=1.8,
                           label=method)  # fmt: skip
     labels = [f.flight.name.removeprefix("cdfp_") for f in session.flights]
     count = len(labels)
-    joint = session.joint.get("ml") or next(iter(session.joint.values()), None)
+    joint = session.leading
     e = None if joint is None else joint.parameters.get(name)
     if e is not None and e.identifiable:
         axis.axhspan(
@@ -72,7 +74,7 @@ def _scatter_panel(axis: Any, session: "Session", name: str) -> None:
             said = [published.estimate(f, m, name) for f in published.published_flights()]
             places = [(count + i + shift, v) for i, v in enumerate(said) if v is not None]
             axis.errorbar([x for x, _ in places], [v[0] for _, v in places], [v[1] for _, v in places],
-                          fmt=MARKERS[m], color=PUBLISHED, mfc="none", ms=3.4, lw=0.8, label=f"published {m}")  # fmt: skip
+                          fmt=look(m).marker, color=PUBLISHED, mfc="none", ms=3.4, lw=0.8, label=f"published {m}")  # fmt: skip
         labels += [f.removeprefix("UFP_") for f in published.published_flights()]
     axis.set_title(f"${tex(name)}$")
     axis.set_xticks(range(len(labels)), labels, rotation=0 if len(labels) <= 4 else 60, fontsize=7)
@@ -116,7 +118,7 @@ def _channels(axes: Any, model: "Model", first: "FlightFit | Proof", curves: Map
             axes[i].plot(
                 first.time,
                 broken_at_gaps(first.time, factor * outputs[:, i]),
-                color=COLOURS.get(method, "#0072B2"),
+                color=look(method).colour,
                 lw=1.0,
                 label=method,
             )
@@ -129,7 +131,7 @@ def residual_figure(model: "Model", result: Result) -> Picture:
     from matplotlib.figure import Figure
 
     fit = result.flights[0]
-    colour = COLOURS.get(result.method, "#0072B2")
+    colour = look(result.method).colour
     with styled():
         figure = Figure(figsize=(11.6, 1.3 * len(model.outputs) + 0.6), layout="constrained")
         axes = figure.subplots(len(model.outputs), 2, squeeze=False, width_ratios=(2.2, 1), sharex="col")

@@ -7,7 +7,7 @@ from estimation.report.tables import CANNOT_TELL, Table, number, significant
 
 if TYPE_CHECKING:
     from estimation.estimators.result import Estimate
-    from estimation.laboratory import FlightEstimates, Session
+    from estimation.session.session import FlightEstimates, Session
 
 BOUNDS = (
     "bound: Cramér–Rao; corrected: for coloured residuals, the one to be believed. A derivative that the flight cannot "

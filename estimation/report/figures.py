@@ -10,17 +10,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from estimation.estimators.estimator import Look
+from estimation.estimators.registry import find, names
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 
 MEASURED = "#9aa3ad"
-COLOURS = {
-    "ml": "#0072B2", "fem": "#009E73", "ls": "#8c6d31", "ngn": "#D55E00", "ngn-improved": "#CC79A7",
-}  # fmt: skip
-"""One colour a method, told apart by colour-blind readers too (Okabe and Ito)."""
-MARKERS = {"ml": "o", "fem": "s", "ls": "v", "ngn": "D", "ngn-improved": "^"}
+SPARE = Look("#000000", "P")  # of an estimator that brings none; Okabe and Ito's colours are told apart by all readers
 LARGE = 40_000  # points in one figure from which pixels are smaller than lines
 STYLE: dict[str, Any] = {
     "font.size": 8.5, "axes.titlesize": 9.5, "axes.labelsize": 8.5, "axes.grid": True, "grid.alpha": 0.25, "grid.linewidth": 0.6,
@@ -39,6 +38,11 @@ class Picture:
     uri: str
     width: int
     height: int
+
+
+def look(method: str) -> Look:
+    """Colour and marker of a method, the same in every figure."""
+    return (find(method).look if method in names() else None) or SPARE
 
 
 @contextmanager

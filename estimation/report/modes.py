@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from estimation.engine.trace import constant_names, trace
+from estimation.engine.trace import trace
 from estimation.estimators.result import Result
 from estimation.models.base import Model
 from estimation.report.tables import Table, significant
@@ -33,8 +33,8 @@ class Mode:
 
 def state_matrix(model: Model, values: Mapping[str, float], state: Array, inputs: Array) -> Array:
     """(nx, nx) Jacobian df/dx at one point. values: every parameter; state (nx,), inputs (nu,)."""
-    traced = trace(model)
-    p = [*(values[n] for n in model.parameter_names), *(model.constants[n] for n in constant_names(model))]
+    traced = trace(model.structure)
+    p = [*(values[n] for n in model.parameter_names), *(model.constants[n] for n in model.structure.constants_kept)]
     entries = np.asarray(traced.rates_jacobian(state, inputs, p)[1]).ravel()
     rows, columns = traced.patterns["f_x"]
     A = np.zeros((len(model.states), len(model.states)))

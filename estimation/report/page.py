@@ -5,8 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from estimation.histories import write_flights
-from estimation.laboratory import is_trim
+from estimation.models.base import ParameterRole
 from estimation.report import published
 from estimation.report.advice import untold
 from estimation.report.estimate_figures import (
@@ -17,6 +16,7 @@ from estimation.report.estimate_figures import (
     scatter_figure,
 )  # fmt: skip
 from estimation.report.estimate_tables import estimate_table, fit_table, is_published, joint_table, mean_table
+from estimation.report.histories import write_flights
 from estimation.report.html import write_page
 from estimation.report.modes import SpreadMode, mode_table, modes_with_spread
 from estimation.report.names import html
@@ -24,8 +24,8 @@ from estimation.report.provenance import provenance_table, simulated
 from estimation.report.tables import Table, number, write_all
 
 if TYPE_CHECKING:
-    from estimation.laboratory import Session
-    from estimation.proof import Proof
+    from estimation.session.proof_of_match import Proof
+    from estimation.session.session import Session
 
 SHOWN = 8  # flights with figures of their own; tables hold all
 SEED = 1
@@ -43,7 +43,7 @@ def write_estimate_report(session: "Session", folder: Path) -> Path:
     }  # fmt: skip
     each = [estimate_table(session, f) for f in used]
     write_all([*each, *(t for t in tables.values() if t is not None)], folder / "tables")
-    best = session.joint.get("ml") or next(iter(session.joint.values()), None)
+    best = session.leading
     whose = f"joint, {best.method}" if best is not None else ""
     if best is None and used:
         best = next(iter(used[0].results.values()))
@@ -55,7 +55,7 @@ def write_estimate_report(session: "Session", folder: Path) -> Path:
         status=session.text, converged=session.converged, simulated=simulated(flights),
         comparison=published.COMPARISON if is_published(session) else "",
         tables=tables, each=each, scatter=scatter_figure(session) if used else None,
-        doubts=[(m, html(n), s.text) for m, t in session.mean.items() for n, s in t.items() if s.text and not n.endswith("_0")],
+        doubts=[(m, html(n), s.text) for m, t in session.mean.items() for n, s in t.items() if s.text],
         histories=[history_figure(f, is_published(session)) for f in used[:SHOWN]],
         residuals=[residual_figure(r.model, r) for f in used[:SHOWN] for r in list(f.results.values())[:1]],
         left_out=max(0, len(used) - SHOWN),
@@ -86,9 +86,9 @@ def _proofs(session: "Session") -> list[tuple[str, "Proof"]]:
 
     Constant coefficients are refitted: trim and sensor offsets of a day say nothing of the derivatives.
     """
-    from estimation.proof import predict
+    from estimation.session.proof_of_match import predict
 
-    trims = [n for n in session.model.free_names if is_trim(n)]
+    trims = session.model.free_of(ParameterRole.CONSTANT)
 
     proofs: list[tuple[str, Proof]] = []
     for method in session.methods:
@@ -104,8 +104,11 @@ def _proofs(session: "Session") -> list[tuple[str, "Proof"]]:
 
 def refitted(session: "Session") -> str:
     """What the proof of match does not freeze."""
-    trims = any(is_trim(n) for n in session.model.free_names)
-    return "initial states and constant coefficients (trim)" if trims else "initial states"
+    return (
+        "initial states and constant coefficients (trim)"
+        if session.model.free_of(ParameterRole.CONSTANT)
+        else "initial states"
+    )
 
 
 def _proof_table(session: "Session", proofs: list[tuple[str, "Proof"]]) -> Table | None:

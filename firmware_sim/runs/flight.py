@@ -163,17 +163,13 @@ class SimulatedFlight:
 
     def note_scans(self) -> None:
         """Write the truth of every scan, recorded or not, and keep its time."""
-        sampler, times, truth = self.assembly.sampler, self.scan_times, self.truth
-        plain = sampler.take
 
-        def noted(number: int, deadline_ns: int) -> UnfinishedScan:
-            taken = plain(number, deadline_ns)
+        def note(taken: UnfinishedScan) -> None:
             time = taken.time_monotonic_ns * 1e-9
-            times.append(time)
-            truth.write(time)
-            return taken
+            self.scan_times.append(time)
+            self.truth.write(time)
 
-        sampler.take = noted  # type: ignore[method-assign]  # the logger holds this very object
+        self.assembly.sampler.on_taken = note
 
 
 def prepare_flight(

@@ -1,7 +1,6 @@
 """A raw recording to a flight: with the calibration it carries, or with another one in its place."""
 
 import hashlib
-from dataclasses import replace
 from pathlib import Path
 
 from daq.contract.link.commands import parse_pitot_zero
@@ -40,7 +39,7 @@ def calibrate_recording(
         align=align,
         provenance=_provenance(recording),
     )
-    return replace(flight, notes=(*flight.notes, *_gaps(recording)))
+    return flight.with_notes(*_gaps(recording))
 
 
 def _gaps(recording: Recording) -> list[str]:

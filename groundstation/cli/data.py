@@ -36,7 +36,7 @@ def _say(flight: "Flight", output: Path, report: Path | None) -> None:
         "rate_hz": rate,
         "segments": len(flight.segments),
         "columns": [c for c in flight.columns if flight.measured(c)],
-        "notes": list(flight.notes),
+        "notes": [note.text for note in flight.notes],
         "provenance": {
             "source": flight.provenance.source,
             "sha256": flight.provenance.sha256,

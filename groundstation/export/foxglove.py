@@ -69,7 +69,11 @@ def _events(flight: Flight, stamps: NDArray[np.int64]) -> Iterator[tuple[str, in
         stamp = max(0, round(float(event["time"]) * 1e9) + shift)
         yield "/events", stamp, _stamped(Log(level=Log.INFO, name=event["origin"], message=event["text"]), stamp)
     for note in flight.notes:
-        yield "/events", int(stamps[0]), _stamped(Log(level=Log.WARNING, name="flight", message=note), int(stamps[0]))
+        yield (
+            "/events",
+            int(stamps[0]),
+            _stamped(Log(level=Log.WARNING, name="flight", message=note.text), int(stamps[0])),
+        )
 
 
 def _stamped(message: Any, stamp: int) -> Any:

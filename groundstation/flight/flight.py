@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from daq.contract.channels import COLUMN_BY_NAME
 from groundstation.flight.errors import FlightError, MissingColumnError
+from groundstation.flight.notes import Note, NoteKind, as_note, from_meta, once, to_meta, unknown_columns
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -62,7 +63,7 @@ class Flight:
     columns: Mapping[str, Array]
     segment: NDArray[np.int64]
     provenance: Provenance = Provenance()
-    notes: tuple[str, ...] = ()
+    notes: tuple[Note, ...] = ()
 
     @classmethod
     def build(
@@ -73,7 +74,7 @@ class Flight:
         *,
         segment: NDArray[Any] | None = None,
         provenance: Provenance | None = None,
-        notes: Iterable[str] = (),
+        notes: Iterable[Note | str] = (),
         gap_factor: float = GAP_FACTOR,
     ) -> "Flight":
         """A flight from raw arrays: sorts time, drops repeats, splits at gaps, and notes what it did.
@@ -85,16 +86,14 @@ class Flight:
         for key, values in arrays.items():
             if values.shape != time.shape:
                 raise FlightError(f"{name}: column {key} has {values.size} samples, time has {time.size}")
-        said = list(notes)
         labels = np.zeros(time.size, np.int64) if segment is None else np.asarray(segment).astype(np.int64)
-        keep, words = _order(name, time)
-        said += words
+        keep, order = _order(name, time)
         time, labels = time[keep], labels[keep]
         arrays = {k: v[keep] for k, v in arrays.items()}
-        segments, words = _split(time, labels, gap_factor)
-        said += words
-        notes_once = tuple(dict.fromkeys(said))  # a flight read again finds the gaps it was written with
-        return cls(name, time, MappingProxyType(arrays), segments, provenance or Provenance(), notes_once)
+        segments, gaps = _split(time, labels, gap_factor)
+        # a flight read again finds the gaps it was written with
+        said = (*notes, *(Note(NoteKind.TIME_ORDER, w) for w in order), *(Note(NoteKind.GAP, w) for w in gaps))
+        return cls(name, time, MappingProxyType(arrays), segments, provenance or Provenance(), once(said))
 
     def __repr__(self) -> str:
         about = self.provenance
@@ -184,6 +183,10 @@ class Flight:
         """A copy with columns added or replaced."""
         return replace(self, columns=MappingProxyType({**self.columns, **columns}))
 
+    def with_notes(self, *notes: Note | str) -> "Flight":
+        """A copy with notes added."""
+        return replace(self, notes=(*self.notes, *map(as_note, notes)))
+
     def part(self, keep: slice | NDArray[np.bool_], name: str | None = None) -> "Flight":
         """A copy of a range of samples; segments are renumbered from 0."""
         segment = self.segment[keep]
@@ -268,7 +271,7 @@ def read_flight(path: str | Path, *, gap_factor: float = GAP_FACTOR) -> Flight:
             notes.append(f"column {name}: {endless} infinite values taken as not measured")
     unknown = [c for c in columns if c not in COLUMN_BY_NAME]
     if unknown:
-        notes.append(f"columns not known to Sideslip, kept as they are: {', '.join(unknown)}")
+        notes.append(unknown_columns({c: c for c in unknown}))
     provenance = replace(provenance, path=str(path), sha256=hashlib.sha256(path.read_bytes()).hexdigest())
     return Flight.build(
         path.stem, time, columns, segment=segment, provenance=provenance, notes=notes, gap_factor=gap_factor
@@ -288,7 +291,7 @@ def write_flight(flight: Flight, path: str | Path) -> None:
         raise FlightError(f"{path}: cannot be written ({error.strerror or error}); choose another place") from error
 
 
-_Read = tuple[dict[str, Array], Provenance, list[str]]
+_Read = tuple[dict[str, Array], Provenance, list[Note | str]]
 
 
 def _read_csv(path: Path) -> _Read:
@@ -352,7 +355,7 @@ def _read_parquet(path: Path) -> _Read:
     except (pa.ArrowException, OSError) as error:
         raise FlightError(f"{path}: not a readable Parquet file ({error})") from error
     columns: dict[str, Array] = {}
-    notes = []
+    notes: list[Note | str] = []
     for name in table.column_names:
         try:
             columns[name] = np.asarray(table[name].cast(pa.float64()).to_numpy(), float)
@@ -380,7 +383,7 @@ def _provenance_to(flight: Flight) -> dict[str, Any]:
         "detail": dict(p.detail),
         "derived_from": {"path": p.path, "sha256": p.sha256},
         "name": flight.name,
-        "notes": list(flight.notes),
+        **to_meta(flight.notes),
     }
 
 
@@ -506,11 +509,7 @@ def _read_mcap(path: Path) -> _Read:
             f"{path}: damaged: the values are not those that were written; calibrate the raw recording again"
         )
     meta = json.loads(about["json"])
-    return (
-        {n: values[:, i] for i, n in enumerate(names)},
-        _provenance_from(meta),
-        [str(n) for n in meta.get("notes", [])],
-    )
+    return {n: values[:, i] for i, n in enumerate(names)}, _provenance_from(meta), [*from_meta(meta)]
 
 
 def _digest(provenance: str, names: Sequence[str], table: Array) -> str:

@@ -4,6 +4,7 @@ Each suspicion names the column, what is seen, and the unit or sign that would e
 """
 
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,28 +34,42 @@ _OTHER_UNITS: dict[str, tuple[tuple[str, float, float], ...]] = {
 }
 
 
-def suspicions(time: Array, columns: Columns) -> list[str]:
-    """Sentences about columns (N,) whose values look like another unit or sign; empty when nothing is suspicious."""
+@dataclass(frozen=True, slots=True)
+class Suspicion:
+    """columns: that look wrong; what: is seen, and what would explain it."""
+
+    columns: tuple[str, ...]
+    what: str
+
+    @property
+    def text(self) -> str:
+        return f"{', '.join(self.columns)}: {self.what}"
+
+
+def suspicions(time: Array, columns: Columns) -> list[Suspicion]:
+    """What is odd about columns (N,) whose values look like another unit or sign; empty when nothing is suspicious."""
     present = {n: v for n, v in columns.items() if n in COLUMN_BY_NAME and np.isfinite(v).sum() >= 2}
-    checks: Iterable[Iterator[str]] = (
+    checks: Iterable[Iterator[Suspicion]] = (
         _time(time), _gravity(present), _angles(present), _rates(present), _others(present), _attitude_rate(time, present),
         _pressure_speed(present), _ground_speed(present), _sideways(time, present),
     )  # fmt: skip
-    return [words for check in checks for words in check]
+    return [suspicion for check in checks for suspicion in check]
 
 
 def _median(values: Array) -> float:
     return float(np.nanmedian(values))
 
 
-def _time(time: Array) -> Iterator[str]:
+def _time(time: Array) -> Iterator[Suspicion]:
     if _shuffled(time):
         time = np.sort(time)
     steps = np.diff(time)
     backwards = float(np.mean(steps < 0)) if steps.size else 0.0
     steps = steps[steps > 0]
     if backwards > 0.02:
-        yield f"time: runs backwards from {backwards:.0%} of the rows to the next; is this the time column?"
+        yield Suspicion(
+            ("time",), f"runs backwards from {backwards:.0%} of the rows to the next; is this the time column?"
+        )
     if not steps.size:
         return
     if backwards > 0.02:
@@ -62,12 +77,14 @@ def _time(time: Array) -> Iterator[str]:
     interval = float(np.median(steps))
     for unit, scale in (("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9)):
         if interval >= 4 and 1e-3 <= interval * scale <= 0.5:
-            yield f"time: {interval:g} s from sample to sample; is the column in {unit}?"
+            yield Suspicion(("time",), f"{interval:g} s from sample to sample; is the column in {unit}?")
             return
     if interval > 2:
-        yield f"time: {interval:g} s from sample to sample is too slow for flight dynamics; check the time unit"
+        yield Suspicion(
+            ("time",), f"{interval:g} s from sample to sample is too slow for flight dynamics; check the time unit"
+        )
     elif interval < 1e-4:
-        yield f"time: {interval:.3g} s from sample to sample; is the column in min or h?"
+        yield Suspicion(("time",), f"{interval:.3g} s from sample to sample; is the column in min or h?")
 
 
 def _shuffled(time: Array) -> bool:
@@ -80,7 +97,7 @@ def _shuffled(time: Array) -> bool:
     return interval > 0 and float(np.mean(np.abs(steps - interval) < 0.2 * interval)) > 0.9
 
 
-def _gravity(c: Columns) -> Iterator[str]:
+def _gravity(c: Columns) -> Iterator[Suspicion]:
     if not all(a in c for a in ("ax", "ay", "az")):
         return
     size = _median(np.sqrt(c["ax"] ** 2 + c["ay"] ** 2 + c["az"] ** 2))
@@ -91,12 +108,14 @@ def _gravity(c: Columns) -> Iterator[str]:
             hint = "an accelerometer in level flight shows one g: is gravity taken out of ax, ay, az?"
         else:
             hint = f"are ax, ay, az in {unit}?" if unit else "check unit and axes of ax, ay, az"
-        yield f"ax, ay, az: the median specific force is {size:.4g}, not near 9.8 m/s2; {hint}"
+        yield Suspicion(("ax", "ay", "az"), f"the median specific force is {size:.4g}, not near 9.8 m/s2; {hint}")
     elif _median(c["az"]) > 0.5 * GRAVITY:
-        yield "az: positive in the mean, but with z down level flight has -9.8 m/s2; turn it with sign = -1"
+        yield Suspicion(
+            ("az",), "positive in the mean, but with z down level flight has -9.8 m/s2; turn it with sign = -1"
+        )
 
 
-def _angles(c: Columns) -> Iterator[str]:
+def _angles(c: Columns) -> Iterator[Suspicion]:
     for name in _ANGLES:
         if name in c:
             low, high = COLUMN_BY_NAME[name].plausible
@@ -104,19 +123,21 @@ def _angles(c: Columns) -> Iterator[str]:
             worst = highest if highest > -lowest else lowest
             if lowest < low - 1e-3 or highest > high + 1e-3:
                 unit = "deg" if abs(worst) <= 370 else "cdeg or us"
-                yield f"{name}: reaches {worst:.4g} rad, beyond {high if worst > 0 else low:.3g}; is it in {unit}?"
+                yield Suspicion(
+                    (name,), f"reaches {worst:.4g} rad, beyond {high if worst > 0 else low:.3g}; is it in {unit}?"
+                )
 
 
-def _rates(c: Columns) -> Iterator[str]:
+def _rates(c: Columns) -> Iterator[Suspicion]:
     for name in _RATES:
         if name in c:
             high = COLUMN_BY_NAME[name].plausible[1]
             worst = float(np.nanmax(np.abs(c[name])))
             if worst > high:
-                yield f"{name}: reaches {worst:.4g} rad/s, beyond {high:g}; is it in deg/s?"
+                yield Suspicion((name,), f"reaches {worst:.4g} rad/s, beyond {high:g}; is it in deg/s?")
 
 
-def _others(c: Columns) -> Iterator[str]:
+def _others(c: Columns) -> Iterator[Suspicion]:
     for name, values in c.items():
         if name in (*_ANGLES, *_RATES, "ax", "ay", "az", "V", "V_cas"):
             continue
@@ -127,10 +148,12 @@ def _others(c: Columns) -> Iterator[str]:
         key = "mx" if name in ("my", "mz") else name
         unit = next((u for u, a, b in _OTHER_UNITS.get(key, ()) if a <= abs(middle) <= b or a <= middle <= b), None)
         hint = f"is it in {unit}?" if unit else "check its unit"
-        yield f"{name}: median {middle:.4g} {COLUMN_BY_NAME[name].unit}, outside {low:.4g} to {high:.4g}; {hint}"
+        yield Suspicion(
+            (name,), f"median {middle:.4g} {COLUMN_BY_NAME[name].unit}, outside {low:.4g} to {high:.4g}; {hint}"
+        )
 
 
-def _attitude_rate(time: Array, c: Columns) -> Iterator[str]:
+def _attitude_rate(time: Array, c: Columns) -> Iterator[Suspicion]:
     """Attitude against what the gyro turns: their ratio is 1, or 57.3 where one is in degrees, or -1."""
     for angle, rate in (("phi", "p"), ("theta", "q"), ("psi", "r")):
         if angle not in c or rate not in c:
@@ -140,11 +163,11 @@ def _attitude_rate(time: Array, c: Columns) -> Iterator[str]:
         if slope is None:
             continue
         if 0.5 < abs(slope) / _DEG < 2:
-            yield f"{angle}: moves {abs(slope):.0f} times as far as {rate} turns; is {angle} in deg?"
+            yield Suspicion((angle,), f"moves {abs(slope):.0f} times as far as {rate} turns; is {angle} in deg?")
         elif 0.5 < abs(slope) * _DEG < 2:
-            yield f"{rate}: turns {1 / abs(slope):.0f} times as far as {angle} moves; is {rate} in deg/s?"
+            yield Suspicion((rate,), f"turns {1 / abs(slope):.0f} times as far as {angle} moves; is {rate} in deg/s?")
         elif -2 < slope < -0.5:
-            yield f"{rate}: turns against {angle}; one of them has the wrong sign (sign = -1)"
+            yield Suspicion((rate,), f"turns against {angle}; one of them has the wrong sign (sign = -1)")
 
 
 def _heading_rate(c: Columns) -> Array:
@@ -154,7 +177,7 @@ def _heading_rate(c: Columns) -> Array:
     return np.asarray((c["q"] * np.sin(c["phi"]) + c["r"] * np.cos(c["phi"])) / np.cos(c["theta"]))
 
 
-def _sideways(time: Array, c: Columns) -> Iterator[str]:
+def _sideways(time: Array, c: Columns) -> Iterator[Suspicion]:
     """Sideways motion: V beta grows by p w - r u + g sin(phi) cos(theta) + ay. Tells the unit of V, and a sign."""
     if (
         not all(n in c for n in ("ay", "p", "r", "phi", "theta", "beta", "V"))
@@ -169,12 +192,16 @@ def _sideways(time: Array, c: Columns) -> Iterator[str]:
     if agreement > 0.8 and slope > 0 and "p_dynamic" not in c:
         units = [u for u, factor in _SPEED_UNITS.items() if abs(1 / (slope * factor) - 1) < 0.08]
         if units:
-            yield f"V: {1 / slope:.3g} times the speed at which the aircraft turns and slips; is it in {' or '.join(units)}?"
+            likely = " or ".join(units)
+            yield Suspicion(
+                ("V",), f"{1 / slope:.3g} times the speed at which the aircraft turns and slips; is it in {likely}?"
+            )
             return
     other, better = _line([(_summed(t, b) - v, _summed(t, f + g)) for t, v, b, f, g in windows])
     if better > 0.85 and 0.75 < other < 1.25 and agreement < 0.3:
-        yield (
-            "beta: turned, it would agree with the sideways motion that ay, r and phi make; is its sign wrong (sign = -1)?"
+        yield Suspicion(
+            ("beta",),
+            "turned, it would agree with the sideways motion that ay, r and phi make; is its sign wrong (sign = -1)?",
         )
 
 
@@ -213,7 +240,7 @@ def _integral_slope(time: Array, angle: Array, rate: Array) -> float | None:
     return slope if agreement >= 0.7 else None  # else the two do not show the same motion
 
 
-def _pressure_speed(c: Columns) -> Iterator[str]:
+def _pressure_speed(c: Columns) -> Iterator[Suspicion]:
     if "V" not in c or "p_dynamic" not in c:
         return
     rho = c.get("rho", np.full_like(c["V"], 1.2))
@@ -222,7 +249,7 @@ def _pressure_speed(c: Columns) -> Iterator[str]:
     yield from _speed_ratio("V", ratio, "the dynamic pressure gives", 0.08)
 
 
-def _ground_speed(c: Columns) -> Iterator[str]:
+def _ground_speed(c: Columns) -> Iterator[Suspicion]:
     if "p_dynamic" in c or not all(n in c for n in ("V", "vn", "ve")):
         return
     ground = np.hypot(c["vn"], c["ve"])
@@ -233,11 +260,11 @@ def _ground_speed(c: Columns) -> Iterator[str]:
         yield from _speed_ratio("V", ratio, "GPS gives", 0.15)
 
 
-def _speed_ratio(name: str, ratio: Array, source: str, tolerance: float) -> Iterator[str]:
+def _speed_ratio(name: str, ratio: Array, source: str, tolerance: float) -> Iterator[Suspicion]:
     if np.isfinite(ratio).sum() < 5:
         return
     middle = _median(ratio)
     for unit, factor in _SPEED_UNITS.items():
         if abs(middle / factor - 1) < tolerance:
-            yield f"{name}: {middle:.3g} times the speed that {source}; is it in {unit}?"
+            yield Suspicion((name,), f"{middle:.3g} times the speed that {source}; is it in {unit}?")
             return

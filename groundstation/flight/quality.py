@@ -15,6 +15,7 @@ from daq.contract.channels import COLUMN_BY_NAME
 from groundstation.flight.flight import GAP_FACTOR, Flight
 from groundstation.flight.manoeuvres import CONTROLS, find_manoeuvres
 from groundstation.flight.noise import noise
+from groundstation.flight.notes import NoteKind
 from groundstation.flight.plausibility import suspicions
 from groundstation.flight.skew import Skew, attitude_skew, control_skew
 
@@ -76,7 +77,7 @@ def _finding(check: str, words: list[str], good: str, verdict: Verdict = "warn")
 
 def time_order(flight: Flight) -> Finding:
     """Rows that were unsorted, repeated or without a time when the file was read."""
-    words = [n for n in flight.notes if "runs backwards" in n or "repeated instants" in n or "without a time" in n]
+    words = [n.text for n in flight.notes if n.kind is NoteKind.TIME_ORDER]
     return _finding("time order", words, "time rises from row to row")
 
 
@@ -216,8 +217,9 @@ def spikes(flight: Flight) -> Finding:
 def plausible_values(flight: Flight) -> Finding:
     """Values outside what the column can be, and what looks like another unit or sign: a specific force that is not one g,
     an attitude that moves 57 times as far as the gyro turns."""
-    words = suspicions(flight.time, flight.columns)
-    suspected = {name for sentence in words for name in sentence.partition(":")[0].split(", ")}
+    found = suspicions(flight.time, flight.columns)
+    words = [s.text for s in found]
+    suspected = {name for s in found for name in s.columns}
     for name, values in _measured(flight):
         if name in COLUMN_BY_NAME and name not in suspected:
             low, high = COLUMN_BY_NAME[name].plausible

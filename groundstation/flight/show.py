@@ -27,7 +27,7 @@ def flight_html(flight: FlightView) -> str:
         cells = (name, unit, f"{np.nanmin(values):.4g}", f"{np.nanmax(values):.4g}", meaning)
         rows.append("<tr>" + "".join(f"<td>{html.escape(c)}</td>" for c in cells) + "</tr>")
     head = "".join(f"<th>{c}</th>" for c in ("column", "unit", "least", "most", "meaning"))
-    notes = "".join(f"<li>{html.escape(n)}</li>" for n in flight.notes)
+    notes = "".join(f"<li>{html.escape(n.text)}</li>" for n in flight.notes)
     return (
         f"<div><p>{html.escape(repr(flight).strip('<>'))}</p><table><thead><tr>{head}</tr></thead>"
         f"<tbody>{''.join(rows)}</tbody></table><ul>{notes}</ul></div>"

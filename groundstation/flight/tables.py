@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.contract.channels import COLUMN_BY_NAME
+from groundstation.flight.notes import Note, texts
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -39,7 +40,7 @@ class FlightView(Protocol):
     @property
     def provenance(self) -> Any: ...
     @property
-    def notes(self) -> tuple[str, ...]: ...
+    def notes(self) -> tuple[Note, ...]: ...
 
 
 @dataclass(frozen=True)
@@ -68,7 +69,7 @@ def flight_table(flight: FlightView) -> Table:
         "aircraft": flight.provenance.aircraft,
         "source": flight.provenance.source,
         "software": flight.provenance.software,
-        "notes": json.dumps(list(flight.notes)),
+        "notes": json.dumps(texts(flight.notes)),
     }
     columns = [TableColumn("time", flight.time, "s", "time")]
     for name, values in flight.columns.items():

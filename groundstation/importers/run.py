@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from daq.contract.channels import COLUMN_BY_NAME
 from groundstation.flight import Flight, Provenance
+from groundstation.flight.notes import Note, unknown_columns
 from groundstation.flight.plausibility import suspicions
 from groundstation.importers.errors import ImportDataError
 from groundstation.importers.mapping import FileFormat, Map, Source, built_in_map, load_map
@@ -60,7 +61,7 @@ def import_data(
             "write a mapping file (--map)"
         )
     notes = [*log.notes, *notes]
-    doubts = suspicions(time, columns)
+    doubts = [s.text for s in suspicions(time, columns)]
     if doubts and not accept_implausible:
         raise ImportDataError(
             f"{path}: {'; '.join(doubts)}; if the data are right as they are, add --accept-implausible"
@@ -142,7 +143,7 @@ def _topics(log: Log) -> list[str]:
     return sorted({name.split(".")[0] for name in log.series})[:15]
 
 
-def _columns(log: Log, chosen: Map, time: Array) -> tuple[dict[str, Array], dict[str, Source], list[str]]:
+def _columns(log: Log, chosen: Map, time: Array) -> tuple[dict[str, Array], dict[str, Source], list[Note | str]]:
     columns: dict[str, Array] = {}
     used: dict[str, Source] = {}
     absent: list[str] = []
@@ -153,7 +154,7 @@ def _columns(log: Log, chosen: Map, time: Array) -> tuple[dict[str, Array], dict
             continue
         columns[name] = _value(log, source, name, time)
         used[name] = source
-    notes = [f"not in the file, so not measured: {', '.join(absent)}"] if absent else []
+    notes: list[Note | str] = [f"not in the file, so not measured: {', '.join(absent)}"] if absent else []
     taken = {t.column for s in used.values() for t in s.parts} | {chosen.segment or RECORD, RECORD}
     if log.common:
         left = {n: _plain_name(n, set(columns)) for n in log.series if n not in taken}
@@ -164,8 +165,7 @@ def _columns(log: Log, chosen: Map, time: Array) -> tuple[dict[str, Array], dict
             }
         )
         if left:
-            said = ", ".join(n if n == to else f"{n} as {to}" for n, to in left.items())
-            notes.append(f"columns not known to Sideslip, kept as they are: {said}")
+            notes.append(unknown_columns({to: n for n, to in left.items()}))
         if log.text_columns:
             notes.append(f"columns that are not numbers, left out: {', '.join(log.text_columns)}")
     return columns, used, notes

@@ -64,7 +64,7 @@ def hand_over(
             # The aircraft's own calibration has not come down: the station's set stands in, and the flight says so.
             flight = calibrate_recording(recording, fallback_calibration, salvage=True)
             said = f"calibrated with the station's set {fallback_calibration!r}: the aircraft's own is not in the recording"
-            flight = replace(flight, notes=(*flight.notes, said))
+            flight = flight.with_notes(said)
     except FlightError as error:
         raise HandoverError(f"{recording}: no flight can be made of it: {error}") from error
     manoeuvres = find_manoeuvres(flight)

@@ -182,7 +182,7 @@ class Scene:
                 self._columns(group.entity, flight.time[keep], group.shown(table[keep]))
         self._flight_pose(flight)
         for note in flight.notes:
-            self.event(float(flight.time[0]), note, "WARN")
+            self.event(float(flight.time[0]), note.text, "WARN")
 
     def _columns(self, entity: str, time: NDArray[np.float64], table: NDArray[np.float64]) -> None:
         index = rr.TimeColumn(e.TIMELINE, duration=time)

@@ -8,9 +8,9 @@ import pytest
 from mcap.reader import make_reader
 
 from daq.contract.recordings.reading import read_recording
-from estimation import laboratory
 from estimation.aircraft import load_aircraft
 from estimation.models import load_model
+from estimation.session import runner
 from firmware_sim.world.scenario import load_scenario
 from firmware_sim.world.simulation import derivatives_of
 from groundstation.calibration.recording import calibrate_recording
@@ -110,7 +110,7 @@ def test_estimates_from_the_onboard_recording_lie_within_three_bounds_of_truth(s
     scenario = load_scenario("rich")
     flown = fly_scenario(scenario, tmp_path, seed=seed, backfill=False)
     aircraft = load_aircraft("cdfp")
-    session = laboratory.estimate(load_model("lateral", aircraft), [read_flight(flown.onboard)], aircraft)
+    session = runner.estimate(load_model("lateral", aircraft), [read_flight(flown.onboard)], aircraft)
     result = session.flights[0].results["ml"]
     truth = derivatives_of(scenario, seed)
     assert result.converged

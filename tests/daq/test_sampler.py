@@ -366,3 +366,15 @@ def test_audit_finds_a_chip_that_lost_its_settings_but_goes_on_talking() -> None
     assert SensorState.FAULT in fly(4)
     assert fly(60)[-1] is OK
     assert sampler.health().group("thrust").setups == 2
+
+
+def test_whoever_asks_is_told_of_every_scan_as_soon_as_it_is_read() -> None:
+    plane = rig()
+    told: list[tuple[int, int]] = []
+    plane.sampler.on_taken = lambda taken: told.append((taken.number, plane.clock.monotonic_ns()))
+    before = plane.clock.monotonic_ns()
+    taken = plane.sampler.take(7, before)
+    assert told == [(7, plane.clock.monotonic_ns())]
+    assert before <= taken.time_monotonic_ns <= told[0][1]
+    scans = plane.fly(1.0)
+    assert [n for n, _ in told[1:]] == [s.number for s in scans]

@@ -116,3 +116,5 @@ def test_model_files_of_the_documentation_are_models() -> None:
     assert everything.free_names == (
         "Z_0", "M_0", "Z_alpha", "Z_de", "M_alpha", "M_q", "M_de", "bias_q", "T_e",
     )  # fmt: skip
+    roles = {p.name: p.role.value for p in everything.parameters}
+    assert (roles["Z_0"], roles["M_q"], roles["bias_q"]) == ("constant", "derivative", "instrument")

@@ -126,7 +126,7 @@ def test_compiled_and_virtual_machine_agree(name: str) -> None:
     data = prepare(model, Flight.build("made", t, columns))
     segment, nx, ny = data.segments[0], len(model.states), len(model.outputs)
     gain, mask = 0.002 * rng.normal(size=(nx, ny)), rng.uniform(size=(nx, ny)) < 0.3
-    kernels = [compile_kernel(model), VirtualKernel(model)]
+    kernels = [compile_kernel(model.structure), VirtualKernel(model.structure)]
     for use in ((None, None), (gain, mask)):
         a, b = (
             Simulator(model, model.free_names, k).run(  # type: ignore[arg-type]
@@ -152,11 +152,11 @@ def test_long_segments_pass_through_blocks_unchanged() -> None:
     flight = Flight.build("long", t, {"x": np.zeros(3000) + u, "v": u, "delta_a": u})
     data = prepare(LINEAR, flight)
     segment = data.segments[0]
-    whole = Simulator(LINEAR, LINEAR.free_names, VirtualKernel(LINEAR)).run(
+    whole = Simulator(LINEAR, LINEAR.free_names, VirtualKernel(LINEAR.structure)).run(
         segment, LINEAR.starts(), np.zeros(2), sensitivities=True
     )
     half = segment.part(0, 1300, np.zeros(2))
-    part = Simulator(LINEAR, LINEAR.free_names, VirtualKernel(LINEAR)).run(
+    part = Simulator(LINEAR, LINEAR.free_names, VirtualKernel(LINEAR.structure)).run(
         half, LINEAR.starts(), np.zeros(2), sensitivities=True
     )
     assert whole.dy is not None
@@ -191,8 +191,8 @@ def test_gaps_and_holes_split_segments(clean_flight: Flight) -> None:
     columns["alpha"][50:52] = np.nan
     data = prepare(load_model("lateral"), Flight.build("holes", clean_flight.time[keep], columns))
     assert [(s.first, len(s)) for s in data.segments] == [(0, 160), (160, 140), (340, 200)]
-    assert any("gap" in n for n in data.notes)
-    assert any("V not measured at 40 samples" in n for n in data.notes)
+    assert any("gap" in n.text for n in data.notes)
+    assert any("V not measured at 40 samples" in n.text for n in data.notes)
     assert all(np.isfinite(s.u).all() for s in data.segments)
 
 
@@ -206,4 +206,4 @@ def test_nothing_usable_is_said(clean_flight: Flight) -> None:
 def test_dead_output_is_left_out_and_named(clean_flight: Flight) -> None:
     data = prepare(load_model("lateral"), clean_flight.with_columns(ay=np.full(len(clean_flight), 0.3)))
     assert data.absent_outputs == ("ay",)
-    assert any("ay stands still at 0.3" in n for n in data.notes)
+    assert any("ay stands still at 0.3" in n.text for n in data.notes)

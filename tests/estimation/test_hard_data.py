@@ -8,16 +8,19 @@ import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
-from estimation import laboratory
 from estimation.aircraft import load_aircraft
-from estimation.commands.estimate import estimate, select_segments, separated
+from estimation.commands.estimate import estimate
 from estimation.commands.outputs import check_outputs
 from estimation.engine.data import Preparation, prepare
 from estimation.engine.plausible import stuck
 from estimation.errors import DataError, EstimationError, ModelError
 from estimation.estimators.output_error import output_error
 from estimation.models import load_model
+from estimation.session import runner
+from estimation.session.flights import select_segments, separated
+from estimation.session.sanity_checks import DoubtKind
 from groundstation.flight import Flight, MissingColumnError, read_flight, write_flight
+from groundstation.flight.notes import texts
 
 LATERAL = load_model("lateral")
 Change = Callable[[Flight], dict[str, np.ndarray]]
@@ -58,7 +61,7 @@ def test_an_aircraft_that_still_stands_may_be_checked_but_not_divided_by(made_fl
 
 
 def test_sound_flights_pass_and_own_units_are_not_judged(made_flights: list[Flight], tmp_path: Path) -> None:
-    assert not [n for n in prepare(LATERAL, made_flights[0]).notes if "radians" in n]
+    assert not [n for n in prepare(LATERAL, made_flights[0]).notes if "radians" in n.text]
     text = 'equations = ["p_dot = L_p*p + L_a*delta_a"]\nstates = ["p"]\noutputs = ["p"]\ninputs = ["delta_a"]\n'
     (tmp_path / "degrees.toml").write_text(text + 'parameters = ["L_p", "L_a"]\n')
     degrees = {n: np.degrees(made_flights[0][n]) for n in ("p", "delta_a")}
@@ -69,7 +72,7 @@ def test_a_stuck_sensor_is_left_out_and_the_answer_stays_right(made_flights: lis
     flight = made_flights[0]
     p = np.where(flight.time > 20.0, flight["p"][400], flight["p"])
     data = prepare(LATERAL, flight.with_columns(p=p))
-    assert any("p repeats one value for" in n for n in data.notes)
+    assert any("p repeats one value for" in n.text for n in data.notes)
     result, sound = output_error(LATERAL, data), output_error(LATERAL, flight)
     for name in ("Cl_p", "Cl_da", "Cn_beta"):
         assert abs(result.values[name] - sound.values[name]) < 3.0 * result.std_coloured[name]
@@ -79,12 +82,16 @@ def test_a_stuck_sensor_is_left_out_and_the_answer_stays_right(made_flights: lis
 
 def test_a_channel_that_is_not_explained_is_named(made_flights: list[Flight]) -> None:
     flight = made_flights[0].with_columns(r=-made_flights[0]["r"])
-    session = laboratory.estimate(LATERAL, [flight], load_aircraft())
+    session = runner.estimate(LATERAL, [flight], load_aircraft())
     assert any("is not explained by the model" in n for n in session.flights[0].notes)
+    assert {d.kind for d in session.flights[0].doubts} == {DoubtKind.UNEXPLAINED}
     turned = made_flights[0].with_columns(delta_a=-made_flights[0]["delta_a"])
-    session = laboratory.estimate(LATERAL, [turned], load_aircraft())
+    session = runner.estimate(LATERAL, [turned], load_aircraft())
     assert any("check the sign of delta_a" in n for n in session.flights[0].notes)
-    session = laboratory.estimate(LATERAL, [made_flights[0]], load_aircraft())
+    doubt = next(d for d in session.flights[0].doubts if d.kind is DoubtKind.SIGN)
+    assert doubt.to_json() == {"kind": "sign of a control", "text": doubt.text}
+    assert doubt.text in session.flights[0].notes
+    session = runner.estimate(LATERAL, [made_flights[0]], load_aircraft())
     assert not any("check" in n for n in session.flights[0].notes)
 
 
@@ -108,7 +115,7 @@ def test_options_are_looked_at_before_any_work(
     options: list[str], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, made_flights: list[Flight]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(laboratory, "run_method", lambda *_, **__: pytest.fail("the fit had begun"))
+    monkeypatch.setattr(runner, "_each", lambda *_, **__: pytest.fail("the fit had begun"))
     write_flight(made_flights[0], "flight.csv")
     result = run("flight.csv", *options)
     assert isinstance(result.exception, EstimationError)
@@ -140,7 +147,7 @@ def test_raw_inputs_are_taken_as_measured(made_flights: list[Flight]) -> None:
     column = LATERAL.input_names.index("delta_a")
     assert np.array_equal(data.segments[0].u[:, column], made_flights[0]["delta_a"])
     assert data.noise["delta_a"][0] > 0.0
-    assert "measured inputs taken with their noise" in data.notes
+    assert "measured inputs taken with their noise" in texts(data.notes)
 
 
 SMALL = {"states": "['p']", "outputs": "['p']", "inputs": "['delta_a']", "parameters": "['L_p']"}
@@ -167,7 +174,7 @@ def test_model_files_with_mistakes_are_told_in_words(
     keys = {**SMALL, **changes, "equations": f"['p_dot = {rate}']"}
     (tmp_path / "own.toml").write_text("".join(f"{k} = {v}\n" for k, v in keys.items()))
     with pytest.raises(ModelError, match=said):
-        trace(load_model(tmp_path / "own.toml"))
+        trace(load_model(tmp_path / "own.toml").structure)
 
 
 MISTAKES = {
@@ -208,11 +215,11 @@ def test_flights_with_histories_open_in_the_viewer(made_flights: list[Flight], t
     shutil.rmtree(tmp_path / "shown")
 
 
-def density_found(flight: Flight, **columns: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
+def density_found(flight: Flight, **columns: np.ndarray) -> tuple[np.ndarray, list[str]]:
     """The density with which a flight without that column would be fitted, and the notes."""
     rest = {n: v for n, v in flight.columns.items() if n not in ("rho", "altitude", "p_dynamic")}
     data = prepare(LATERAL, Flight.build("climb", flight.time, {**rest, **columns}))
-    return np.concatenate([s.u[:, LATERAL.input_names.index("rho")] for s in data.segments]), data.notes
+    return np.concatenate([s.u[:, LATERAL.input_names.index("rho")] for s in data.segments]), texts(data.notes)
 
 
 def test_density_comes_from_the_air_data_before_the_standard_atmosphere(made_flights: list[Flight]) -> None:

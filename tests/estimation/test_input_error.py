@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from estimation.engine.data import FlightData, prepare
+from estimation.engine.prepared import prepared
 from estimation.engine.simulate import Compile, Hold, Simulator
 from estimation.estimators import input_error
-from estimation.estimators.output_error import output_error, prepared
+from estimation.estimators.output_error import output_error
 from estimation.models import load_model
-from estimation.preprocess import denoise_many
+from estimation.signals.preprocess import denoise_many
 from groundstation.flight import Flight
 from tests.estimation.truth import NOISE, STRONG, TRUE, Case, fly
 

@@ -25,8 +25,8 @@ from estimation.estimators.neural_gauss_newton.options import default_options
 from estimation.estimators.neural_gauss_newton.samples import stretches, window_mean
 from estimation.estimators.neural_gauss_newton.solve import Problem
 from estimation.estimators.neural_gauss_newton.training import Job, TrainingOptions, mean_square, train_jobs
-from estimation.laboratory import joint_model
 from estimation.models import load_model
+from estimation.session.runner import joint_model
 from firmware_sim.physics.aerodynamics import true_derivatives
 from firmware_sim.runs.direct import direct_flights
 from firmware_sim.world.scenario import load_scenario
@@ -281,7 +281,7 @@ def test_missing_heading_is_done_without_and_said(made_flights, missing):
     result = estimate_ngn(AIRCRAFT, holed, options=SHORT)
     assert "psi" not in result.extra["inputs"]
     assert result.extra["rows"] > 590
-    assert any("psi is not measured" in n for n in result.flights[0].notes)
+    assert any("psi is not measured" in n.text for n in result.flights[0].notes)
     assert max(errors(result, ("Cl_beta", "Cl_p", "Cl_da")).values()) < 0.06
 
 
@@ -289,7 +289,7 @@ def test_what_was_not_used_is_said(made_flights):
     flight = made_flights[0]
     beta = np.where(np.arange(len(flight)) > 400, np.nan, flight["beta"])
     result = estimate_ngn(AIRCRAFT, flight.with_columns(beta=beta), options=SHORT)
-    assert any("the networks saw 401 of 601 samples" in n for n in result.flights[0].notes)
+    assert any("the networks saw 401 of 601 samples" in n.text for n in result.flights[0].notes)
 
 
 def test_what_cannot_be_used_is_said(made_flights):

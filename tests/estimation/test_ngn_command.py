@@ -9,13 +9,13 @@ import pytest
 import torch
 from click.testing import CliRunner
 
-from estimation import laboratory
 from estimation.aircraft import load_aircraft
 from estimation.commands.estimate import estimate
 from estimation.commands.truth import read_truth
 from estimation.errors import EstimationError
 from estimation.models import load_model
 from estimation.report.estimate_tables import mean_table
+from estimation.session import runner
 from groundstation.flight import Flight, write_flight
 from tests.estimation.truth import TRUE
 
@@ -46,7 +46,7 @@ def test_networks_bootstrap_and_truth(made_flights: list[Flight], tmp_path: Path
 
 def test_report_shows_the_truth_beside_the_means(made_flights: list[Flight]) -> None:
     aircraft = load_aircraft("cdfp")
-    session = laboratory.estimate(load_model("lateral", aircraft), made_flights[:2], aircraft, ["ls"])
+    session = runner.estimate(load_model("lateral", aircraft), made_flights[:2], aircraft, ["ls"])
     assert "truth" not in mean_table(session).head
     table = mean_table(replace(session, truth={"Cl_p": -0.48}))
     assert table.head[-1] == "truth"

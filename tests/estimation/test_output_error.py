@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 
 from estimation.engine.data import prepare
-from estimation.errors import DataError
+from estimation.errors import DataError, ModelError
 from estimation.estimators.equation_error import equation_error
 from estimation.estimators.filter_error import filter_error
 from estimation.estimators.gauss_newton import LoopOptions, Status
@@ -405,7 +405,7 @@ def test_gap_holes_and_dead_channels(made_flights: list[Flight]) -> None:
     assert result.converged
     assert len(result.flights[0].initial_states) == 2
     assert "r" not in result.flights[0].fit
-    assert any("r stands still" in n for n in result.flights[0].notes)
+    assert any("r stands still" in n.text for n in result.flights[0].notes)
     assert np.abs(errors(result)).max() < 5.0
 
 
@@ -485,3 +485,10 @@ def test_flights_of_another_simulator() -> None:
     assert np.sqrt(np.mean(each**2)) < 1.4
     joint = output_error(LATERAL.with_local("CY_0", "Cl_0", "Cn_0"), flights)
     assert np.abs(errors(joint, key)).max() < 4.0
+
+
+def test_names_that_a_model_does_not_have_are_refused(made_flights: list[Flight]) -> None:
+    with pytest.raises(ModelError, match=r"free_states: no state 'q'; it has beta, p, r, phi"):
+        output_error(LATERAL, made_flights[0], options=OutputErrorOptions(free_states=("p", "q")))
+    with pytest.raises(ModelError, match="sigma: none given for output 'p'"):
+        output_error(LATERAL, made_flights[0], options=OutputErrorOptions(sigma={"beta": 0.01}))

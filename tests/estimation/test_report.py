@@ -9,11 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from estimation import laboratory
 from estimation.aircraft import load_aircraft
 from estimation.compatibility.reconstruction import compatibility
 from estimation.engine.simulate import simulate
-from estimation.laboratory import Session
 from estimation.models import load_model
 from estimation.report import names, published
 from estimation.report.check_page import write_check_report
@@ -21,6 +19,8 @@ from estimation.report.front import write_front_page
 from estimation.report.modes import modes, modes_with_spread, state_matrix, trim
 from estimation.report.page import write_estimate_report
 from estimation.report.tables import Table, number
+from estimation.session import runner
+from estimation.session.session import Session
 from groundstation.flight import Flight
 from groundstation.flight.quality import quality_report
 
@@ -53,7 +53,7 @@ def flight(name: str, seed: int, rudder: float) -> Flight:
 
 @pytest.fixture(scope="module")
 def session() -> Session:
-    return laboratory.estimate(
+    return runner.estimate(
         LATERAL, [flight("cdfp_ld1", 1, 0.0), flight("cdfp_ld4", 2, 1.0)], CRAFT, ("ml",), joint=True
     )
 

@@ -8,26 +8,21 @@ from typing import Any
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from scipy.stats import chi2
 
-from estimation import laboratory
 from estimation.aircraft import load_aircraft
-from estimation.commands.estimate import estimate, select_segments
+from estimation.commands.estimate import estimate
 from estimation.commands.match import match
 from estimation.errors import EstimationError
 from estimation.models import load_model, write_model
-from estimation.proof import predict
-from estimation.validation import autocorrelation, channel_fit
+from estimation.session import runner
+from estimation.session.flights import select_segments
+from estimation.session.proof_of_match import predict
+from estimation.session.scatter import scatter
+from estimation.signals.goodness_of_fit import autocorrelation, channel_fit
 from groundstation.flight import Flight, write_flight
 from tests.estimation.truth import STRONG, TRUE
 
 LATERAL = load_model("lateral")
-
-
-def test_chi_square_tail_against_scipy() -> None:
-    for freedom in (1, 2, 3, 4, 7, 10):
-        for value in (0.1, 1.0, 5.0, 20.0, 60.0):
-            assert laboratory.chi_square_tail(value, freedom) == pytest.approx(chi2.sf(value, freedom), rel=1e-9)
 
 
 def test_theil_parts_add_to_one_and_mean_what_they_say() -> None:
@@ -53,9 +48,9 @@ def test_whiteness_knows_white_from_coloured() -> None:
 
 
 def test_scatter_says_when_bounds_are_too_small(made_flights: list[Flight]) -> None:
-    session = laboratory.estimate(LATERAL, made_flights[:2], load_aircraft(), ["ml"])
+    session = runner.estimate(LATERAL, made_flights[:2], load_aircraft(), ["ml"])
     results = [f.results["ml"] for f in session.flights]
-    honest = laboratory.scatter(results)["Cl_p"]
+    honest = scatter(results)["Cl_p"]
     assert honest.text == ""
     from dataclasses import replace
 
@@ -63,11 +58,11 @@ def test_scatter_says_when_bounds_are_too_small(made_flights: list[Flight]) -> N
         replace(r, parameters={n: replace(e, std_coloured=e.std_coloured / 500) for n, e in r.parameters.items()})
         for r in results
     ]
-    assert "too small" in laboratory.scatter(small)["Cl_p"].text
+    assert "too small" in scatter(small)["Cl_p"].text
 
 
 def test_session_json_has_the_promised_names(made_flights: list[Flight]) -> None:
-    session = laboratory.estimate(LATERAL, made_flights[:2], load_aircraft(), ["ml", "ls"], joint=True)
+    session = runner.estimate(LATERAL, made_flights[:2], load_aircraft(), ["ml", "ls"], joint=True)
     data = json.loads(json.dumps(session.to_json(), allow_nan=False))
     assert set(data) >= {"version", "aircraft", "model", "status", "flights", "mean", "joint", "collinear"}
     ml = data["flights"][0]["methods"]["ml"]
@@ -134,7 +129,7 @@ def test_light_imports() -> None:
     code = (
         "import sys, estimation.aircraft as a; a.load_aircraft();"
         "assert not {'casadi', 'scipy', 'torch', 'matplotlib'} & set(sys.modules);"
-        "import estimation.estimators.output_error, estimation.laboratory;"
+        "import estimation.estimators.output_error, estimation.session.runner;"
         "assert not {'torch', 'matplotlib', 'scipy', 'rerun'} & set(sys.modules)"
     )
     subprocess.run([sys.executable, "-c", code], check=True, cwd=Path(__file__).parents[2])

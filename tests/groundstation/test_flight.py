@@ -27,7 +27,7 @@ def test_round_trip(tmp_path: Path, rng: np.random.Generator, suffix: str) -> No
     assert np.array_equal(after.time, before.time)
     for name in before.columns:
         assert np.array_equal(after[name], before[name], equal_nan=True)
-    assert any("strange" in note for note in after.notes)
+    assert any("strange" in note.text for note in after.notes)
     if suffix != ".csv":
         assert after.provenance.source == "simulated"
         assert after.provenance.calibration == {"pitot.toml": "ab"}
@@ -37,15 +37,15 @@ def test_a_time_jump_splits_and_is_said(tmp_path: Path) -> None:
     time = np.concatenate([np.arange(100) * 0.05, 35 + np.arange(100) * 0.05])
     f = Flight.build("f", time, {"p": time})
     assert [s.stop - s.start for s in f.segments] == [100, 100]
-    assert any("gap of 30" in note for note in f.notes)
+    assert any("gap of 30" in note.text for note in f.notes)
 
 
 def test_unsorted_and_repeated_time_is_mended_and_said() -> None:
     f = Flight.build("f", np.array([0.0, 0.1, 0.1, 0.3, 0.2]), {"p": np.array([0.0, 1.0, 9.0, 3.0, 2.0])})
     assert f.time.tolist() == [0.0, 0.1, 0.2, 0.3]
     assert f["p"].tolist() == [0.0, 1.0, 2.0, 3.0]
-    assert any("backwards" in n for n in f.notes)
-    assert any("repeated" in n for n in f.notes)
+    assert any("backwards" in n.text for n in f.notes)
+    assert any("repeated" in n.text for n in f.notes)
 
 
 def test_segment_column_splits(tmp_path: Path) -> None:
@@ -115,7 +115,7 @@ class TestForOtherLibraries:
         assert len(repr(recorded)) < 200
 
     def test_html_escapes_what_a_file_says(self, recorded: Flight) -> None:
-        evil = replace(recorded, name="<script>x</script>", notes=("<b>bold</b>",))
+        evil = replace(recorded, name="<script>x</script>").with_notes("<b>bold</b>")
         page = evil._repr_html_()
         assert "<script>" not in page
         assert "<b>" not in page

@@ -51,7 +51,7 @@ def test_infinite_values_are_not_measured(tmp_path: Path) -> None:
     (tmp_path / "x.csv").write_text("time,p\n0,1\n0.05,inf\n0.1,2\n")
     flight = read_flight(tmp_path / "x.csv")
     assert np.isnan(flight["p"][1])
-    assert any("infinite" in n for n in flight.notes)
+    assert any("infinite" in n.text for n in flight.notes)
 
 
 def test_notes_survive_a_round_trip_once(tmp_path: Path) -> None:

@@ -175,8 +175,9 @@ def test_a_jet_at_cruise_is_plausible() -> None:
     assert suspicions(np.arange(n) / 20, columns) == []
     assert finding(build({"time": np.arange(n) / 20, **columns}), "plausible values").verdict == "ok"
     for name, factor in (("p_static", 1e-2), ("altitude", 1 / 0.3048), ("rho", 1e3), ("az", -1.0)):
-        (words,) = suspicions(np.arange(n) / 20, {**columns, name: factor * columns[name]})
-        assert words.startswith(f"{name}: ")
+        (found,) = suspicions(np.arange(n) / 20, {**columns, name: factor * columns[name]})
+        assert found.columns == (name,)
+        assert found.text.startswith(f"{name}: ")
 
 
 def test_extrapolated_calibration(sound: Columns) -> None:

@@ -24,8 +24,8 @@ import numpy as np
 
 from estimation.aircraft import load_aircraft
 from estimation.estimators.neural_gauss_newton import estimate_ngn
-from estimation.laboratory import NEURAL, run_method
 from estimation.models import load_model
+from estimation.session.runner import run_method
 from firmware_sim.physics.aerodynamics import TABLE_5_ML_MEANS, true_derivatives
 from firmware_sim.runs.direct import DirectNoise, direct_flights
 from firmware_sim.world.scenario import load_scenario
@@ -40,6 +40,8 @@ SCENARIOS = {"lateral": "rich", "longitudinal": "longitudinal"}
 AT_ONCE = 20  # flights simulated side by side
 Make = Callable[[Sequence[int]], Sequence[Flight]]
 RATES, NOISES = (11.5, 20.0, 50.0), (0.3, 1.0, 2.0)
+
+NETWORKS = ("ngn", "ngn-improved")
 
 
 @dataclass
@@ -75,7 +77,7 @@ class Store:
         for flight, method in product(flights, methods):
             if (name, flight.name, method) in self.done or time.monotonic() > self.until:
                 continue
-            if method in NEURAL:
+            if method in NETWORKS:
                 result = estimate_ngn(
                     aircraft, flight, model=model, improved=method == "ngn-improved", bootstraps=self.bootstraps
                 )

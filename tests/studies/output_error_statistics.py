@@ -13,8 +13,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from estimation.engine.prepared import prepared
 from estimation.estimators.filter_error import filter_error
-from estimation.estimators.output_error import OutputErrorOptions, output_error, prepared
+from estimation.estimators.output_error import OutputErrorOptions, output_error
 from estimation.models import load_model
 from firmware_sim.runs.direct import direct_flights
 from firmware_sim.world.scenario import load_scenario

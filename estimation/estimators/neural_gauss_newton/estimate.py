@@ -17,7 +17,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, replace
 
 from estimation.aircraft import Aircraft
-from estimation.engine.data import with_derived
+from estimation.engine.derived import with_derived
 from estimation.errors import EstimationError
 from estimation.estimators.neural_gauss_newton.axes import Axis, axis_for
 from estimation.estimators.neural_gauss_newton.device import one_thread, usable_device

@@ -25,6 +25,7 @@ from estimation.estimators.neural_gauss_newton.samples import (
 )
 from estimation.models.base import Model
 from groundstation.flight import Flight
+from groundstation.flight.notes import Note, NoteKind
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -103,7 +104,7 @@ class Rows:
     z: torch.Tensor
     held_out: torch.Tensor
     block: Index
-    notes: tuple[str, ...]
+    notes: tuple[Note, ...]
 
     @classmethod
     def build(cls, axis: Axis, flights: Sequence[Flight], form: Form) -> "Rows":
@@ -114,7 +115,10 @@ class Rows:
         motion = tuple(c for c in axis.motion if c not in missing)
         found: list[Stretch] = []
         owner: list[int] = []
-        notes = [f"{c} is not measured, or not throughout: the network does without it" for c in missing]
+        notes = [
+            Note(NoteKind.NOT_MEASURED, f"{c} is not measured, or not throughout: the network does without it")
+            for c in missing
+        ]
         for i, flight in enumerate(flights):
             own = stretches(axis, flight, form, motion)
             found += own
@@ -143,14 +147,17 @@ class Rows:
         return predicted_signals(self.axis, list(self.stretches), self.motion, self.step)
 
 
-def _unused(flight: Flight, found: Sequence[Stretch]) -> list[str]:
-    """A sentence where much of a flight cannot be used."""
+def _unused(flight: Flight, found: Sequence[Stretch]) -> list[Note]:
+    """A note where much of a flight cannot be used."""
     used = sum(len(s.u) + max(s.window, 1) for s in found)
     if used >= (1.0 - COSTLY) * len(flight):
         return []
     return [
-        f"{flight.name}: the networks saw {used} of {len(flight)} samples; elsewhere a channel is missing, or the "
-        f"stretch is shorter than {SHORTEST}"
+        Note(
+            NoteKind.LEFT_OUT,
+            f"{flight.name}: the networks saw {used} of {len(flight)} samples; elsewhere a channel is missing, or the "
+            f"stretch is shorter than {SHORTEST}",
+        )
     ]
 
 

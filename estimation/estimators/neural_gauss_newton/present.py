@@ -12,16 +12,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimation.engine.data import FlightData
+from estimation.engine.prepared import compared, prepared
 from estimation.engine.simulate import simulate
-from estimation.estimators.bootstrap import PERCENTILES, Bootstrap, Spread
+from estimation.estimators.bootstrap import PERCENTILES
 from estimation.estimators.gauss_newton import Status
 from estimation.estimators.neural_gauss_newton.formulation import Rows, Unknowns
-from estimation.estimators.output_error import compared, prepared
-from estimation.estimators.result import Estimate, FlightFit, Result
+from estimation.estimators.result import Bootstrap, Estimate, FlightFit, Result, Spread
 from estimation.estimators.uncertainty import estimates
 from estimation.models.base import Model
-from estimation.validation import fits
+from estimation.signals.goodness_of_fit import fits
 from groundstation.flight import Flight
+from groundstation.flight.notes import Note
 
 if TYPE_CHECKING:
     from estimation.estimators.neural_gauss_newton.solve import Problem, Solution
@@ -86,7 +87,7 @@ def _estimates(
 
 
 def _flight(
-    model: Model, data: FlightData, index: int, unknowns: Unknowns, solution: "Solution", notes: tuple[str, ...]
+    model: Model, data: FlightData, index: int, unknowns: Unknowns, solution: "Solution", notes: tuple[Note, ...]
 ) -> FlightFit:
     own = np.array([i for i, f in enumerate(unknowns.owner) if f == index], int)
     names = tuple(unknowns.names[i] for i in own)

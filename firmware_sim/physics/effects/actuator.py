@@ -5,12 +5,11 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from firmware_sim.physics.effects.base import Effect
+from firmware_sim.physics.effects.base import Effect, Host
 from firmware_sim.physics.maths import Maths, State, Value
 
 if TYPE_CHECKING:
     from firmware_sim.physics.motion import Motion
-    from firmware_sim.physics.plant import Plant
 
 
 class History:
@@ -52,7 +51,7 @@ class _Delay(Effect):
     group, unit, typical = "actuator", "s", 0.06
     arms: ClassVar[tuple[tuple[str, str], ...]]
 
-    def bind(self, plant: "Plant") -> None:
+    def bind(self, plant: Host) -> None:
         super().bind(plant)
         self._past: list[History] = []
 

@@ -5,18 +5,17 @@ many) and the state vector; an effect with states of its own finds them at `self
 stages and must not change the effect; memory (backlash, held samples) changes in `commit`, once a step.
 """
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 import numpy as np
 
-from firmware_sim.physics.maths import State, Value
+from firmware_sim.physics.maths import Maths, State, Value
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
+    from estimation.aircraft import Aircraft
     from firmware_sim.physics.motion import Motion
-    from firmware_sim.physics.plant import Plant
 
 
 @dataclass(slots=True)
@@ -43,6 +42,22 @@ class Sensed:
     arm_r: Value
 
 
+class Host(Protocol):
+    """What an effect may know, and at `bind` change, of the aircraft that carries it: the plant is one.
+
+    generators: one a flight; step_size [s]; mass [kg], inertia [kg m2], derivatives as they fly.
+    """
+
+    aircraft: "Aircraft"
+    xp: Maths
+    step_size: float
+    generators: Sequence[np.random.Generator]
+    derivatives: dict[str, Value]
+    mass: Value
+    Ixx: Value
+    Ixz: Value
+
+
 class Effect:
     """A hidden effect; `typical` is its size in the units of `unit` at scale 1."""
 
@@ -58,17 +73,17 @@ class Effect:
         self.size: Value = self.typical * scale
         self.at = 0
 
-    def bind(self, plant: "Plant") -> None:
+    def bind(self, plant: Host) -> None:
         """Take what is needed from the plant (or change its mass and derivatives) before the flight."""
         self.xp = plant.xp
         self.plant = plant
 
-    def draw(self, how: "Callable[[np.random.Generator], float]") -> Value:
+    def draw(self, how: Callable[[np.random.Generator], float]) -> Value:
         """One random number per flight from the flights' own generators."""
         values = [how(generator) for generator in self.plant.generators]
         return values[0] if self.xp.flights is None else np.array(values)
 
-    def draw_where(self, wanted: Any, how: "Callable[[np.random.Generator], float]") -> Value:
+    def draw_where(self, wanted: Any, how: Callable[[np.random.Generator], float]) -> Value:
         """Like `draw`, but only flights where `wanted` use up a number; 0 for the others."""
         flags = [bool(wanted)] if self.xp.flights is None else list(wanted)
         values = [how(g) if flag else 0.0 for g, flag in zip(self.plant.generators, flags, strict=True)]

@@ -2,12 +2,11 @@
 
 from typing import TYPE_CHECKING
 
-from firmware_sim.physics.effects.base import Effect
+from firmware_sim.physics.effects.base import Effect, Host
 from firmware_sim.physics.maths import State
 
 if TYPE_CHECKING:
     from firmware_sim.physics.motion import Motion
-    from firmware_sim.physics.plant import Plant
 
 
 class ProductOfInertia(Effect):
@@ -15,7 +14,7 @@ class ProductOfInertia(Effect):
 
     name, title, group, unit, typical = "Ixz_error", "product of inertia wrong", "kinematic, inertial", "kg m2", 0.015
 
-    def bind(self, plant: "Plant") -> None:
+    def bind(self, plant: Host) -> None:
         super().bind(plant)
         plant.Ixz = plant.Ixz + self.size
 
@@ -51,7 +50,7 @@ class RollInertia(Effect):
 
     name, title, group, unit, typical = "Ixx_scale", "roll inertia wrong by a factor", "exactly absorbed", "1", 0.10
 
-    def bind(self, plant: "Plant") -> None:
+    def bind(self, plant: Host) -> None:
         super().bind(plant)
         plant.Ixx = plant.Ixx * (1.0 + self.size)
 
@@ -61,6 +60,6 @@ class MassScale(Effect):
 
     name, title, group, unit, typical = "mass_scale", "mass wrong by a factor", "exactly absorbed", "1", 0.08
 
-    def bind(self, plant: "Plant") -> None:
+    def bind(self, plant: Host) -> None:
         super().bind(plant)
         plant.mass = plant.mass * (1.0 + self.size)

@@ -16,7 +16,7 @@ def test_a_file_given_up_on_a_full_card_needs_no_salvage(tmp_path: Path) -> None
     assert [p.name for p in state.given_up] == ["fault_disk_full_1_000.mcap"]
     flight = calibrate_recording(onboard, "cdfp")
     assert len(flight.time) == state.scans
-    said = [note for note in flight.notes if "given up" in note]
+    said = [note.text for note in flight.notes if "given up" in note.text]
     assert len(said) == 1
     assert said[0].startswith("fault_disk_full_1_000.mcap")
     assert said[0].endswith("no scan is missing")

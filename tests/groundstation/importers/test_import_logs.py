@@ -83,7 +83,7 @@ def test_ulog_rewritten_by_pyulog_imports(tmp_path: Path, flown: Columns) -> Non
         expected = np.interp(at, flown["time"], flown[column])
         np.testing.assert_allclose(flight[column][inside], expected, atol=0.01 * max(1.0, np.ptp(expected)))
     assert np.median(np.abs(flight["az"][inside])) == pytest.approx(9.8, abs=0.1)
-    assert any("alpha (airflow_aoa.aoa_rad)" in n for n in flight.notes)  # what is missing is named
+    assert any("alpha (airflow_aoa.aoa_rad)" in n.text for n in flight.notes)  # what is missing is named
     assert flight.provenance.detail["format"] == "ulog"
     assert flight.provenance.detail["resampled_hz"] == pytest.approx(20.0)
 
@@ -161,7 +161,7 @@ def test_dataflash_imports(tmp_path: Path, flown: Columns) -> None:
     fix = np.flatnonzero(np.isfinite(flight["latitude"]))[0]
     assert flight["latitude"][fix] == pytest.approx(47.0)
     assert (flight["vn"][fix], flight["ve"][fix]) == (pytest.approx(0.0, abs=1e-6), pytest.approx(15.0))
-    assert any("beta (AOA.SSA)" in n for n in flight.notes)
+    assert any("beta (AOA.SSA)" in n.text for n in flight.notes)
 
 
 def test_dataflash_agrees_with_pymavlink(tmp_path: Path, flown: Columns) -> None:
@@ -192,7 +192,7 @@ def test_damaged_dataflash_loses_only_the_damage(tmp_path: Path, flown: Columns)
     path = tmp_path / "log.bin"
     path.write_bytes(bytes(data))
     flight = import_data(path)
-    assert any("damaged" in n for n in flight.notes)
+    assert any("damaged" in n.text for n in flight.notes)
     assert np.isfinite(flight["phi"]).mean() > 0.97
 
 

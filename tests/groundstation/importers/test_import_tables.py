@@ -9,6 +9,7 @@ from click.testing import CliRunner
 
 from groundstation.cli.data import import_
 from groundstation.flight import read_flight, write_flight
+from groundstation.flight.notes import texts
 from groundstation.importers.errors import ImportDataError
 from groundstation.importers.mapping import load_map
 from groundstation.importers.run import import_data
@@ -109,7 +110,7 @@ def test_si_file_needs_no_mapping_and_survives_the_round_trip(tmp_path: Path, fl
     for name in (*flown, "my_extra"):
         if name != "time":
             np.testing.assert_array_equal(again[name], flight[name])
-    assert any("my_extra" in n for n in flight.notes)
+    assert any("my_extra" in n.text for n in flight.notes)
 
 
 def test_units_in_the_header_are_understood(tmp_path: Path, flown: Columns) -> None:
@@ -152,7 +153,7 @@ def test_unit_and_sign_mistakes_are_caught(
     with pytest.raises(ImportDataError, match=words):
         import_data(path)
     accepted = import_data(path, accept_implausible=True)
-    assert any(n.startswith(column) for n in accepted.notes)
+    assert any(n.text.startswith(column) for n in accepted.notes)
 
 
 @pytest.mark.parametrize(("unit", "one_g"), [("g", 1.0), ("ft/s2", 32.174), ("mg", 1000.0), ("cm/s2", 980.665)])
@@ -240,7 +241,7 @@ def test_lines_above_the_column_names_are_passed_over_and_counted(tmp_path: Path
     path = tmp_path / "log.asc"
     path.write_text("\n".join([*preamble, text]))
     flight = import_data(path)
-    assert "4 lines above the column names passed over" in flight.notes
+    assert "4 lines above the column names passed over" in texts(flight.notes)
     for name, values in chosen.items():
         assert np.array_equal(flight.time if name == "time" else flight[name], values)
 
@@ -260,14 +261,16 @@ def test_words_among_numbers_are_not_measured_and_named(tmp_path: Path, flown: C
     (tmp_path / "log.csv").write_text("\n".join(lines))
     flight = import_data(tmp_path / "log.csv")
     assert np.flatnonzero(np.isnan(flight["beta"])).tolist() == [59, 60]
-    assert any("column beta: 1 cells that are no numbers (the first 'ERR' in table line 61)" in n for n in flight.notes)
+    assert any(
+        "column beta: 1 cells that are no numbers (the first 'ERR' in table line 61)" in n.text for n in flight.notes
+    )
 
 
 def test_headers_that_cannot_be_field_names_are_kept_under_plain_ones(tmp_path: Path, flown: Columns) -> None:
     odd = {"time": flown["time"], "phi": flown["phi"], "Höhe (AGL)": flown["V"], "1st": flown["V"], "V.": flown["V"]}
     flight = import_data(write_csv(tmp_path / "log.csv", odd))
     assert {"Hohe_AGL", "_1st", "V_other"} <= set(flight.columns)
-    assert any("Höhe (AGL) as Hohe_AGL" in n for n in flight.notes)
+    assert any("Höhe (AGL) as Hohe_AGL" in n.text for n in flight.notes)
     write_flight(flight, tmp_path / "flight.mcap")
     np.testing.assert_array_equal(read_flight(tmp_path / "flight.mcap")["Hohe_AGL"], flown["V"])
 
@@ -324,7 +327,7 @@ def test_gap_and_disorder_are_reported(tmp_path: Path, flown: Columns) -> None:
     late = flown["time"] + np.where(flown["time"] > 10, 30.0, 0.0)
     flight = import_data(write_csv(tmp_path / "log.csv", {**flown, "time": late}))
     assert len(flight.segments) == 2
-    assert any("gap of 30" in n for n in flight.notes)
+    assert any("gap of 30" in n.text for n in flight.notes)
 
 
 @pytest.mark.parametrize(

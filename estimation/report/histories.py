@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from estimation.estimators.result import Result
-    from estimation.laboratory import Session
     from estimation.models.base import Model
-    from estimation.proof import Proof
+    from estimation.session.proof_of_match import Proof
+    from estimation.session.session import Session
     from groundstation.flight import Flight
 
 Array = NDArray[np.float64]

@@ -1,6 +1,6 @@
 """Piecewise polynomials with unknown break points: every stretch fitted, averaged over and drawn from.
 
-The arithmetic behind `estimation.preprocess` (Fearnhead 2006, Statistics and Computing 16, 203-213): sums over all
+The arithmetic behind `estimation.signals.preprocess` (Fearnhead 2006, Statistics and Computing 16, 203-213): sums over all
 segmentations by recursion, and exact draws of segmentations by running it backwards.
 """
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from estimation.pieces import Fits
+from estimation.signals.changepoints import Fits
 
 Array = NDArray[np.float64]
 

@@ -1,7 +1,7 @@
 """Proof of match: a frozen model predicts a flight with its measured controls.
 
 Parameters identified on one flight predict another; only the initial states (and, where asked, instrument biases) are
-refitted, and the match is judged per channel by `estimation.validation`.
+refitted, and the match is judged per channel by `estimation.signals.goodness_of_fit`.
 """
 
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ from estimation.engine.data import FlightData
 from estimation.estimators.output_error import OutputErrorOptions, output_error
 from estimation.estimators.result import Array, Result
 from estimation.models.base import Model
-from estimation.validation import ChannelFit, to_json
+from estimation.signals.goodness_of_fit import ChannelFit, to_json
 from groundstation.flight import Flight
 
 

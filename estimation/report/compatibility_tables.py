@@ -6,6 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from estimation.compatibility.result import Compatibility, Factor, ReconstructedFlight
+from estimation.models.kinematic import STANDARD_FACTORS
+from estimation.report import published
 
 _SHOWN = {"rad": ("deg", np.degrees(1.0)), "V": ("m/s", 1.0)}
 _TITLES = {
@@ -37,9 +39,6 @@ def factor_lines(results: Sequence[tuple[str, Compatibility]]) -> Iterator[str]:
 
 def published_lines() -> Iterator[str]:
     """The paper's Table 2, to compare with."""
-    from estimation.models.kinematic import STANDARD_FACTORS
-    from estimation.report import published
-
     flights = published.published_flights()
     yield "published (bounds of output error, without the noise of the inertial sensors)"
     yield f"{'factor':<17}" + "".join(f"{name:>21}" for name in flights)

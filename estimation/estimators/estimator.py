@@ -1,0 +1,100 @@
+"""What an estimator is: a record with a name, a title, a fit, and the extras that it heeds; and the task it is given."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from enum import Enum
+from typing import TYPE_CHECKING
+
+from estimation.aircraft import Aircraft
+from estimation.models.base import Model
+
+if TYPE_CHECKING:
+    from estimation.engine.data import FlightData
+    from estimation.estimators.result import Result
+    from groundstation.flight import Flight
+
+
+class Extra(Enum):
+    """What may be asked of an estimator beyond its estimates; the value is the option that asks for it."""
+
+    PROFILE = "--profile"
+    BOOTSTRAP = "--bootstrap"
+    SEED = "--seed"
+    STEPWISE = "--stepwise"
+    RAW_INPUTS = "--raw-inputs"
+
+
+@dataclass(frozen=True)
+class Extras:
+    """Extras as they were asked for. profile: parameters; bootstrap: replicates (0: as usual for the estimator); seed: of its
+    noise, and of networks. raw_inputs: take measured inputs with their noise. stepwise: choose terms by partial F."""
+
+    profile: tuple[str, ...] = ()
+    bootstrap: int = 0
+    seed: int = 0
+    raw_inputs: bool = False
+    stepwise: bool = False
+
+    @property
+    def asked(self) -> tuple[Extra, ...]:
+        """Those that differ from their default."""
+        given = {
+            Extra.PROFILE: self.profile, Extra.BOOTSTRAP: self.bootstrap, Extra.SEED: self.seed,
+            Extra.STEPWISE: self.stepwise, Extra.RAW_INPUTS: self.raw_inputs,
+        }  # fmt: skip
+        return tuple(extra for extra, value in given.items() if value)
+
+
+NO_EXTRAS = Extras()
+
+
+@dataclass(frozen=True)
+class Task:
+    """One fit: `model` to one flight, or to several together. device: where networks are trained (cpu, cuda or auto).
+
+    number: of the fit in its session, so that each draws noise of its own. tell: told each long piece of work as it begins.
+    """
+
+    model: Model
+    flights: "Sequence[Flight]"
+    aircraft: Aircraft
+    extras: Extras = NO_EXTRAS
+    device: str = "cpu"
+    number: int = 0
+    tell: Callable[[str], None] = lambda text: None
+
+    @property
+    def data(self) -> "Sequence[Flight | FlightData]":
+        """The flights; where their inputs are wanted as measured, already prepared so."""
+        if not self.extras.raw_inputs:
+            return self.flights
+        from estimation.engine.data import Preparation, prepare
+
+        return [prepare(self.model, f, Preparation(denoise=False)) for f in self.flights]
+
+
+@dataclass(frozen=True)
+class Look:
+    """How figures draw an estimator: a colour and a marker as matplotlib names them."""
+
+    colour: str
+    marker: str
+
+
+@dataclass(frozen=True)
+class Estimator:
+    """A way to find the parameters of a model.
+
+    name: as `--method` and the JSON have it; title: in progress and reports. fit: raises EstimationError where model or
+    flights cannot be used; a fit that fails is a Result whose status says so. supports: the extras that `fit` heeds.
+    fit_each: each flight of the task by itself, given only where that is cheaper than one after the other. rank: place in
+    lists. look: in figures; one is chosen where none is given.
+    """
+
+    name: str
+    title: str
+    fit: "Callable[[Task], Result]"
+    supports: frozenset[Extra] = frozenset()
+    fit_each: "Callable[[Task], list[Result]] | None" = None
+    rank: int = 100
+    look: Look | None = None

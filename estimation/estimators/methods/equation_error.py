@@ -1,0 +1,26 @@
+"""`ls`: equation error by least squares, all terms or those that a partial F ratio finds."""
+
+from typing import TYPE_CHECKING
+
+from estimation.estimators.estimator import Estimator, Extra, Look, Task
+
+if TYPE_CHECKING:
+    from estimation.estimators.result import Result
+
+
+def _fit(task: Task) -> "Result":
+    from estimation.estimators.equation_error import equation_error
+
+    return equation_error(task.model, task.data, stepwise=task.extras.stepwise)
+
+
+ESTIMATORS = (
+    Estimator(
+        "ls",
+        "equation error, least squares",
+        _fit,
+        frozenset({Extra.STEPWISE, Extra.RAW_INPUTS}),
+        rank=4,
+        look=Look("#8c6d31", "v"),
+    ),
+)

@@ -1,0 +1,26 @@
+"""`fem`: maximum likelihood by filter error, for flights in rough air."""
+
+from typing import TYPE_CHECKING
+
+from estimation.estimators.estimator import Estimator, Extra, Look, Task
+
+if TYPE_CHECKING:
+    from estimation.estimators.result import Result
+
+
+def _fit(task: Task) -> "Result":
+    from estimation.estimators.filter_error import filter_error
+
+    return filter_error(task.model, task.data)
+
+
+ESTIMATORS = (
+    Estimator(
+        "fem",
+        "maximum likelihood, filter error",
+        _fit,
+        frozenset({Extra.RAW_INPUTS}),
+        rank=1,
+        look=Look("#009E73", "s"),
+    ),
+)

@@ -1,0 +1,34 @@
+"""`ngn` and `ngn-improved`: the two forms of Neural Gauss-Newton; the networks of several flights are trained side by side."""
+
+from typing import TYPE_CHECKING
+
+from estimation.estimators.estimator import Estimator, Extra, Look, Task
+
+if TYPE_CHECKING:
+    from estimation.estimators.result import Result
+
+
+def _form(name: str, title: str, improved: bool, rank: int, look: Look) -> Estimator:
+    def fit(task: Task) -> "Result":
+        from estimation.estimators.neural_gauss_newton import estimate_ngn
+
+        return estimate_ngn(
+            task.aircraft, task.flights, model=task.model, improved=improved, device=task.device,
+            bootstraps=task.extras.bootstrap or None, seed=task.extras.seed,
+        )  # fmt: skip
+
+    def fit_each(task: Task) -> "list[Result]":
+        from estimation.estimators.neural_gauss_newton import estimate_campaign
+
+        return estimate_campaign(
+            task.aircraft, task.flights, model=task.model, improved=improved, device=task.device,
+            bootstraps=task.extras.bootstrap or None, seed=task.extras.seed,
+        )  # fmt: skip
+
+    return Estimator(name, title, fit, frozenset({Extra.BOOTSTRAP, Extra.SEED}), fit_each, rank, look)
+
+
+ESTIMATORS = (
+    _form("ngn", "neural Gauss-Newton, as published", False, 2, Look("#D55E00", "D")),
+    _form("ngn-improved", "neural Gauss-Newton, interval means", True, 3, Look("#CC79A7", "^")),
+)

@@ -1,0 +1,84 @@
+"""Estimators by name: what `--method` chooses from, and where help, progress, JSON, tables and figures take their words.
+
+An estimator is an `Estimator` record in one file. Those that come with Sideslip lie in `estimators/methods`, each module
+with a tuple ESTIMATORS; an installed package brings its own under the entry point group `sideslip.estimators`, and
+`--method module:NAME` takes one that is not installed. Importing this module, or asking for `names`, loads none that is
+somebody else's, and no numerical library.
+"""
+
+import importlib
+import pkgutil
+from collections.abc import Mapping, Sequence
+from functools import cache
+from importlib.metadata import EntryPoint, entry_points
+
+from estimation.errors import EstimationError
+from estimation.estimators import methods
+from estimation.estimators.estimator import Estimator, Extra
+from estimation.own_code import MISTAKES, named, said
+
+ENTRY_POINTS = "sideslip.estimators"
+
+
+@cache
+def built_in() -> Mapping[str, Estimator]:
+    """The estimators of `estimators/methods` by name, in the order of their rank."""
+    modules = (importlib.import_module(f"{methods.__name__}.{m.name}") for m in pkgutil.iter_modules(methods.__path__))
+    found: list[Estimator] = [e for module in modules for e in module.ESTIMATORS]
+    return {e.name: e for e in sorted(found, key=lambda e: (e.rank, e.name))}
+
+
+@cache
+def _installed() -> Mapping[str, EntryPoint]:
+    return {p.name: p for p in entry_points(group=ENTRY_POINTS)}
+
+
+def names(extra: Extra | None = None) -> tuple[str, ...]:
+    """All names; with `extra` those of Sideslip's own that support it (others are not loaded to be asked)."""
+    own = built_in()
+    if extra is not None:
+        return tuple(n for n, e in own.items() if extra in e.supports)
+    return (*own, *sorted(set(_installed()) - set(own)))
+
+
+def find(name: str) -> Estimator:
+    """The estimator of that name, or of `module:NAME`; EstimationError naming what there is."""
+    own, point = built_in().get(name), _installed().get(name)
+    if own is not None and point is not None:
+        raise EstimationError(f"method {name}: {point.value} brings one too, but the name is taken; give it another")
+    if own is not None:
+        return own
+    if point is not None:
+        try:
+            value = point.load()
+        except MISTAKES as error:
+            raise EstimationError(f"method {name}: {point.value} cannot be loaded: {said(error)}") from error
+        return _checked(value, f"method {name}: {point.value}", name)
+    if ":" in name:
+        found = _checked(named(name, f"method {name!r}", "module:NAME, like my_fits:OWN"), f"method {name}")
+        if found.name in names():
+            raise EstimationError(f"method {name} calls itself {found.name!r}: the name is taken; give it another")
+        return found
+    raise EstimationError(f"method {name!r} is unknown; known are {', '.join(names())}, or give module:NAME")
+
+
+def _checked(value: object, where: str, name: str = "") -> Estimator:
+    if not isinstance(value, Estimator):
+        raise EstimationError(f"{where} is {type(value).__name__}, not an estimation.Estimator")
+    if name and value.name != name:
+        raise EstimationError(f"{where} calls itself {value.name!r}: give it the name of its entry point")
+    return value
+
+
+def listed(words: Sequence[str]) -> str:
+    """`a`, `a and b`, `a, b and c`."""
+    return " and ".join(filter(None, (", ".join(words[:-1]), *words[-1:])))
+
+
+def check_extras(asked: Sequence[Extra], chosen: Sequence[Estimator]) -> None:
+    """EstimationError for an extra that none of the chosen estimators heeds."""
+    for extra in asked:
+        if not any(extra in e.supports for e in chosen):
+            able = names(extra)
+            which = f"method{'s' if len(able) > 1 else ''} {listed(able)}"
+            raise EstimationError(f"{extra.value} is for {which}: add {able[0]} to --method")

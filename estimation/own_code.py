@@ -1,0 +1,46 @@
+"""Somebody's own Python, named as `module:NAME`: imported from the working directory or the path, its mistakes told."""
+
+import importlib
+import sys
+from pathlib import Path
+
+from estimation.errors import EstimationError
+
+MISTAKES = (
+    ImportError, SyntaxError, NameError, AttributeError, TypeError, ValueError, KeyError, IndexError, ZeroDivisionError,
+)  # fmt: skip
+"""What a mistake in somebody's own module or class raises."""
+
+
+def named(text: str, what: str, example: str, error: type[EstimationError] = EstimationError) -> object:
+    """What `module:NAME` names. what: begins the sentence of the error that is raised where there is no such thing;
+    example: as it is written.
+    """
+    module_name, _, name = text.partition(":")
+    if not all(part.isidentifier() for part in (*module_name.split("."), name)):
+        raise error(f"{what}: write it as {example}")
+    here = str(Path.cwd())
+    added = here not in sys.path
+    if added:
+        sys.path.insert(0, here)
+    try:
+        module = importlib.import_module(module_name)
+    except MISTAKES as mistake:
+        raise error(f"{what}: cannot import {module_name}: {said(mistake)}") from mistake
+    finally:
+        if added:
+            sys.path.remove(here)
+    if not hasattr(module, name):
+        raise error(f"{what}: {module_name} has no {name!r}")
+    return getattr(module, name)
+
+
+def said(error: Exception) -> str:
+    """An error of somebody's Python text, with its place where that is known."""
+    trace = error.__traceback__
+    while trace is not None and trace.tb_next is not None:
+        trace = trace.tb_next
+    where = (
+        f" (line {error.lineno})" if isinstance(error, SyntaxError) else f" (line {trace.tb_lineno})" if trace else ""
+    )
+    return f"{type(error).__name__}: {error}{where if not isinstance(error, ImportError) else ''}"

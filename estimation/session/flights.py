@@ -1,0 +1,69 @@
+"""Which flights, and which stretches of them, one call works on."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from estimation.engine.data import SHORTEST_SEGMENT
+from estimation.errors import EstimationError
+from groundstation.flight import Flight
+
+
+def unique_names(flights: Sequence[Flight]) -> list[Flight]:
+    """Flights with names of their own, so that no result hides another."""
+    seen: dict[str, int] = {}
+    result = []
+    for flight in flights:
+        seen[flight.name] = seen.get(flight.name, 0) + 1
+        count = seen[flight.name]
+        result.append(flight if count == 1 else replace(flight, name=f"{flight.name}#{count}"))
+    return result
+
+
+def select_segments(flight: Flight, text: str | None) -> Flight:
+    """The stretches `2:12,15:25` [s] of a flight, as segments; EstimationError where they make no sense."""
+    if text is None:
+        return flight
+    label = np.full(len(flight), -1)
+    spans: list[tuple[float, float]] = []
+    for i, part in enumerate(text.split(",")):
+        begin, colon, end = part.partition(":")
+        try:
+            a, b = float(begin), float(end)
+        except ValueError:
+            raise EstimationError(
+                f"--segments {text!r}: write stretches as begin:end in seconds, like 2:12,15:25"
+            ) from None
+        inside = (flight.time >= a) & (flight.time <= b)
+        if not colon or b <= a or not inside.any():
+            raise EstimationError(
+                f"--segments {part}: no samples of {flight.name} there; it runs from {flight.time[0]:g} to {flight.time[-1]:g} s"
+            )
+        if inside.sum() < SHORTEST_SEGMENT:
+            raise EstimationError(
+                f"--segments {part}: only {int(inside.sum())} samples of {flight.name} lie there, one each "
+                f"{flight.sample_interval:.3g} s; a stretch needs at least {SHORTEST_SEGMENT}"
+            )
+        if any(a < end_ and b > begin_ for begin_, end_ in spans):
+            raise EstimationError(f"--segments {text}: {part} overlaps another stretch; give each sample once")
+        spans.append((a, b))
+        label[inside] = i
+    keep = label >= 0
+    chosen = flight.part(keep)
+    return Flight.build(
+        flight.name,
+        chosen.time,
+        dict(chosen.columns),
+        segment=label[keep],
+        provenance=flight.provenance,
+        notes=flight.notes,
+    )
+
+
+def separated(flight: Flight) -> list[Flight]:
+    """Every segment as a flight of its own, named <flight>.1, <flight>.2 ..."""
+    parts = flight.segments
+    if len(parts) == 1:
+        return [flight]
+    return [flight.part(part, f"{flight.name}.{i}") for i, part in enumerate(parts, start=1)]

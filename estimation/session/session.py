@@ -1,0 +1,127 @@
+"""Everything one call of `estimate` found, as it is printed, written as JSON (names as in the interface description) and
+handed to the report."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from estimation.aircraft import Aircraft
+from estimation.estimators.registry import names
+from estimation.estimators.result import Result, finite
+from estimation.models.base import Model
+from estimation.session.sanity_checks import Doubt, doubts_of
+from estimation.session.scatter import Scatter
+from groundstation.flight import Flight
+from groundstation.flight.notes import texts
+
+
+@dataclass(frozen=True)
+class FlightEstimates:
+    """Results of every method on one flight; failures: method -> why it could not be used."""
+
+    flight: Flight
+    results: Mapping[str, Result]
+    failures: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Sentences on what was done to the data, and on what of the first method's answer asks for a second look."""
+        first = self._first
+        return (*texts((self.flight if first is None else first.flights[0]).notes), *(d.text for d in self.doubts))
+
+    @property
+    def doubts(self) -> tuple[Doubt, ...]:
+        """What of the first method's answer asks for a second look."""
+        return () if self._first is None else tuple(doubts_of(self._first))
+
+    @property
+    def _first(self) -> Result | None:
+        return next((r for r in self.results.values() if r.flights), None)
+
+
+@dataclass(frozen=True)
+class Session:
+    """Everything one call of `estimate` found. truth: derivatives of simulated flights, to be shown beside the means."""
+
+    aircraft: Aircraft
+    model: Model
+    methods: tuple[str, ...]
+    flights: tuple[FlightEstimates, ...]
+    joint: Mapping[str, Result]
+    mean: Mapping[str, Mapping[str, Scatter]]
+    truth: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def leading(self) -> Result | None:
+        """The joint estimate that figures and tables of one estimate show: the usual method's, else the first."""
+        return self.joint.get(names()[0]) or next(iter(self.joint.values()), None)
+
+    @property
+    def converged(self) -> bool:
+        """Whether every method came to a usable end on every flight."""
+        each = [r for f in self.flights for r in f.results.values()] + list(self.joint.values())
+        return bool(each) and all(r.converged for r in each) and not any(f.failures for f in self.flights)
+
+    @property
+    def text(self) -> str:
+        """One sentence on how it went."""
+        bad = [f"{f.flight.name} ({m})" for f in self.flights for m, r in f.results.items() if not r.converged]
+        bad += [f"{f.flight.name} ({m})" for f in self.flights for m in f.failures]
+        bad += [f"joint ({m})" for m, r in self.joint.items() if not r.converged]
+        if bad:
+            return f"not converged: {', '.join(bad)}"
+        blind = sorted(
+            {n for f in self.flights for r in f.results.values() for n, e in r.parameters.items() if not e.identifiable}
+        )
+        said = f"{len(self.flights)} flight{'s' if len(self.flights) > 1 else ''} estimated"
+        if not blind:
+            return said
+        return f"{said}; in some flights the data cannot tell {', '.join(blind)}{self._together(blind)}"
+
+    def _together(self, blind: list[str]) -> str:
+        """What the joint estimate makes of parameters that some flights cannot tell."""
+        joint = next(iter(self.joint.values()), None)
+        if joint is None:
+            return ""
+        left = [n for n in blind if n in joint.parameters and not joint.parameters[n].identifiable]
+        return f"; nor can all together tell {', '.join(left)}" if left else "; all together can"
+
+    def to_json(self) -> dict[str, Any]:
+        """As the interface description has it."""
+        first = self.joint or (self.flights[0].results if self.flights else {})
+        collinear = next((r.collinear for r in first.values()), ())
+        return {
+            "version": 1,
+            "aircraft": self.aircraft.name,
+            "model": self.model.name,
+            "status": self.text,
+            "flights": [_flight_json(f) for f in self.flights],
+            "mean": {
+                method: {n: {"mean": finite(s.mean), "std": finite(s.std)} for n, s in table.items()}
+                for method, table in self.mean.items()
+            },
+            "joint": {method: r.to_json() for method, r in self.joint.items()},
+            "collinear": [list(pair) for pair in collinear],
+            **({"truth": dict(self.truth)} if self.truth else {}),
+            "scatter": {
+                method: {
+                    n: {"ratio": finite(s.ratio), "probability": s.probability, "text": s.text}
+                    for n, s in table.items()
+                    if s.count > 1
+                }
+                for method, table in self.mean.items()
+            },
+        }
+
+
+def _flight_json(f: FlightEstimates) -> dict[str, Any]:
+    data: dict[str, Any] = {
+        "name": f.flight.name,
+        "samples": len(f.flight),
+        "methods": {m: r.to_json() for m, r in f.results.items()},
+    }
+    for method, why in f.failures.items():
+        data["methods"][method] = {"converged": False, "status": why, "parameters": {}, "fit": {}}
+    data["notes"] = list(f.notes)
+    data["provenance"] = {"path": f.flight.provenance.path, "sha256": f.flight.provenance.sha256}
+    return data
