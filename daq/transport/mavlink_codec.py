@@ -274,6 +274,18 @@ def _sik_frame_at(buffer: bytes, at: int, size: int, last: bool) -> Frame | int 
     return Frame(buffer[at : at + _SIK_FRAME], RADIO_STATUS_ID, head[1], head[2], head[3], body)
 
 
+def frame_at(data: bytes, at: int) -> Frame | None:
+    """The sound frame that begins at a byte of whole data; None when none does."""
+    magic = data[at]
+    if magic == MAGIC:
+        found = _frame_at(data, at, len(data), True)
+    elif magic == MAGIC_V1:
+        found = _sik_frame_at(data, at, len(data), True)
+    else:
+        return None
+    return found if isinstance(found, Frame) else None
+
+
 class FrameEncoder:
     """Makes frames of one sender: counts the sequence and signs if there is a signer."""
 

@@ -9,12 +9,15 @@ timestamp nor lock the true sender out. Timestamps survive a restart, so recorde
 import hashlib
 import hmac
 import json
+import logging
 import os
+import secrets
 import stat
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
+from typing import Any
 
 from daq.contract.errors import UserError
 
@@ -28,8 +31,14 @@ NEW_STREAM_MARGIN = 60 * UNITS_PER_S
 RESERVE = 60 * UNITS_PER_S
 """Outgoing timestamps are reserved on disk this far ahead, so that a restart never repeats one."""
 MAX_STREAMS = 256
+CLOCK_KNOWN = 10 * 365 * 86_400 * UNITS_PER_S
+"""A clock that stands before 2025 was never set: clocks without a battery begin in 1970, or when their system was built."""
 
 _STAMP_LIMIT = 2**48 - 1
+_KEY_FILE_BYTES = 4096
+_STATE_FILE_BYTES = 1 << 16
+"""MAX_STREAMS rows of at most 30 characters are an eighth of it."""
+_LOG = logging.getLogger("sideslip.signing")
 
 
 class SigningError(UserError):
@@ -53,17 +62,18 @@ class Verdict(Enum):
 def load_key(path: str | Path) -> bytes:
     """The signing key in a file: 32 bytes, or 64 hexadecimal digits.
 
-    Raises SigningError when the file is absent, readable by others than its owner, or not a key.
+    Raises SigningError when the file is absent, no regular file, readable by others than its owner, or not a key.
     """
     path = Path(path)
     try:
-        mode = path.stat().st_mode
-        data = path.read_bytes()
+        data, mode = _small_file(path, _KEY_FILE_BYTES)
     except OSError as error:
         raise SigningError(
             f"{path}: signing key cannot be read ({error.strerror}); correct the key key_file"
         ) from error
-    if not stat.S_ISREG(mode) or stat.S_IMODE(mode) & 0o077:
+    if not stat.S_ISREG(mode):
+        raise SigningError(f"{path}: not a regular file, so not a signing key; correct the key key_file")
+    if stat.S_IMODE(mode) & 0o077:
         raise SigningError(
             f"{path}: signing key has mode {stat.S_IMODE(mode):04o}, others may read it; run 'chmod 600 {path}'"
         )
@@ -75,7 +85,23 @@ def load_key(path: str | Path) -> bytes:
             data = b""
     if len(data) != KEY_BYTES:
         raise SigningError(f"{path}: not a signing key; it must hold 32 bytes or 64 hexadecimal digits")
+    if not any(data):
+        raise SigningError(f"{path}: a key of nothing but zeros is no secret; make one: 'head -c 32 /dev/urandom'")
     return data
+
+
+def _small_file(path: Path, limit: int) -> tuple[bytes, int]:
+    """The first bytes of a regular file, one more than `limit` at most, and its mode; nothing of what is no such file.
+
+    Opened so that a FIFO nobody writes to is not waited for. Raises OSError.
+    """
+    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC)
+    mode = os.fstat(descriptor).st_mode
+    if not stat.S_ISREG(mode):
+        os.close(descriptor)
+        return b"", mode
+    with os.fdopen(descriptor, "rb") as file:
+        return file.read(limit + 1), mode
 
 
 def stamp_of(utc_ns: int) -> int:
@@ -104,30 +130,62 @@ def load_state(path: Path | None) -> SigningState:
     Raises SigningError when the file is there and is not a signing state: starting afresh would open the door to
     replays.
     """
-    if path is None or not path.exists():
+    if path is None:
         return SigningState()
     try:
-        table = json.loads(path.read_text())
-        streams = {(int(s), int(c), int(i)): int(t) for s, c, i, t in table["streams"]}
-        return SigningState(int(table["sent"]), int(table["heard"]), streams)
-    except (OSError, ValueError, KeyError, TypeError) as error:
+        data, mode = _small_file(path, _STATE_FILE_BYTES)
+        if not stat.S_ISREG(mode):
+            raise SigningError(f"{path}: not a regular file, so not a signing state; correct the key signing_state")
+        if len(data) > _STATE_FILE_BYTES:
+            raise ValueError(f"it has more than {_STATE_FILE_BYTES} bytes")
+        return _state_of(json.loads(data))
+    except FileNotFoundError:
+        return SigningState()
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise SigningError(
-            f"{path}: not a signing state ({error}); remove the file only if the key is new, or replays become possible"
+            f"{path}: not a signing state ({str(error)[:100]}); remove the file only if the key is new, or replays become"
+            " possible"
         ) from error
 
 
+def _state_of(table: Any) -> SigningState:
+    """A state from what its file holds. Raises ValueError, KeyError or TypeError for anything else."""
+    rows = table["streams"]
+    if not isinstance(rows, list) or len(rows) > MAX_STREAMS:
+        raise ValueError(f"streams is not a list of at most {MAX_STREAMS}")
+    streams = {}
+    for system, component, link, stamp in rows:
+        stream = (_whole(system, 255), _whole(component, 255), _whole(link, 255))
+        streams[stream] = _whole(stamp, _STAMP_LIMIT)
+    return SigningState(_whole(table["sent"], _STAMP_LIMIT), _whole(table["heard"], _STAMP_LIMIT), streams)
+
+
+def _whole(value: object, most: int) -> int:
+    if type(value) is not int or not 0 <= value <= most:
+        raise ValueError(f"not a whole number from 0 to {most}")
+    return value
+
+
 def save_state(state: SigningState, path: Path) -> None:
-    """Write the state so that either the old or the new one is on disk at any instant."""
+    """Write the state so that either the old or the new one is on disk at any instant.
+
+    It is written under a name that nobody can foresee, into a file that must not be there yet: a link planted in a folder
+    that others may write to is not followed. Raises OSError.
+    """
     rows = [[*stream, stamp] for stream, stamp in sorted(state.streams.items())]
     text = json.dumps({"sent": state.sent, "heard": state.heard, "streams": rows})
     path.parent.mkdir(parents=True, exist_ok=True)
-    new = path.with_name(path.name + ".new")
-    with new.open("w") as handle:
-        os.fchmod(handle.fileno(), 0o600)
-        handle.write(text)
-        handle.flush()
-        os.fsync(handle.fileno())
-    new.replace(path)
+    new = path.with_name(f".{path.name}.{secrets.token_hex(8)}")
+    flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
+    try:
+        with os.fdopen(os.open(new, flags, 0o600), "w") as handle:
+            handle.write(text)
+            handle.flush()
+            os.fsync(handle.fileno())
+        new.replace(path)
+    except OSError:
+        new.unlink(missing_ok=True)
+        raise
 
 
 class Signer:
@@ -135,6 +193,9 @@ class Signer:
 
     now: UTC in ns. A clock that stands before the last known timestamp (no battery-backed clock) is not believed:
     timestamps then go on from the last one by one unit a frame.
+
+    A state file that is none is set aside, and `notice` says so in a sentence. Timestamps then begin with the clock:
+    frames recorded more than NEW_STREAM_MARGIN ago still do not count. Raises SigningError where the clock knows nothing.
     """
 
     def __init__(self, key: bytes, now: Callable[[], int], *, link_id: int = 0, state_path: Path | None = None) -> None:
@@ -144,10 +205,28 @@ class Signer:
         self._now = now
         self._link_id = link_id
         self._path = state_path
-        self.state = load_state(state_path)
+        self.notice = ""
+        self.state = self._loaded(state_path)
         self._reserved = self.state.sent
         self._last = self.state.sent
         self._saved_heard = self.state.heard
+
+    def _loaded(self, path: Path | None) -> SigningState:
+        try:
+            return load_state(path)
+        except SigningError as error:
+            now = stamp_of(self._now())
+            if path is None or not path.is_file():
+                raise
+            if now < CLOCK_KNOWN:
+                raise SigningError(f"{error}; it is not replaced, because this computer's clock is not set") from error
+            aside = path.with_name(path.name + ".unusable")
+            path.replace(aside)
+            self.notice = (
+                f"{path}: not a signing state; set aside as {aside}, timestamps begin with this computer's clock"
+            )
+            _LOG.warning("%s", self.notice)
+            return SigningState(now, now)
 
     def sign(self, frame: bytes) -> bytes:
         """The 13 signature bytes of a frame (magic to checksum, signed flag set)."""

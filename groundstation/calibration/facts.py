@@ -20,6 +20,7 @@ _LAG_KEYS = {  # first-order low passes; an attitude filter integrates the gyro,
     "accelerometer": "imu.accel_delay_s", "gyro": "imu.gyro_delay_s", "attitude": "imu.gyro_delay_s",
 }  # fmt: skip
 _LONGEST_DELAY = 1.0  # s
+_LARGEST_SCALE = 1e3  # of any unit a count; all of them are far below one
 
 INSTANT_STEP = 1e-3
 """The logger measures the instants within a group, a little differently in each flight: rounded to a millisecond they are
@@ -71,7 +72,7 @@ class Facts:
             key = f"{row.group}.scale_v"
         if key is None and channel.startswith("pwm"):
             key = "capture.scale_s"
-        recorded = self._number(key, 0.0, math.inf) if key else None
+        recorded = self._number(key, 0.0, _LARGEST_SCALE) if key else None
         return recorded if recorded and not math.isclose(recorded, row.scale, rel_tol=1e-9) else row.scale
 
     def _number(self, key: str, low: float, high: float) -> float | None:

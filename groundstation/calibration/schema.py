@@ -299,7 +299,7 @@ def built_in_sets() -> tuple[str, ...]:
 def _parse(where: str, text: str) -> Instrument:
     try:
         return Instrument.model_validate(tomllib.loads(text))
-    except tomllib.TOMLDecodeError as error:
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise CalibrationError(f"{where}: not valid TOML: {error}") from error
     except ValidationError as error:
         first = error.errors()[0]

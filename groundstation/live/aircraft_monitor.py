@@ -9,11 +9,13 @@ from typing import Protocol
 
 from daq.contract.scan import Scan
 from groundstation.calibration.apply import Calibrator
+from groundstation.calibration.errors import CalibrationError
 from groundstation.calibration.schema import CalibrationSet
 from groundstation.live.alarms import AlarmChange, Alarms, AlarmState
 from groundstation.live.config import GroundConfig
 from groundstation.live.flight_phase import LandingWatch, Phase
 from groundstation.receiver import events as ev
+from groundstation.receiver.legible import legible
 
 IN_FLIGHT_ONLY = ("V", "alpha")
 _SEVERITY = {0: "CRITICAL", 1: "CRITICAL", 2: "CRITICAL", 3: "ERROR", 4: "WARN"}
@@ -40,7 +42,7 @@ class Desk:
         view: View | None,
         say: Callable[[float, str, str], None],
     ) -> None:
-        self._calibration = calibration
+        self._own = self._calibration = calibration
         self._calibrator = Calibrator(calibration)
         self._view = view
         self._say = say
@@ -72,7 +74,7 @@ class Desk:
     def scan(self, scan: Scan, *, late: bool = False, received_ns: int | None = None) -> bool:
         """One scan; True when it shows that the flight has ended."""
         self._last_heard_ns = received_ns
-        values = self._calibrator.sample(scan)
+        values = self._calibrated(scan)
         if late:
             return False
         self.time, self.values = scan.time, {**self.values, **values}
@@ -94,6 +96,17 @@ class Desk:
             self._note("INFO", "landed: the flight has ended")
         return ended
 
+    def _calibrated(self, scan: Scan) -> dict[str, float]:
+        """Columns of a scan; with the station's own set from the moment that what came down proves unusable."""
+        try:
+            return self._calibrator.sample(scan)
+        except CalibrationError as error:
+            if self._calibration is self._own:
+                raise
+            self._note("WARN", f"the aircraft's calibration is not usable: {error}; the station's own is used")
+            self.use(self._own, {})
+            return self._calibrator.sample(scan)
+
     def silence(self, now_ns: int) -> None:
         """Called often: watches for telemetry that has stopped."""
         if self._last_heard_ns is not None and self.phase is Phase.FLYING:
@@ -111,6 +124,10 @@ class Desk:
                 self._note("INFO" if accepted else "WARN", f"command {command}: {words}")
             case ev.Refused(message=message, why=why, count=count):
                 self._note("WARN", f"refused {count} x {message}: {why}")
+            case ev.Doubted(what=what, count=count):
+                self._note("WARN", f"not believed: {count} {what}")
+            case ev.Contested():
+                self._note("WARN", event.text)
             case ev.Restarted(previous=previous) if previous is not None:
                 self._note("WARN", "the aircraft's logger has started anew: scan numbers begin again")
                 self._calibrator = Calibrator(self._calibration)
@@ -136,6 +153,7 @@ class Desk:
 
     def _note(self, level: str, text: str, time: float | None = None) -> None:
         at = self.time if time is None else time
+        text = legible(text)
         self._say(at, level, text)
         if self._view is not None:
             self._view.event(at, text, level)

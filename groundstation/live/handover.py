@@ -5,7 +5,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from numpy.linalg import LinAlgError
+
 from daq.contract.errors import UserError
+from daq.contract.recordings.recording import RecordingError
 from groundstation.calibration.errors import CalibrationError
 from groundstation.calibration.recording import calibrate_recording
 from groundstation.flight import Flight, FlightError, write_flight
@@ -65,7 +68,7 @@ def hand_over(
             flight = calibrate_recording(recording, fallback_calibration, salvage=True)
             said = f"calibrated with the station's set {fallback_calibration!r}: the aircraft's own is not in the recording"
             flight = flight.with_notes(said)
-    except FlightError as error:
+    except (FlightError, CalibrationError, RecordingError, LinAlgError) as error:  # the last: times no aircraft has
         raise HandoverError(f"{recording}: no flight can be made of it: {error}") from error
     manoeuvres = find_manoeuvres(flight)
     findings = quality_report(flight)

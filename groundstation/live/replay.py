@@ -51,6 +51,11 @@ class ReplayPort:
         """Let bytes arrive."""
         self._waiting += data
 
+    @property
+    def waiting(self) -> int:
+        """Bytes that have arrived and not been read."""
+        return len(self._waiting)
+
     def read(self, limit: int = 65536) -> bytes:
         """What has arrived."""
         data = bytes(self._waiting[:limit])
@@ -119,6 +124,8 @@ def _replay_tlog(station: "Station", source: "Replay", path: Path, speed: float 
             clock.move(due)
             station.step()
         port.feed(data)
+    while port.waiting:
+        station.step()
     station.step()
 
 

@@ -8,6 +8,7 @@ from groundstation.calibration.schema import CalibrationSet, load_calibration
 from groundstation.live.aircraft_monitor import Desk, View
 from groundstation.live.config import GroundConfig
 from groundstation.receiver import events as ev
+from groundstation.receiver.legible import legible
 from groundstation.receiver.receive import Receiver
 from groundstation.receiver.timeline import NS, Clock
 
@@ -55,6 +56,7 @@ class Station:
         return say
 
     def _note(self, line: str) -> None:
+        line = legible(line)
         self._echo(line)
         with self.receiver.faults.watch("event log"):
             self._log.write(line + "\n")
@@ -78,7 +80,17 @@ class Station:
             case ev.ScanReceived(session=session):
                 if self.desk(session.system).scan(event.scan, late=event.late, received_ns=event.received_ns):
                     self.landed.append(session.system)
-            case ev.StatusText(system=system) | ev.CommandResult(system=system) | ev.Refused(system=system):
+            case ev.Contested(system=system) | ev.Doubted(system=system) if system not in self.desks:
+                text = event.text if isinstance(event, ev.Contested) else f"not believed: {event.count} {event.what}"
+                who = f"aircraft {system}" if system else "ground station"
+                self._note(f"{'':10}    {who}  WARN {text}")
+            case (
+                ev.StatusText(system=system)
+                | ev.CommandResult(system=system)
+                | ev.Refused(system=system)
+                | ev.Contested(system=system)
+                | ev.Doubted(system=system)
+            ):
                 if system in self.desks:
                     self.desks[system].happened(event)
             case ev.Heartbeat():
@@ -97,7 +109,9 @@ class Station:
         """Once the recording's papers have come down, calibrate with what the aircraft carries."""
         for session, recorder in self.receiver.session_recorders().items():
             info = recorder.info()
-            texts = {n: d.decode("utf-8") for n, d in info.calibration.items() if n.endswith(".toml")}
+            texts = {
+                n: d.decode("utf-8") for n, d in info.calibration.items() if n.endswith(".toml")
+            }  # checked on arrival
             key = f"{session.name}:{len(texts)}:{len(info.details)}"
             if not (texts or info.details) or key in self._papers:
                 continue

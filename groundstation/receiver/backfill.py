@@ -12,6 +12,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+from daq.contract.link.scan_map import ScanMap
+from daq.contract.scan import ScanDecodeError, decode_scan
 from groundstation.receiver import events as ev
 from groundstation.receiver.link_accounting import SessionBooks
 from groundstation.receiver.recording import SessionRecorder
@@ -31,6 +33,9 @@ LOOK_NS = NS // 2
 PAPERS_PART_BYTES = 8192
 _ALL_FRAGMENTS = 2**64 - 1
 _MAX_ANSWER = 1 << 20
+_ARCHIVE_TRIES = 3  # then scans are fetched without: an archive that never fits must not stand before them
+_MAX_SCAN_BYTES = 4096
+"""Of one encoded scan; the largest there can be has 466."""
 _LENGTH = struct.Struct("<I")
 _LAST = 2**32 - 1
 
@@ -76,13 +81,17 @@ class BackfillClient:
     def __init__(self, recorder: SessionRecorder, books: SessionBooks, mode: Mode = "off") -> None:
         self.mode = mode
         self.agreed = False
-        self.unavailable: set[int] = set()
+        self.unavailable = ScanMap()
+        self.refused = 0  # papers and archives that were none
         self._recorder = recorder
         self._books = books
         self._open: dict[tuple[int, int], _Open] = {}
-        self._archive: dict[int, bytes] = {}
+        self._archive: dict[int, bytes] = {}  # parts by number, as many as the papers say there are
         self._summary: tuple[int, int, int, bytes] | None = None  # first, last, count, hash
         self._summary_ns: int | None = None
+        self._summary_asked = False  # and not answered yet
+        self._archive_tries = 0
+        self._papers_ns = 0  # when to ask for papers again, after such that were none
         self._progress_ns = 0
         self._look_ns = 0  # nothing was wanted: when to look again
         self._cursor: int | None = None  # every scan before it is held, or cannot be had
@@ -101,14 +110,14 @@ class BackfillClient:
         out = [self._again(key, o, now_ns) for key, o in self._open.items() if now_ns - o.asked_ns >= o.retry_ns]
         room = WINDOW - len(self._open)
         if room > 0 and not out and now_ns >= self._look_ns:
-            for key in self._next_wanted(room):
+            for key in self._next_wanted(room, now_ns):
                 if key not in self._open:
                     self._open[key] = _Open(now_ns)
                     out.append(self._request(key, _ALL_FRAGMENTS))
             if not out:
                 self._look_ns = now_ns + LOOK_NS
         if self.mode == "all" and not self.agreed and not self._open and self._summary_due(now_ns):
-            self._summary_ns = now_ns
+            self._summary_ns, self._summary_asked = now_ns, True
             out.append(("BACKFILL_SUMMARY_REQUEST", {"through_number": _LAST, "boot": self._boot}))
         return out
 
@@ -129,10 +138,10 @@ class BackfillClient:
         fields = {"first_number": first, "wanted": wanted, "fragments": fragments, "boot": self._boot}
         return "BACKFILL_REQUEST", fields
 
-    def _next_wanted(self, room: int) -> list[tuple[int, int]]:
-        if self._recorder.papers is None:
+    def _next_wanted(self, room: int, now_ns: int) -> list[tuple[int, int]]:
+        if self._recorder.papers is None and now_ns >= self._papers_ns:
             return [(0, 0)]
-        if self.mode == "all":
+        if self.mode == "all" and now_ns >= self._papers_ns and self._archive_tries < _ARCHIVE_TRIES:
             parts = (self._recorder.archive_bytes + PAPERS_PART_BYTES - 1) // PAPERS_PART_BYTES
             missing = [(i + 1, 0) for i in range(parts) if i + 1 not in self._archive]
             if missing:
@@ -172,7 +181,7 @@ class BackfillClient:
         if o is None:
             return
         if f["fragments"] == 0:
-            self._finish(key, b"")
+            self._finish(key, b"", now_ns)
             return
         if f["length"] > len(f["data"]) or f["fragment"] >= f["fragments"]:
             return
@@ -184,7 +193,7 @@ class BackfillClient:
         if len(o.have) == o.total:
             data = b"".join(o.have[i] for i in range(o.total))
             if zlib.crc32(data) == o.checksum:
-                self._finish(key, data)
+                self._finish(key, data, now_ns)
             else:
                 o.have.clear()
 
@@ -201,35 +210,60 @@ class BackfillClient:
             else:
                 o.asked_ns = now_ns
 
-    def _finish(self, key: tuple[int, int], data: bytes) -> None:
+    def _finish(self, key: tuple[int, int], data: bytes, now_ns: int) -> None:
         del self._open[key]
         first, wanted = key
         if wanted:
             self._take_scans({first + i for i in range(SPAN) if wanted >> i & 1}, data)
-        elif first == 0:
-            self._recorder.take_papers(data)
-        else:
-            self._take_archive(first, data)
+        elif first:
+            self._take_archive(first, data, now_ns)
+        elif not self._recorder.take_papers(data):
+            self._refuse(now_ns, bool(data))  # an empty answer: the logger has no recording yet
+
+    def _refuse(self, now_ns: int, unsound: bool) -> None:
+        """Ask again, but not at the pace at which nonsense can be answered."""
+        self.refused += unsound
+        self._papers_ns = now_ns + RETRY_NS
 
     def _take_scans(self, asked: set[int], data: bytes) -> None:
         for encoded in unpack_scans(data):
-            number = self._recorder.complete(encoded)
+            number = self._believed(encoded, asked)
             if number is not None:
+                self._recorder.complete(encoded)
                 asked.discard(number)
                 self._books.see(number)
                 self._books.backfilled.add(number)
         # What the aircraft left out of a sound answer it does not have (any more).
-        self.unavailable |= asked
+        for number in asked:
+            self.unavailable.add(number)
 
-    def _take_archive(self, part: int, data: bytes) -> None:
-        self._archive[part] = data
-        whole = b"".join(self._archive[i] for i in sorted(self._archive))
+    def _believed(self, encoded: bytes, asked: set[int]) -> int | None:
+        """The number of a scan that was asked for, and that can have been made when it says; None for any other."""
+        try:
+            scan = decode_scan(encoded)
+        except ScanDecodeError:
+            return None
+        fits = scan.number in asked and self._books.fits(scan.number, scan.time_monotonic_ns)
+        return scan.number if fits else None
+
+    def _take_archive(self, part: int, data: bytes, now_ns: int) -> None:
         papers = self._recorder.papers
-        if papers is not None and hashlib.sha256(whole).hexdigest() == papers.get("archive_sha256"):
-            self._recorder.take_archive(whole)
+        if papers is None:
+            return
+        self._archive[part] = data
+        if len(self._archive) * PAPERS_PART_BYTES < papers.archive_bytes:
+            return
+        whole = b"".join(self._archive[i] for i in sorted(self._archive))
+        if hashlib.sha256(whole).hexdigest() != papers.archive_sha256 or not self._recorder.take_archive(whole):
+            self._archive.clear()  # some part was not the aircraft's, or the papers were not
+            self._archive_tries += 1
+            self._refuse(now_ns, True)
 
     def take_summary(self, f: Mapping[str, Any]) -> None:
-        """Use a BACKFILL_SUMMARY; decides whether air and ground agree."""
+        """Use a BACKFILL_SUMMARY that was asked for; decides whether air and ground agree."""
+        if not self._summary_asked:
+            return
+        self._summary_asked = False
         summary = (f["first_number"], f["last_number"], f["count"], bytes(f["sha256"]))
         if summary != self._summary:
             self._summary = summary
@@ -237,7 +271,7 @@ class BackfillClient:
         if not f["count"] or self._open:
             return
         journal = self._recorder.journal
-        held = sum(1 for n in journal.complete if summary[0] <= n <= summary[1])
+        held = journal.complete.count_within(summary[0], summary[1])
         if held != f["count"]:
             return
         if not self._final_papers:
@@ -271,7 +305,7 @@ def unpack_scans(data: bytes) -> list[bytes]:
     while at + _LENGTH.size <= len(rows):
         (size,) = _LENGTH.unpack_from(rows, at)
         at += _LENGTH.size
-        if at + size > len(rows):
+        if at + size > len(rows) or size > _MAX_SCAN_BYTES:
             return out
         out.append(rows[at : at + size])
         at += size

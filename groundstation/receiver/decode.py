@@ -11,22 +11,32 @@ from typing import Any
 from daq.contract.link.scan_map import BLOCK
 from daq.contract.link.wire import SCAN_FAST_ID, SCAN_RARE_ID, SCAN_SLOW_ID, ScanPart, join_parts, layouts, unpack_scan
 from daq.transport.mavlink_codec import Frame, padded
+from groundstation.receiver import doubts as d
 from groundstation.receiver import events as ev
+from groundstation.receiver.allowance import Allowance
+from groundstation.receiver.continuity import LATE_NS, Held, Line, Proven, Waiting
 from groundstation.receiver.link_accounting import SequenceTracker, SessionBooks
 from groundstation.receiver.timeline import NS, ClockSync
 
 _SCAN_IDS = (SCAN_FAST_ID, SCAN_SLOW_ID, SCAN_RARE_ID)
 _PARTS_KEPT = 64
-_SETTLE_JUMP_NS = 10 * NS
 _MAX_SESSIONS = 64
-_TEXT_PIECES = 32
+_TEXTS, _TEXT_PIECES = 32, 32
+_RESTARTS_AT_ONCE, _RESTARTS_PER_S = 8, 1 / 60
+"""A logger that starts anew eight times in a row and then once a minute is followed; each session is a file."""
+_TEXTS_AT_ONCE, _TEXTS_PER_S = 100, 5.0
+_CLAIMS, _CLAIM_NS = 3, 8 * NS  # reports of a new run without scans that are believed: they come every five seconds
+_MAX_CLAIMS = 8
+MAX_AIRCRAFT_TIME_NS = 2**56 - 1
+"""What a packed scan can say; two years."""
 
 
 class AircraftDecoder:
     """Everything that is known of one aircraft (system id), from its frames alone."""
 
-    def __init__(self, system: int) -> None:
+    def __init__(self, system: int, doubts: d.Doubts | None = None) -> None:
         self.system = system
+        self._doubts = doubts or d.Doubts()
         self.trackers: dict[int, SequenceTracker] = {}  # by component
         self.sync = ClockSync()
         self.sessions: list[SessionBooks] = []
@@ -34,6 +44,10 @@ class AircraftDecoder:
         self.scans_since_report = 0
         self.partial_scans = 0
         self.last_scan_ns = 0
+        self._waiting = Waiting()
+        self._claims: OrderedDict[int, tuple[int, int]] = OrderedDict()  # boot -> first report of it, and how many
+        self._restarts = Allowance(_RESTARTS_AT_ONCE, _RESTARTS_PER_S)
+        self._talk = Allowance(_TEXTS_AT_ONCE, _TEXTS_PER_S)
         self._parts: OrderedDict[int, list[ScanPart]] = OrderedDict()
         self._texts: OrderedDict[int, dict[int, tuple[int, str]]] = OrderedDict()
         self._out: list[ev.Event] = []
@@ -65,20 +79,80 @@ class AircraftDecoder:
 
     # ------------------------------------------------------------------------------------------ scans
 
+    @property
+    def waiting(self) -> int:
+        """Scan parts that follow nothing known and wait for others to prove them."""
+        return self._waiting.count
+
     def _take_scan(self, frame: Frame, now_ns: int, utc_ns: int) -> None:
         layout = layouts()[frame.msg_id]
         part = unpack_scan(layout, padded(frame.payload, layout.size))
-        before = self.books
-        books = self._session_of(part, now_ns)
-        tracker = self.trackers[frame.component]
-        if before is not None and self.books is not before:
-            tracker.restart()
-        tracker.settle()
-        if books is not self.sessions[-1]:
-            books.see(part.number)  # a straggler of an earlier session: counted, not shown
+        held = Held(part, frame.component, now_ns, utc_ns)
+        straggled = self._straggled(part)
+        if straggled is not None:
+            straggled.see(part.number)  # counted, not shown
             if part.msg_id == SCAN_FAST_ID:
-                books.received.add(part.number)
+                straggled.received.add(part.number)
             return
+        books = self.books
+        if books is None or books.line is None:
+            self._begin(held, books)
+        elif books.line.follows(part, now_ns):
+            self._believe(books, held)
+            self._doubts.note(self.system, d.NUMBERS, self._waiting.clear())
+        elif not (books.line.is_older(part) and part.number in books.received):  # a copy that was long on its way
+            self._hold(books, held)
+
+    def _straggled(self, part: ScanPart) -> SessionBooks | None:
+        """The earlier session that a part of another boot is a late one of."""
+        if self.books is None or part.boot == self.books.session.boot:
+            return None
+        for earlier in self.sessions[-4:-1]:
+            close = abs(part.time_monotonic_ns - earlier.last_time_ns) < LATE_NS
+            if earlier.session.boot == part.boot and close and part.number <= earlier.last + BLOCK:
+                return earlier
+        return None
+
+    def _begin(self, held: Held, books: SessionBooks | None) -> None:
+        """The first scan of all, or the first since a report made its session known."""
+        if books is None or books.session.boot != held.part.boot:
+            if books is not None and not self._restarts.take(1, held.now_ns):
+                self._doubts.note(self.system, d.RESTARTS)
+                return
+            books = self._new_session(held.part.boot, held.now_ns)
+        books.line = Line(held.part, held.now_ns)
+        self._believe(books, held)
+
+    def _hold(self, books: SessionBooks, held: Held) -> None:
+        """Keep a scan that follows nothing, until more of its run have come and none of the known one."""
+        proven, given_up = self._waiting.hold(held, self.trackers[held.component].lost)
+        self._doubts.note(self.system, d.NUMBERS, given_up)
+        if proven is None:
+            return
+        first = proven.parts[0].part
+        line = books.line
+        goes_on = line is not None and first.boot == line.boot
+        if goes_on and line is not None and first.number > line.number and line.in_step(first):
+            line.advance(first, proven.parts[0].now_ns)  # this computer's clock stood still, or the link was away
+        elif self._restarts.take(1, held.now_ns):
+            books = self._new_session(first.boot, held.now_ns)
+            books.line = Line(first, proven.parts[0].now_ns)
+            self.trackers[held.component].restart(proven.lost)
+        else:
+            self._doubts.note(self.system, d.RESTARTS)
+            return
+        self._believe_all(books, proven)
+
+    def _believe_all(self, books: SessionBooks, proven: Proven) -> None:
+        for held in proven.parts:
+            self._believe(books, held)
+
+    def _believe(self, books: SessionBooks, held: Held) -> None:
+        part, now_ns = held.part, held.now_ns
+        assert books.line is not None
+        books.line.advance(part, now_ns)
+        self._claims.clear()
+        self.trackers[held.component].settle()
         books.see(part.number)
         parts = self._parts.setdefault(part.number, [])
         if any(p.msg_id == part.msg_id for p in parts):
@@ -102,35 +176,13 @@ class AircraftDecoder:
             latency = (now_ns + relation.offset_ns - part.time_monotonic_ns) / NS
             self.latency_s = latency
         scan = join_parts(parts)
-        self._out.append(ev.ScanReceived(books.session, scan, now_ns, utc_ns, latency, late))
+        self._out.append(ev.ScanReceived(books.session, scan, now_ns, held.utc_ns, latency, late))
 
     def _forget_old_parts(self) -> None:
         while len(self._parts) > _PARTS_KEPT:
             _, parts = self._parts.popitem(last=False)
             if all(p.msg_id != SCAN_FAST_ID for p in parts):
                 self.partial_scans += 1
-
-    def _session_of(self, part: ScanPart, now_ns: int) -> SessionBooks:
-        """The session a part belongs to.
-
-        Within one run of the logger number and time rise together, and reordering is a matter of seconds. A new
-        boot id, a number that falls while time rises, or both falling far, is a restart.
-        """
-        books = self.books
-        if books is None:
-            return self._new_session(part.boot, now_ns)
-        if part.boot != books.session.boot:
-            for earlier in self.sessions[-4:-1]:
-                close = abs(part.time_monotonic_ns - earlier.last_time_ns) < _SETTLE_JUMP_NS
-                if earlier.session.boot == part.boot and close and part.number <= earlier.last + BLOCK:
-                    return earlier
-            return self._new_session(part.boot, now_ns)
-        if books.last >= 0 and part.number < books.last:
-            rises = part.time_monotonic_ns > books.last_time_ns
-            falls_far = books.last_time_ns - part.time_monotonic_ns > _SETTLE_JUMP_NS
-            if books.last_time_ns and (rises or (falls_far and part.number not in books.received)):
-                return self._new_session(part.boot, now_ns)
-        return books
 
     def _new_session(self, boot: int, now_ns: int) -> SessionBooks:
         previous = self.sessions[-1].session if self.sessions else None
@@ -153,12 +205,21 @@ class AircraftDecoder:
     def _heartbeat(self, frame: Frame, f: Mapping[str, Any], now_ns: int) -> None:
         self._out.append(ev.Heartbeat(frame.system, frame.component, f["system_status"], now_ns))
 
+    def _may_talk(self, now_ns: int) -> bool:
+        """Whether a text may come now; each is a line in the log."""
+        if self._talk.take(1, now_ns):
+            return True
+        self._doubts.note(self.system, d.TEXTS)
+        return False
+
     def _statustext(self, frame: Frame, f: Mapping[str, Any], now_ns: int) -> None:
         number, index, severity, text = f["id"], f["chunk_seq"], f["severity"], f["text"]
+        if index >= _TEXT_PIECES or not self._may_talk(now_ns):
+            return
         if number:
             pieces = self._texts.setdefault(number, {})
             pieces[index] = (severity, text)
-            if len(self._texts) > _TEXT_PIECES:
+            if len(self._texts) > _TEXTS:
                 self._texts.popitem(last=False)
             if not any(len(t) < 50 and all(j in pieces for j in range(i)) for i, (_, t) in pieces.items()):
                 return
@@ -184,7 +245,12 @@ class AircraftDecoder:
 
     def _link_statistics(self, frame: Frame, f: Mapping[str, Any], now_ns: int) -> None:
         # This report alone makes a session known: a ground station started after the last scan must find it.
-        books = self._session(f["boot"]) or self._new_session(f["boot"], now_ns)
+        books = self._session(f["boot"]) or self._claimed(f["boot"], now_ns)
+        if books is None:
+            return
+        if f["scans_offered"] and not f["first_number"] <= f["last_number"] <= books.reach(now_ns):
+            self._doubts.note(self.system, d.REPORTS)
+            return
         names = (
             "first_number",
             "last_number",
@@ -205,12 +271,30 @@ class AircraftDecoder:
             books.statistics = found
         self._out.append(found)
 
+    def _claimed(self, boot: int, now_ns: int) -> SessionBooks | None:
+        """The session that a report of an unknown run speaks of: the first at once, a further one when it is repeated
+        while no scan of the known one comes."""
+        if self.books is not None:
+            since, count = self._claims.pop(boot, (now_ns, 0))
+            self._claims[boot] = (since, count + 1)
+            if len(self._claims) > _MAX_CLAIMS:
+                self._claims.popitem(last=False)
+            if count + 1 < _CLAIMS or now_ns - since < _CLAIM_NS:
+                return None
+            del self._claims[boot]
+            if not self._restarts.take(1, now_ns):
+                self._doubts.note(self.system, d.RESTARTS)
+                return None
+        return self._new_session(boot, now_ns)
+
     def _sent_map(self, frame: Frame, f: Mapping[str, Any], now_ns: int) -> None:
         books = self._session(f["boot"])
         if books is None:
             return
         first = f["first_number"]
-        if first % BLOCK == 0:
+        if f["last_number"] > books.reach(now_ns) or first > books.reach(now_ns):
+            self._doubts.note(self.system, d.REPORTS)
+        elif first % BLOCK == 0:
             sent, absent = (int.from_bytes(bytes(f[n]), "little") for n in ("sent", "absent"))
             books.take_map(first, f["last_number"], sent, absent)
 
@@ -219,10 +303,15 @@ class AircraftDecoder:
         if books is None:
             return
         time_ns, number = f["time_monotonic_ns"], f["number"]
+        if time_ns > MAX_AIRCRAFT_TIME_NS or number > books.reach(now_ns):
+            self._doubts.note(self.system, d.REPORTS)
+            return
+        if not self._may_talk(now_ns):
+            return
         self._out.append(ev.EventMarked(books.session, time_ns, number, f["origin"], f["text"], now_ns))
 
     def _timesync(self, frame: Frame, f: Mapping[str, Any], now_ns: int) -> None:
-        if f["tc1"]:
+        if 0 < f["tc1"] <= MAX_AIRCRAFT_TIME_NS:
             self.sync.answer(f["ts1"], f["tc1"], now_ns)
 
 

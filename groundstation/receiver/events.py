@@ -153,6 +153,42 @@ class Refused:
 
 
 @dataclass(frozen=True, slots=True)
+class Doubted:
+    """Said by an aircraft, or by somebody in its place, and not believed: so many since the last report."""
+
+    system: int
+    what: str
+    count: int
+    received_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class Contested:
+    """A second sender speaks for an aircraft that is being heard from another.
+
+    used: its frames are used, because it came by another port. count: frames since the last report. first: nothing had
+    been told of it before.
+    """
+
+    system: int
+    sender: str
+    heard_from: str
+    count: int
+    used: bool
+    first: bool
+    received_ns: int
+
+    @property
+    def text(self) -> str:
+        """For a person."""
+        fate = "both are used" if self.used else f"{self.count} frames not used"
+        return (
+            f"second sender: {self.sender} speaks for aircraft {self.system}, which is heard from {self.heard_from}; "
+            f"{fate} (a key on both ends tells who is genuine)"
+        )
+
+
+@dataclass(frozen=True, slots=True)
 class Trouble:
     """A port or a file of the ground station fails; words None: it works again."""
 
@@ -210,6 +246,8 @@ Event = (
     | Restarted
     | CommandResult
     | Refused
+    | Doubted
+    | Contested
     | Trouble
     | BackfillProgress
 )

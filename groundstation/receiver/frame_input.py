@@ -1,19 +1,35 @@
-"""Bytes of all ports in, sound frames out, and every byte into the telemetry log.
+"""Bytes of all ports in, sound frames out, and every byte taken into the telemetry log.
 
-Each port and sender has a decoder of its own: one that is damaged, or hostile, costs nobody else a frame.
+Each port and sender has a decoder of its own: one that is damaged, or hostile, costs nobody else a frame. On ports that
+many can send to, senders that are no aircraft's have an allowance; what they send beyond it is counted and thrown away.
 """
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import NamedTuple
 
 from daq.transport.mavlink_codec import Frame, FrameDecoder, Junk
-from daq.transport.ports import BytePort
+from daq.transport.ports import BytePort, TcpServerPort
+from groundstation.receiver.allowance import Allowance
 from groundstation.receiver.faults import Faults
 from groundstation.receiver.link import receive
 from groundstation.receiver.tlog import TlogWriter
+from groundstation.receiver.udp_listener import STRANGERS_AT_ONCE, STRANGERS_PER_S, UdpListener
 
 _MAX_DECODERS = 32
 TELEMETRY_LOG = "telemetry log"
+
+
+class Sender(NamedTuple):
+    """Where frames come from: a port of the configuration, and who sent them there where the port knows."""
+
+    port: str
+    source: str
+
+    @property
+    def name(self) -> str:
+        """For a person."""
+        return f"{self.source} on {self.port}" if self.source else self.port
 
 
 class Intake:
@@ -22,18 +38,45 @@ class Intake:
     def __init__(self, ports: Mapping[str, BytePort], folder: Path | None, faults: Faults) -> None:
         self._ports = ports
         self._faults = faults
-        self._decoders: dict[tuple[str, str], FrameDecoder] = {}
+        self._decoders: dict[Sender, FrameDecoder] = {}
+        self._aircraft: set[Sender] = set()
+        self._strangers = {n: Allowance(STRANGERS_AT_ONCE, STRANGERS_PER_S) for n in ports}
+        self._refused_bytes = 0
         self._retired = [0, 0, 0, 0]
         self._tlog = None if folder is None else TlogWriter(folder / "telemetry.tlog")
 
-    def frames(self, utc_ns: int) -> Iterator[tuple[BytePort, Frame]]:
-        """Everything that has arrived, with the port it came by."""
+    def frames(self, now_ns: int, utc_ns: int) -> Iterator[tuple[Sender, Frame]]:
+        """Everything that has arrived, with its sender."""
         for name, port in self._ports.items():
             for source, data in self._received(name, port):
-                for found in self._decoder(name, source, utc_ns).feed(data):
+                sender = Sender(name, source)
+                if not self._allowed(port, sender, len(data), now_ns):
+                    self._refused_bytes += len(data)
+                    continue
+                for found in self._decoder(sender, utc_ns).feed(data):
                     self._log(found, utc_ns)
                     if isinstance(found, Frame):
-                        yield port, found
+                        yield sender, found
+
+    def _allowed(self, port: BytePort, sender: Sender, size: int, now_ns: int) -> bool:
+        """Whether there is time to look at what a sender has sent; a listener for datagrams asks that by itself."""
+        known = not isinstance(port, TcpServerPort) or sender in self._aircraft
+        return known or self._strangers[sender.port].take(size, now_ns)
+
+    def favour(self, sender: Sender) -> None:
+        """An aircraft speaks from here: strangers shall not crowd it out."""
+        if sender not in self._aircraft:
+            self._aircraft.add(sender)
+            port = self._ports[sender.port]
+            if isinstance(port, UdpListener):
+                port.favour(sender.source)
+
+    def forget(self, sender: Sender) -> None:
+        """No aircraft speaks from here any more."""
+        self._aircraft.discard(sender)
+        port = self._ports[sender.port]
+        if isinstance(port, UdpListener):
+            port.forget(sender.source)
 
     def _received(self, name: str, port: BytePort) -> list[tuple[str, bytes]]:
         try:
@@ -44,21 +87,23 @@ class Intake:
         self._faults.clear(name)
         return found
 
-    def _decoder(self, name: str, source: str, utc_ns: int) -> FrameDecoder:
-        key = (name, source)
-        if key not in self._decoders:
+    def _decoder(self, sender: Sender, utc_ns: int) -> FrameDecoder:
+        decoder = self._decoders.pop(sender, None)
+        if decoder is None:
             if len(self._decoders) >= _MAX_DECODERS:
-                self._retire(next(iter(self._decoders)), utc_ns)
-            self._decoders[key] = FrameDecoder()
-        return self._decoders[key]
+                strangers = (s for s in self._decoders if s not in self._aircraft)
+                self._retire(next(strangers, next(iter(self._decoders))), utc_ns)
+            decoder = FrameDecoder()
+        self._decoders[sender] = decoder  # the latest one last
+        return decoder
 
     def _log(self, found: Frame | Junk, utc_ns: int) -> None:
         if self._tlog is not None:
             with self._faults.watch(TELEMETRY_LOG):
                 self._tlog.write(found, utc_ns)
 
-    def _retire(self, key: tuple[str, str], utc_ns: int) -> None:
-        decoder = self._decoders.pop(key)
+    def _retire(self, sender: Sender, utc_ns: int) -> None:
+        decoder = self._decoders.pop(sender)
         for found in decoder.finish():
             self._log(found, utc_ns)
         self._retired = [a + b for a, b in zip(self._retired, _counts(decoder), strict=True)]
@@ -66,6 +111,17 @@ class Intake:
     def totals(self) -> list[int]:
         """Bytes received, frames, damaged frames, and bytes discarded."""
         return [sum(c) for c in zip(self._retired, *map(_counts, self._decoders.values()), strict=True)]
+
+    @property
+    def refused_bytes(self) -> int:
+        """Bytes of strangers beyond what they are allowed: not looked at, not logged."""
+        listeners = (p for p in self._ports.values() if isinstance(p, UdpListener))
+        return self._refused_bytes + sum(p.refused_bytes for p in listeners)
+
+    @property
+    def datagrams_dropped(self) -> int:
+        """Datagrams that the kernel dropped before they could be read."""
+        return sum(p.dropped for p in self._ports.values() if isinstance(p, UdpListener))
 
     def flush(self) -> None:
         """Hand the telemetry log to the operating system."""
@@ -75,8 +131,8 @@ class Intake:
 
     def close(self, utc_ns: int) -> None:
         """Log what is still undecided, close the log."""
-        for key in list(self._decoders):
-            self._retire(key, utc_ns)
+        for sender in list(self._decoders):
+            self._retire(sender, utc_ns)
         if self._tlog is not None:
             with self._faults.watch(TELEMETRY_LOG):
                 self._tlog.close()

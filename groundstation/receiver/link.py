@@ -1,12 +1,24 @@
 """Open the ground station's ports."""
 
-from daq.transport.ports import BytePort, SerialPort, TcpServerPort, UdpPort
+from daq.transport.ports import BytePort, PortError, SerialPort, TcpServerPort, UdpPort, open_socket_port, parse_port
 from daq.transport.reconnecting_port import open_lasting
+from groundstation.receiver.timeline import Clock, SystemClock
+from groundstation.receiver.udp_listener import UdpListener
 
 
-def open_port(text: str) -> BytePort:
-    """Open a port by its description; PortError says what is wrong with the description or the port."""
-    return open_lasting(text, _serial)
+def open_port(text: str, clock: Clock | None = None) -> BytePort:
+    """Open a port by its description; PortError says what is wrong with the description or the port.
+
+    clock: by which a listener allows strangers so much a second; this machine's by default.
+    """
+    spec = parse_port(text)
+    if spec.kind != "udpin":
+        return open_lasting(text, _serial)
+    open_socket_port(spec).close()  # says in words why it cannot be had
+    try:
+        return UdpListener((spec.address, spec.number), clock or SystemClock())
+    except OSError as error:
+        raise PortError(f"{text}: cannot be opened ({error.strerror}); is another program using it?") from error
 
 
 def _serial(device: str, baud: int) -> SerialPort:

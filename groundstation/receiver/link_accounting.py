@@ -1,13 +1,16 @@
 """Exact books of frames and scans: what was sent, received, lost, repeated, and what is not known yet."""
 
 from collections import OrderedDict
+from collections.abc import Iterator
 
 from daq.contract.link.scan_map import BLOCK, ScanMap
 from daq.transport.mavlink_codec import Frame
 from groundstation.receiver import events as ev
+from groundstation.receiver.continuity import Line
 from groundstation.receiver.timeline import NS
 
 _RATE_SPAN_NS = 10 * NS
+_LAST = 2**32 - 1
 
 
 class SequenceTracker:
@@ -54,9 +57,12 @@ class SequenceTracker:
         """The sender is still the one it was: what has been counted as lost is lost."""
         self._settled = self.lost
 
-    def restart(self) -> None:
-        """The sender has started anew and counts from 0: the jump since it was last heard is no loss."""
-        self.lost = self._settled
+    def restart(self, lost_at_jump: int) -> None:
+        """The sender has started anew and counts from 0: the jump since it was last heard is no loss.
+
+        lost_at_jump: what was counted as lost then, with the jump; what has been lost since is.
+        """
+        self.lost = self._settled + self.lost - lost_at_jump
         self._missing.clear()
 
     def _measure_rate(self, now_ns: int) -> None:
@@ -91,12 +97,21 @@ class SessionBooks:
         self.first: int | None = None
         self.last = -1
         self.last_time_ns = 0
+        self.line: Line | None = None  # None before a scan has come down
         self.statistics: ev.AircraftStatistics | None = None
 
     def see(self, number: int) -> None:
         """A scan of this number exists."""
         self.first = number if self.first is None else min(self.first, number)
         self.last = max(self.last, number)
+
+    def reach(self, now_ns: int) -> int:
+        """The highest number that the aircraft can have given by now."""
+        return _LAST if self.line is None else max(self.last, self.line.reach(now_ns))
+
+    def fits(self, number: int, time_ns: int) -> bool:
+        """Whether a scan of that number can have been made at that time, as far as is known."""
+        return self.line is None or self.line.fits(number, time_ns)
 
     def take_map(self, first: int, settled: int, sent: int, absent: int) -> None:
         """Use a SENT_MAP."""
@@ -111,36 +126,34 @@ class SessionBooks:
         self.sent.set_word(block, self.sent.word(block) | sent & mask)
         self.absent.set_word(block, self.absent.word(block) | absent & mask)
 
-    def open_blocks(self) -> list[int]:
-        """Blocks up to the last scan whose map is not settled."""
+    def open_blocks(self) -> Iterator[int]:
+        """Blocks up to the last scan whose map is not settled, ascending."""
         span = self._span()
-        if span is None:
-            return []
-        first, last = span
-        return [
-            b
-            for b in range(first // BLOCK, last // BLOCK + 1)
-            if self.settled.get(b, -1) < min(last, b * BLOCK + BLOCK - 1)
-        ]
+        if span is not None:
+            first, last = span
+            for b in range(first // BLOCK, last // BLOCK + 1):
+                if self.settled.get(b, -1) < min(last, b * BLOCK + BLOCK - 1):
+                    yield b
 
     def _span(self) -> tuple[int, int] | None:
-        """First and last scan known of; believed only as far as a flight can last."""
+        """First and last scan known of."""
         if self.first is None:
             return None
         first, last = self.first, self.last
         if self.statistics is not None and self.statistics.scans_offered:
             first, last = min(first, self.statistics.first_number), max(last, self.statistics.last_number)
-        return first, min(last, first + BLOCK * 65536)
+        return first, last
 
     def accounting(self) -> ev.Accounting:
-        """Where all scans went."""
+        """Where all scans went. Work and memory go by what has come, not by how far apart the numbers are."""
         span = self._span()
         if span is None:
             return ev.Accounting(self.session, 0, -1, 0, 0)
-        lost, missing, unknown, absent, never = ScanMap(), ScanMap(), ScanMap(), ScanMap(), 0
+        lost, missing, open_, absent, never = ScanMap(), ScanMap(), ScanMap(), ScanMap(), 0
         sent_known = 0
         first, last = span
-        for block in range(first // BLOCK, last // BLOCK + 1):
+        blocks = self._known_blocks(first // BLOCK, last // BLOCK)
+        for block in blocks:
             low, high = max(first, block * BLOCK), min(last, block * BLOCK + BLOCK - 1)
             inside = _mask(low, high, block)
             settled = _mask(low, min(high, self.settled.get(block, -1)), block)
@@ -151,7 +164,7 @@ class SessionBooks:
             missing.set_word(block, lost.word(block) & ~self.backfilled.word(block))
             gone = self.absent.word(block) & settled
             absent.set_word(block, gone)
-            unknown.set_word(block, inside & ~settled & ~received)
+            open_.set_word(block, inside & ~settled & ~received)
             never += (inside & settled & ~sent & ~gone).bit_count()
         return ev.Accounting(
             self.session,
@@ -162,10 +175,37 @@ class SessionBooks:
             lost.ranges(),
             never,
             absent.ranges(),
-            unknown.ranges(),
+            _joined([*open_.ranges(), *_between(blocks, first, last)]),
             missing.ranges(),
             len(self.backfilled),
         )
+
+    def _known_blocks(self, first: int, last: int) -> list[int]:
+        """Blocks of which anything is known, ascending."""
+        known = {*self.received.blocks(), *self.sent.blocks(), *self.absent.blocks(), *self.settled}
+        return sorted(b for b in known if first <= b <= last)
+
+
+def _between(blocks: list[int], first: int, last: int) -> Iterator[tuple[int, int]]:
+    """Ranges of numbers from `first` to `last` that are in none of the blocks (ascending)."""
+    at = first
+    for block in blocks:
+        if at < block * BLOCK:
+            yield at, block * BLOCK - 1
+        at = (block + 1) * BLOCK
+    if at <= last:
+        yield at, last
+
+
+def _joined(ranges: list[tuple[int, int]]) -> list[tuple[int, int]]:
+    """Ranges in ascending order, those that touch made one."""
+    out: list[tuple[int, int]] = []
+    for low, high in sorted(ranges):
+        if out and out[-1][1] == low - 1:
+            out[-1] = (out[-1][0], high)
+        else:
+            out.append((low, high))
+    return out
 
 
 def _mask(low: int, high: int, block: int) -> int:

@@ -7,25 +7,27 @@ All methods may be called from any thread.
 
 import threading
 from collections.abc import Mapping
-from itertools import chain
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any
 
 from daq.contract.link.scan_map import BLOCK
 from daq.transport.mavlink_codec import RADIO_STATUS_ID, Frame, FrameEncoder
 from daq.transport.ports import BytePort
+from groundstation.receiver import doubts as d
 from groundstation.receiver import events as ev
 from groundstation.receiver.backfill import BackfillClient, Mode
 from groundstation.receiver.command import Commander
 from groundstation.receiver.decode import AircraftDecoder
 from groundstation.receiver.faults import Faults
-from groundstation.receiver.frame_input import Intake
+from groundstation.receiver.frame_input import Intake, Sender
 from groundstation.receiver.link import open_port
 from groundstation.receiver.link_config import LinkConfig
 from groundstation.receiver.link_quality import RateMeter
 from groundstation.receiver.loglist import LogFetcher
 from groundstation.receiver.recording import SessionRecorder
-from groundstation.receiver.security import Gate, make_signer
+from groundstation.receiver.security import SIGNING_STATE, Gate, make_signer
+from groundstation.receiver.senders import Senders
 from groundstation.receiver.sessions import RECORDING, Sessions
 from groundstation.receiver.summary import counters
 from groundstation.receiver.timeline import NS, Clock
@@ -36,16 +38,20 @@ _REPORT_NS = NS
 _SYNC_FAST_NS, _SYNC_NS, _SYNC_FAST_COUNT = NS // 2, 5 * NS, 6
 _MAP_NS = 2 * NS
 _MAPS_AT_ONCE = 4
-_SAVE_NS = 10 * NS
-_SIGNING_STATE = "signing state"
+MAX_AIRCRAFT, MAX_OF_ONE_SENDER = 16, 8
+"""Served at once, where `systems` does not list them: each has files, a view and memory of its own."""
 _GCS, _NO_AUTOPILOT = 6, 8
 
 
 class _Aircraft:
     """One aircraft as the receiver keeps it."""
 
-    def __init__(self, system: int, port: BytePort, sessions: Sessions | None) -> None:
-        self.decoder = AircraftDecoder(system)
+    def __init__(
+        self, system: int, port: BytePort, sender: Sender, sessions: Sessions | None, doubts: d.Doubts
+    ) -> None:
+        self.decoder = AircraftDecoder(system, doubts)
+        self.first_sender = sender
+        self.senders = Senders(system)
         self.meter = RateMeter(self.decoder)
         self.port = port
         self.sessions = sessions
@@ -71,14 +77,16 @@ class Receiver:
         self._ports = dict(ports)
         self._folder = folder
         self._lock = threading.RLock()
-        self._gate = Gate(make_signer(config, clock))
-        self._encoder = FrameEncoder(config.system_id, config.component_id, self._gate.signer)
         self.faults = Faults()
+        self.doubts = d.Doubts()
+        self._gate = Gate(make_signer(config, clock), self.faults)
+        if self._gate.signer is not None and self._gate.signer.notice:
+            self.faults.note(SIGNING_STATE, OSError(self._gate.signer.notice))
+        self._encoder = FrameEncoder(config.system_id, config.component_id, self._gate.signer)
         self._intake = Intake(self._ports, folder, self.faults)
         self._aircraft: dict[int, _Aircraft] = {}
         self._next_heartbeat_ns = 0
         self._next_report_ns = 0
-        self._next_save_ns = 0
         self._written: list[Path] = []
         self._closed = False
 
@@ -88,7 +96,7 @@ class Receiver:
         ports: dict[str, BytePort] = {}
         try:
             for text in config.ports:
-                ports[text] = open_port(text)
+                ports[text] = open_port(text, clock)
             return cls(config, ports, clock, folder=folder)
         except Exception:
             for port in ports.values():
@@ -104,12 +112,12 @@ class Receiver:
                 return []
             out: list[ev.Event] = []
             now, utc = self.clock.monotonic_ns(), self.clock.utc_ns()
-            for port, frame in self._intake.frames(utc):
-                self._take_frame(frame, port, now, utc, out)
-            out += self._gate.reports(now)
+            for sender, frame in self._intake.frames(now, utc):
+                self._take_frame(frame, sender, now, utc, out)
+            out += [*self._gate.reports(now), *self._contests(now)]
             self._keep(out)
             self._do_due(now, out)
-            return out + self.faults.changes(now)
+            return out + self.doubts.reports(now) + self.faults.changes(now)
 
     @property
     def port_faults(self) -> dict[str, str]:
@@ -117,28 +125,67 @@ class Receiver:
         with self._lock:
             return dict(self.faults.present)
 
-    def _take_frame(self, frame: Frame, port: BytePort, now: int, utc: int, out: list[ev.Event]) -> None:
+    def _take_frame(self, frame: Frame, sender: Sender, now: int, utc: int, out: list[ev.Event]) -> None:
         if not frame.known or frame.system in (0, self.config.system_id):
             return
         if not self._gate.allows(frame):
             return
+        port = self._ports[sender.port]
         if frame.msg_id == RADIO_STATUS_ID:
             fields = frame.fields()
             for aircraft in self._aircraft.values():
                 if aircraft.port is port:
                     aircraft.meter.radio(fields)
             return
-        if self.config.systems and frame.system not in self.config.systems:
+        known = self._known(frame, sender)
+        if known is None or not self._believed(known, frame, sender, now):
             return
-        known = self._aircraft.get(frame.system)
-        if known is None:
-            if not _is_aircraft(frame):
-                return
-            sessions = None if self._folder is None else Sessions(self._folder, self.faults)
-            known = self._aircraft[frame.system] = _Aircraft(frame.system, port, sessions)
         known.port = port
         out += known.decoder.take(frame, now, utc)
         self._take_answer(known, frame, now, out)
+
+    def _known(self, frame: Frame, sender: Sender) -> _Aircraft | None:
+        """The aircraft a frame is of, made when it is first heard; None for a sender that is none, or one too many."""
+        if self.config.systems and frame.system not in self.config.systems:
+            return None
+        known = self._aircraft.get(frame.system)
+        if known is None and _is_aircraft(frame):
+            if not self.config.systems and not self._room_for_one_more(sender):
+                self.doubts.note(d.NOBODY, d.AIRCRAFT)
+                return None
+            sessions = None if self._folder is None else Sessions(self._folder, self.faults)
+            known = _Aircraft(frame.system, self._ports[sender.port], sender, sessions, self.doubts)
+            self._aircraft[frame.system] = known
+        return known
+
+    def _room_for_one_more(self, sender: Sender) -> bool:
+        of_sender = sum(a.first_sender == sender for a in self._aircraft.values())
+        return len(self._aircraft) < MAX_AIRCRAFT and of_sender < MAX_OF_ONE_SENDER
+
+    def _believed(self, aircraft: _Aircraft, frame: Frame, sender: Sender, now: int) -> bool:
+        """Whether the sender may speak for the aircraft: with a key always, for its signature holds."""
+        own = frame.msg_id >= _FIRST_OWN_ID
+        before = aircraft.senders.speaker(sender.port)
+        if self._gate.signer is None:
+            if not aircraft.senders.allows(sender, frame.component, own, now):
+                return False
+        elif own:
+            aircraft.senders.speaks(sender, now)
+        if own and before != sender:
+            if before is not None:
+                self._intake.forget(before)
+            self._intake.favour(sender)
+        return True
+
+    def _contests(self, now: int) -> list[ev.Contested]:
+        """Second senders that are to be told of; the first time of each is put into the recording."""
+        found = [r for a in self._aircraft.values() for r in a.senders.reports(now)]
+        for report in found:
+            aircraft = self._aircraft[report.system]
+            books = aircraft.decoder.books
+            if report.first and aircraft.sessions is not None and books is not None:
+                aircraft.sessions.note(books.session, report.text)
+        return found
 
     def _take_answer(self, aircraft: _Aircraft, frame: Frame, now: int, out: list[ev.Event]) -> None:
         """Answers to what was asked from here."""
@@ -156,7 +203,9 @@ class Receiver:
                 if books is not None and f["boot"] == books.session.boot:
                     with self.faults.watch("backfill"):
                         if frame.name == "BACKFILL_DATA":
+                            before = aircraft.backfill.refused
                             aircraft.backfill.take_data(f, now)
+                            self.doubts.note(frame.system, d.PAPERS, aircraft.backfill.refused - before)
                         else:
                             aircraft.backfill.take_summary(f)
             case "LOG_ENTRY" | "LOG_DATA":
@@ -171,8 +220,8 @@ class Receiver:
                     self._begin(event.session)
             elif isinstance(event, ev.ScanReceived | ev.EventMarked):
                 sessions = self._aircraft[event.session.system].sessions
-                if sessions is not None:
-                    sessions.keep(event)
+                if sessions is not None and not sessions.keep(event):
+                    self.doubts.note(event.session.system, d.EVENTS)
 
     def _begin(self, session: ev.Session) -> None:
         aircraft = self._aircraft[session.system]
@@ -186,10 +235,7 @@ class Receiver:
         if now >= self._next_report_ns:
             self._next_report_ns = now + _REPORT_NS
             self._report(now, out)
-        if self._gate.signer is not None and now >= self._next_save_ns and self._gate.signer.needs_saving():
-            self._next_save_ns = now + _SAVE_NS
-            with self.faults.watch(_SIGNING_STATE):
-                self._gate.signer.save()
+        self._gate.keep_state(now)
         if not self.config.transmit:
             return
         if now >= self._next_heartbeat_ns:
@@ -217,8 +263,9 @@ class Receiver:
         if now >= aircraft.next_map_ns:
             aircraft.next_map_ns = now + _MAP_NS
             # The aircraft sends maps by itself; only what has been overdue for a whole block is asked for.
-            wanted = [b for b in books.open_blocks() if b < books.last // BLOCK or self._quiet(aircraft, now)]
-            for block in wanted[:_MAPS_AT_ONCE]:
+            quiet = self._quiet(aircraft, now)
+            wanted = (b for b in books.open_blocks() if b < books.last // BLOCK or quiet)
+            for block in islice(wanted, _MAPS_AT_ONCE):
                 self._send(aircraft, "SENT_MAP_REQUEST", {"first_number": block * BLOCK, "boot": books.session.boot})
         if aircraft.backfill is not None:
             for name, fields in aircraft.backfill.due(now):
@@ -259,6 +306,8 @@ class Receiver:
             if progress is not None:
                 out.append(progress)
         self._intake.flush()
+        for what, count in ((d.BYTES, self._intake.refused_bytes), (d.DATAGRAMS, self._intake.datagrams_dropped)):
+            self.doubts.note(d.NOBODY, what, count - self.doubts.total(what))
 
     # ------------------------------------------------------------------------------------------ for the owner
 
@@ -312,7 +361,19 @@ class Receiver:
         """Counters as `ground --json` gives them; `flight` is the largest session's recording."""
         with self._lock:
             trackers = [t for a in self._aircraft.values() for t in a.decoder.trackers.values()]
-            return counters(self.accounting(), self._intake.totals(), trackers, self._gate.rejected, self._written)
+            made = counters(self.accounting(), self._intake.totals(), trackers, self._gate.rejected, self._written)
+            return made | self._unbelieved()
+
+    def _unbelieved(self) -> dict[str, Any]:
+        """What came and was not used, for `ground --json`."""
+        return {
+            "bytes_refused": self._intake.refused_bytes,
+            "datagrams_dropped": self._intake.datagrams_dropped,
+            "frames_contested": sum(a.senders.contested for a in self._aircraft.values()),
+            "second_senders": [row for a in self._aircraft.values() for row in a.senders.table()],
+            "scans_doubted": self.doubts.total(d.NUMBERS) + sum(a.decoder.waiting for a in self._aircraft.values()),
+            "doubted": self.doubts.table(),
+        }
 
     def close(self) -> None:
         """Write the recordings, close all files and ports. What fails is in `port_faults`; nothing is left open."""
@@ -322,9 +383,7 @@ class Receiver:
             self._intake.close(self.clock.utc_ns())
             self.write_recordings()
             self._closed = True
-            if self._gate.signer is not None:
-                with self.faults.watch(_SIGNING_STATE):
-                    self._gate.signer.save()
+            self._gate.close()
             for kept in self._kept():
                 kept.close()
             for aircraft in self._aircraft.values():

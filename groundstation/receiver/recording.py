@@ -6,9 +6,8 @@ asked. Complete scans (backfilled) are written in the aircraft's own bytes. The 
 
 import json
 import struct
-import zlib
-from collections.abc import Mapping
-from dataclasses import asdict, replace
+from collections.abc import Iterable
+from dataclasses import asdict
 from pathlib import Path
 from typing import IO, Any
 
@@ -16,11 +15,15 @@ from daq.contract.recordings.messages import Event, MessageError, decode_event, 
 from daq.contract.recordings.recording import RecordingInfo, RecordingWriter, message_entry, scan_entry
 from daq.contract.scan import decode_scan
 from groundstation.receiver import events as ev
+from groundstation.receiver.papers import MAX_EVENTS, Papers, parse_archive, parse_papers
 from groundstation.receiver.session_log import Journal, Kind
 
 LINK_TOPIC = "/link"
 LINK_SCHEMA = "sideslip.Link"
 UNKNOWN_SOURCE = "unknown"
+RECEIVER = "receiver"
+"""Origin of events that the ground station itself adds to a recording."""
+MAX_NOTES = 100
 
 _LINK_FIELDS = (
     "time_monotonic_s",
@@ -84,10 +87,12 @@ class SessionRecorder:
         self.session = session
         self.path = folder / f"{session.name}.mcap"
         self.journal = Journal(folder / f"{session.name}.journal")
-        self._last_ns = 0
+        self._last_ns = self._last_number = 0
         self._events: set[bytes] = set(self.journal.others(Kind.EVENT))
-        self.papers: Mapping[str, Any] | None = None
-        self._archive = self.journal.last(Kind.ARCHIVE)
+        self._notes: list[bytes] = list(self.journal.others(Kind.NOTE))[-MAX_NOTES:]
+        self.papers: Papers | None = None
+        archive = self.journal.last(Kind.ARCHIVE)
+        self._attachments = None if archive is None else parse_archive(archive)
         kept = self.journal.last(Kind.PAPERS)
         if kept is not None:
             self.take_papers(kept)
@@ -95,17 +100,25 @@ class SessionRecorder:
     def scan(self, event: ev.ScanReceived) -> None:
         """Keep a scan."""
         self.journal.add_received(event.scan)
-        self._last_ns = event.scan.time_monotonic_ns
+        self._last_ns, self._last_number = event.scan.time_monotonic_ns, event.scan.number
 
-    def event(self, marked: ev.EventMarked) -> None:
-        """Keep an event, once."""
-        self._add_event(Event(marked.time_monotonic_ns, 0, marked.number, marked.origin, marked.text))
+    def event(self, marked: ev.EventMarked) -> bool:
+        """Keep an event, once; False when there have been too many."""
+        data = encode_event(Event(marked.time_monotonic_ns, 0, marked.number, marked.origin, marked.text))
+        if data in self._events:
+            return True
+        if len(self._events) >= MAX_EVENTS:
+            return False
+        self._events.add(data)
+        self.journal.add(Kind.EVENT, data)
+        return True
 
-    def _add_event(self, event: Event) -> None:
-        data = encode_event(event)
-        if data not in self._events:
-            self._events.add(data)
-            self.journal.add(Kind.EVENT, data)
+    def note(self, text: str) -> None:
+        """Keep an event of the reception itself, at the time of the last scan; of very many the first ones."""
+        if len(self._notes) < MAX_NOTES:
+            data = encode_event(Event(self._last_ns, 0, self._last_number, RECEIVER, text))
+            self._notes.append(data)
+            self.journal.add(Kind.NOTE, data)
 
     def link(self, report: ev.LinkStatistics) -> None:
         """Keep a report of link quality."""
@@ -118,38 +131,39 @@ class SessionRecorder:
 
     def take_papers(self, data: bytes) -> bool:
         """Use the recording's identity; False when the bytes are none."""
-        try:
-            papers = json.loads(zlib.decompress(data))
-            events = [Event(int(t), int(u), int(n), str(o), str(x)) for t, u, n, o, x in papers.get("events", [])]
-            _info(papers, {})
-        except (zlib.error, ValueError, KeyError, TypeError):
+        papers = parse_papers(data)
+        if papers is None:
             return False
         if papers != self.papers:
             self.papers = papers
             self.journal.add(Kind.PAPERS, data)
         # The papers have every event in full; what came down as it happened may be shortened.
-        if events:
-            self._events = {encode_event(e) for e in events}
+        if papers.events:
+            self._events = {encode_event(e) for e in papers.marks()}
         return True
 
-    def take_archive(self, data: bytes) -> None:
-        """Keep the attachments of the recording."""
-        self._archive = data
+    def take_archive(self, data: bytes) -> bool:
+        """Keep the attachments of the recording; False when the bytes are none."""
+        found = parse_archive(data)
+        if found is None:
+            return False
+        self._attachments = found
         self.journal.add(Kind.ARCHIVE, data)
+        return True
 
     @property
     def archive_bytes(self) -> int:
         """Size of the attachments as the papers give it; 0 when there are none, or they are here already."""
-        if self.papers is None or self._archive is not None:
+        if self.papers is None or self._attachments is not None:
             return 0
-        return int(self.papers.get("archive_bytes", 0))
+        return self.papers.archive_bytes
 
     def info(self) -> RecordingInfo:
         """Identity of the recording, as far as the aircraft has told."""
-        attachments = _attachments(self._archive)
+        attachments = self._attachments or {}
         if self.papers is None:
             return RecordingInfo(self.session.name, UNKNOWN_SOURCE, role="received", attachments=attachments)
-        return replace(_info(self.papers, attachments), role="received")
+        return self.papers.info(attachments)
 
     @property
     def has_scans(self) -> bool:
@@ -175,7 +189,7 @@ class SessionRecorder:
             writer = ReceivedWriter(stream, self.info())
             for data in self.journal.scans():
                 writer.write(scan_entry(decode_scan(data), data))
-            for event in sorted(_decoded(self._events), key=lambda e: e.time_monotonic_ns):
+            for event in sorted(_decoded([*self._events, *self._notes]), key=lambda e: e.time_monotonic_ns):
                 writer.write(message_entry(event))
             for i, link in enumerate(self.journal.others(Kind.LINK)):
                 writer.write_link(link, round(json.loads(link)["time_monotonic_s"] * 1e9), i)
@@ -186,26 +200,7 @@ class SessionRecorder:
         self.journal.close()
 
 
-def _info(papers: Mapping[str, Any], attachments: Mapping[str, bytes]) -> RecordingInfo:
-    return RecordingInfo(
-        session=str(papers["session"]),
-        source=str(papers["source"]),
-        aircraft=str(papers["aircraft"]),
-        scan_rate_hz=float(papers["scan_rate_hz"]),
-        started_utc_ns=int(papers["started_utc_ns"]),
-        software=str(papers["software"]),
-        details={str(k): str(v) for k, v in papers["details"].items()},
-        attachments=attachments,
-    )
-
-
-def _attachments(archive: bytes | None) -> dict[str, bytes]:
-    if archive is None:
-        return {}
-    return {str(k): bytes.fromhex(v) for k, v in json.loads(zlib.decompress(archive)).items()}
-
-
-def _decoded(events: set[bytes]) -> list[Event]:
+def _decoded(events: Iterable[bytes]) -> list[Event]:
     out = []
     for data in events:
         try:

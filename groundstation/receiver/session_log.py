@@ -34,6 +34,7 @@ class Kind(IntEnum):
     LINK = 3  # link statistics as JSON
     PAPERS = 4  # identity of the recording, part 0 of the papers
     ARCHIVE = 5  # attachments of the recording
+    NOTE = 6  # an encoded event of the reception itself
 
 
 _KINDS = frozenset(Kind)

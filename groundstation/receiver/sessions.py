@@ -36,15 +36,21 @@ class Sessions:
             self._open[session] = SessionRecorder(self._folder, session)
         return self._open[session]
 
-    def keep(self, event: ev.Event) -> None:
-        """Hand an event to the recorder of its session."""
+    def keep(self, event: ev.Event) -> bool:
+        """Hand an event to the recorder of its session; False when it refuses it, because there were too many."""
         with self._faults.watch(RECORDING):
             if isinstance(event, ev.ScanReceived):
                 self.recorder(event.session).scan(event)
             elif isinstance(event, ev.EventMarked):
-                self.recorder(event.session).event(event)
+                return self.recorder(event.session).event(event)
             elif isinstance(event, ev.LinkStatistics) and event.session in self._open:
                 self._open[event.session].link(event)
+        return True
+
+    def note(self, session: ev.Session, text: str) -> None:
+        """Put an event of the reception itself into a session's recording."""
+        with self._faults.watch(RECORDING):
+            self.recorder(session).note(text)
 
     def write(self) -> Iterator[Path]:
         """Write all recordings as they are now; their paths, of those put away before too."""

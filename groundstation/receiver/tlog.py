@@ -5,6 +5,7 @@ kept too, wrapped into TUNNEL messages of system 0 that stock tools skip; `read_
 sees exactly the byte stream that came in.
 """
 
+import re
 import struct
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,7 +14,7 @@ from typing import IO, Any
 from daq.contract.channels import CHANNELS
 from daq.contract.errors import UserError
 from daq.contract.link.wire import layouts
-from daq.transport.mavlink_codec import Frame, FrameDecoder, FrameEncoder, Junk
+from daq.transport.mavlink_codec import Frame, FrameDecoder, FrameEncoder, Junk, frame_at
 from groundstation.receiver.decode import AircraftDecoder
 from groundstation.receiver.events import ScanReceived
 
@@ -23,6 +24,8 @@ JUNK_CHUNK = 128
 _STAMP = struct.Struct(">Q")
 _STAMP_FROM, _STAMP_TO = 1_000_000, 4_102_444_800_000_000  # up to the year 2100
 _FLUSH_BYTES = 4096
+_RECORD = re.compile(rb"(?s)(?=\0[\0-\x0e].{6}[\xfd\xfe])")
+"""A time up to 2100 and a frame's first byte, as far as single bytes can say it."""
 
 
 class TlogError(UserError):
@@ -82,10 +85,10 @@ def read_tlog(path: str | Path) -> Iterator[tuple[int, bytes]]:
     except OSError as error:
         raise TlogError(f"{path}: telemetry log cannot be read ({error.strerror})") from error
     at, found = 0, 0
-    while at + 8 < len(data):
+    while 0 <= at < len(data) - 8:
         frame = _frame_after(data, at)
         if frame is None:
-            at += 1
+            at = _next_record(data, at + 1)
             continue
         found += 1
         (stamp,) = _STAMP.unpack_from(data, at)
@@ -97,17 +100,15 @@ def read_tlog(path: str | Path) -> Iterator[tuple[int, bytes]]:
         raise TlogError(f"{path}: not a MAVLink telemetry log; no frame behind a timestamp in it")
 
 
+def _next_record(data: bytes, at: int) -> int:
+    """Where the next record may begin, from `at` on; -1 when nowhere."""
+    found = _RECORD.search(data, at)
+    return -1 if found is None else found.start()
+
+
 def _frame_after(data: bytes, at: int) -> Frame | None:
     (stamp,) = _STAMP.unpack_from(data, at)
-    if not _STAMP_FROM <= stamp <= _STAMP_TO:
-        return None
-    decoder = FrameDecoder()
-    piece = data[at + 8 : at + 8 + 300]
-    if piece[0] not in (0xFD, 0xFE):
-        return None
-    items = decoder.feed(piece)
-    first = items[0] if items else None
-    return first if isinstance(first, Frame) else None
+    return frame_at(data, at + 8) if _STAMP_FROM <= stamp <= _STAMP_TO else None
 
 
 def _unwrapped(frame: Frame) -> bytes:

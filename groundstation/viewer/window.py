@@ -1,21 +1,24 @@
 """Windows onto a live or recorded flight: rerun's native viewer, or its web page served on loopback only.
 
-The web page comes from the rerun binary, because the Python call `serve_web_viewer` listens on every interface.
+The web page comes from the rerun binary, because the Python call `serve_web_viewer` listens on every interface, and goes
+through `groundstation.viewer.page`, which keeps it from calling home. The binary itself asks for newer versions and reports
+its use by HTTPS; it honours proxies, so it is given one that is not there.
 """
 
 import contextlib
 import ctypes
+import os
 import signal
 import subprocess
 import sys
 import time
 import urllib.error
 import urllib.parse
-import urllib.request
 from pathlib import Path
 from typing import Literal
 
 from groundstation.viewer.live import LOOPBACK, ViewerError, free_port, port_is_free
+from groundstation.viewer.page import DIRECT, PageServer
 
 Window = Literal["web", "native", "none"]
 DEFAULT_WEB_PORT = 9090
@@ -37,6 +40,9 @@ def rerun_binary() -> str:
     return str(path)
 
 
+_NOWHERE = f"http://{LOOPBACK}:9"  # port 9 discards what it is sent, where anything listens there at all
+_PROXIES = {name: _NOWHERE for way in ("all", "http", "https") for name in (f"{way}_proxy", f"{way}_proxy".upper())}
+
 _PR_SET_PDEATHSIG = 1
 _libc = ctypes.CDLL(None) if sys.platform == "linux" else None
 
@@ -49,7 +55,8 @@ def _start(command: list[str]) -> "subprocess.Popen[bytes]":
             _libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
 
     # The function takes no lock, so that this process's threads do not matter to it.
-    return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, preexec_fn=end_with_parent)  # noqa: PLW1509
+    quiet = subprocess.DEVNULL
+    return subprocess.Popen(command, stdout=quiet, stderr=quiet, env=os.environ | _PROXIES, preexec_fn=end_with_parent)  # noqa: PLW1509
 
 
 class WebPage:
@@ -63,15 +70,22 @@ class WebPage:
             raise ViewerError(f"web port {LOOPBACK}:{port} is in use; give another with --web-port")
         own_port = free_port()
         self._command = [rerun_binary(), "--serve-web", "--bind", LOOPBACK, "--port", str(own_port)]
-        self._command += ["--web-viewer-port", str(port), "--server-memory-limit", "512MB"]
+        files_port = free_port()
+        self._command += ["--web-viewer-port", str(files_port), "--server-memory-limit", "512MB"]
         live = not isinstance(source, Path)
         if not live:
             self._command.append(str(source))
-        data = source if live else f"rerun+http://{LOOPBACK}:{own_port}/proxy"
+        data = str(source) if live else f"rerun+http://{LOOPBACK}:{own_port}/proxy"
         query = urllib.parse.urlencode({"url": data, "renderer": "webgl", "hide_welcome_screen": "1"})
         self.address = f"http://{LOOPBACK}:{port}/"
         self.url = f"{self.address}?{query}"
+        origin = f"http://{urllib.parse.urlsplit(data).netloc}"
         self._process = _start(self._command)
+        try:
+            self._server = PageServer(port, f"http://{LOOPBACK}:{files_port}", (origin,))
+        except OSError as error:
+            self._end_process()
+            raise ViewerError(f"web port {LOOPBACK}:{port} cannot be used ({error.strerror})") from error
         if wait:
             self._wait(self.address)
 
@@ -94,7 +108,7 @@ class WebPage:
         while time.monotonic() < deadline:
             if self._process.poll() is not None:
                 raise ViewerError(f"rerun's web server ended at once with status {self._process.returncode}")
-            with contextlib.suppress(urllib.error.URLError, OSError), urllib.request.urlopen(address, timeout=1.0):
+            with contextlib.suppress(urllib.error.URLError, OSError), DIRECT.open(address, timeout=1.0):
                 return
             time.sleep(0.05)
         self.close()
@@ -106,7 +120,12 @@ class WebPage:
             self._process.wait(timeout)
 
     def close(self) -> None:
-        """End the page. rerun has been seen to survive one SIGTERM, so it is killed after a grace time."""
+        """End the page."""
+        self._server.close()
+        self._end_process()
+
+    def _end_process(self) -> None:
+        """rerun has been seen to survive one SIGTERM, so it is killed after a grace time."""
         self._process.terminate()
         try:
             self._process.wait(2.0)

@@ -9,7 +9,7 @@ import pytest
 from groundstation.flight import read_flight
 from groundstation.viewer.live import LiveView, ViewOptions, free_port
 from groundstation.viewer.window import WebPage
-from tests.browser.screenshot import COLOURFUL, picture, pixels, saturated, take
+from tests.browser.screenshot import ARGUMENTS, COLOURFUL, chromium, picture, pixels, saturated, take
 
 pytestmark = [
     pytest.mark.browser,
@@ -57,3 +57,34 @@ def test_live_flight_moves_on_the_light_page(root: Path, tmp_path: Path) -> None
     moved = np.abs(pixels(first) - pixels(second)).max(axis=2) > 60
     assert moved.sum() > 500, "the live page stands still"
     assert view.dropped == 0
+
+
+def test_the_live_page_asks_nobody_but_this_computer(tmp_path: Path) -> None:
+    from playwright.sync_api import sync_playwright
+
+    view = LiveView("home", ViewOptions(layout="full", port=free_port()))
+    page = WebPage(view.url, free_port())
+    asked: list[str] = []
+    try:
+        for i in range(40):
+            view.sample(0.1 * i, {"latitude": 47.4, "longitude": 8.5, "alpha": 0.1})
+        with sync_playwright() as tools:
+            browser = tools.chromium.launch(executable_path=chromium(), headless=True, args=list(ARGUMENTS))
+            shown = browser.new_page(viewport={"width": 960, "height": 540})
+            shown.on("request", lambda request: asked.append(request.url))
+            shown.route("**/*", lambda r: r.continue_() if "//127.0.0.1" in r.request.url else r.abort())
+            shown.goto(page.url, wait_until="commit")
+            for _ in range(120):
+                if shown.evaluate("window._handle !== undefined"):
+                    break
+                shown.wait_for_timeout(500)
+            shown.wait_for_timeout(6000)  # rerun reports its use a while after it has started
+            shown.screenshot(path=str(tmp_path / "home.png"))
+            refused = shown.evaluate("fetch('https://tel.rerun.io/api/pog').then(() => '', (e) => e.message)")
+            browser.close()
+    finally:
+        page.close()
+        view.close()
+    assert [url for url in asked if not url.startswith("http://127.0.0.1:")] == []
+    assert any(url.endswith("ReadMessages") for url in asked), "the page has not asked for its data"
+    assert refused == "this page asks nobody but this computer"

@@ -1,5 +1,6 @@
 """Signing: forged, replayed and far-future frames change nothing; keys and state are guarded on disk."""
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from daq.transport.signing import (
 )
 from groundstation.receiver import events as ev
 from groundstation.receiver.link_config import LinkConfig
+from groundstation.receiver.security import SAVE_NS
 from tests.link_rig import Rig, quiet_scan
 
 KEY = bytes(range(32))
@@ -177,4 +179,148 @@ def test_forged_frames_do_nothing_at_the_ground_and_every_one_is_told_of(tmp_pat
     (books,) = rig.ground.accounting()
     assert books.received == len(rig.link.downlink.sent)
     assert books.lost == []
+    rig.close()
+
+
+def key_file(tmp_path: Path, data: bytes = KEY) -> Path:
+    path = tmp_path / "key"
+    path.write_bytes(data)
+    path.chmod(0o600)
+    return path
+
+
+@pytest.mark.parametrize("data", [bytes(32), b"0" * 64, b"0" * 64 + b"\n"], ids=["bytes", "digits", "a line of digits"])
+def test_a_key_of_zeros_is_no_secret(tmp_path: Path, data: bytes) -> None:
+    with pytest.raises(SigningError, match="nothing but zeros"):
+        load_key(key_file(tmp_path, data))
+
+
+def test_what_is_no_file_is_no_key_and_is_not_waited_for(tmp_path: Path) -> None:
+    fifo = tmp_path / "fifo"
+    os.mkfifo(fifo, 0o600)
+    device = Path("/dev/zero")
+    folder = tmp_path / "folder"
+    folder.mkdir(mode=0o700)
+    for path in (fifo, device, folder):
+        with pytest.raises(SigningError, match="not a regular file"):
+            load_key(path)
+        with pytest.raises(SigningError, match="not a regular file"):
+            load_state(path)
+
+
+def test_a_huge_file_is_no_key_and_is_not_read(tmp_path: Path) -> None:
+    path = key_file(tmp_path)
+    os.truncate(path, 1 << 40)
+    with pytest.raises(SigningError, match="64 hexadecimal"):
+        load_key(path)
+
+
+UNSOUND_STATES = {
+    "infinity": '{"sent": Infinity, "heard": 1, "streams": []}',
+    "an overflow": '{"sent": 1e400, "heard": 1, "streams": []}',
+    "a fraction": '{"sent": 1.5, "heard": 1, "streams": []}',
+    "nesting": "[" * 50_000,
+    "a list": "[]",
+    "null": "null",
+    "below zero": '{"sent": -1, "heard": 1, "streams": []}',
+    "beyond 48 bits": '{"sent": 281474976710656, "heard": 1, "streams": []}',
+    "a boolean": '{"sent": true, "heard": 1, "streams": []}',
+    "a stream of words": '{"sent": 1, "heard": 1, "streams": ["abcd"]}',
+    "a stream beyond its range": '{"sent": 1, "heard": 1, "streams": [[256, 1, 1, 1]]}',
+    "more streams than kept": f'{{"sent": 1, "heard": 1, "streams": {[[1, 1, 1, 1]] * 300}}}',
+    "a very long number": f'{{"sent": {"9" * 9000}, "heard": 1, "streams": []}}',
+    "a huge file": " " * 3_000_000,
+    "no text": "\udcff",
+}
+
+
+@pytest.mark.parametrize("what", UNSOUND_STATES)
+def test_an_unsound_state_is_set_aside_with_a_sentence_and_opens_no_door(tmp_path: Path, what: str) -> None:
+    state = tmp_path / "state"
+    text = UNSOUND_STATES[what].encode("utf-8", "surrogateescape")
+    state.write_bytes(text)
+    with pytest.raises(SigningError, match="not a signing state"):
+        load_state(state)
+    receiver = Signer(KEY, lambda: NOW, state_path=state)
+    assert "set aside" in receiver.notice
+    assert (tmp_path / "state.unusable").read_bytes() == text
+    assert judge(receiver, signed(1, NOW - 120 * 10**9)[0]) is Verdict.REPLAYED
+    assert judge(receiver, signed(1, NOW + 1)[0]) is Verdict.GOOD
+    receiver.save()
+    assert Signer(KEY, lambda: NOW, state_path=state).notice == ""
+
+
+def test_an_unsound_state_stops_a_station_whose_clock_knows_nothing(tmp_path: Path) -> None:
+    state = tmp_path / "state"
+    state.write_text("[]")
+    with pytest.raises(SigningError, match="clock"):
+        Signer(KEY, lambda: 10**9, state_path=state)
+    assert state.read_text() == "[]"
+
+
+def test_saving_follows_no_link_that_somebody_has_planted(tmp_path: Path) -> None:
+    treasure = tmp_path / "treasure"
+    treasure.write_text("keep me")
+    state = tmp_path / "private" / "state"
+    state.parent.mkdir()
+    for name in ("state", "state.new", "state.tmp"):
+        (state.parent / name).symlink_to(treasure)
+    save_state(SigningState(5, 6, {}), state)
+    assert treasure.read_text() == "keep me"
+    assert not state.is_symlink()
+    assert state.stat().st_mode & 0o777 == 0o600
+    assert load_state(state) == SigningState(5, 6, {})
+    assert {p.name for p in state.parent.iterdir()} == {"state", "state.new", "state.tmp"}
+
+
+def test_a_failed_save_leaves_the_old_state_and_nothing_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    state = tmp_path / "state"
+    save_state(SigningState(5, 6, {}), state)
+
+    def full(_: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch, pytest.raises(OSError, match="No space"):
+        patch.setattr(os, "fsync", full)
+        save_state(SigningState(7, 8, {}), state)
+    assert load_state(state) == SigningState(5, 6, {})
+    assert [p.name for p in tmp_path.iterdir()] == ["state"]
+
+
+def test_after_a_crash_recorded_frames_count_for_seconds_only(tmp_path: Path) -> None:
+    key = key_file(tmp_path)
+    heard: list[tuple[int, bytes]] = []
+    rig = Rig(
+        None,
+        down=lambda data: (heard.append((rig.clock.utc_ns(), data)), data)[1],  # type: ignore[func-returns-value]
+        aircraft=DownlinkConfig(budget_bytes_per_s=20_000, key_file=key, signing_state=tmp_path / "air"),
+        ground=LinkConfig(ports=("memory",), key_file=key, signing_state=tmp_path / "state", backfill="off"),
+    )
+    rng = np.random.default_rng(1)
+    worst = 0.0
+    for i in range(420):
+        rig.fly(1, lambda n: quiet_scan(n, rng, time_ns=rig.clock.monotonic_ns()))
+        gate = rig.ground._gate
+        if gate._saving is not None:
+            gate._saving.result()  # the disk of this test is fast
+        if i % 19 == 0 and (tmp_path / "state").exists():
+            after_crash = Signer(KEY, rig.clock.utc_ns, state_path=tmp_path / "state")
+            counts = (
+                at
+                for at, data in heard
+                for f in FrameDecoder().feed(data)
+                if isinstance(f, Frame) and judge(after_crash, f.raw).accepted
+            )
+            worst = max(worst, (rig.clock.utc_ns() - next(counts, rig.clock.utc_ns())) * 1e-9)
+    rig.close()
+    assert 0.0 < worst <= SAVE_NS * 1e-9 + 0.1
+
+
+def test_a_bad_state_is_told_by_the_ground_station(tmp_path: Path) -> None:
+    (tmp_path / "state").write_text("[]")
+    config = LinkConfig(ports=("memory",), key_file=key_file(tmp_path), signing_state=tmp_path / "state")
+    rig = Rig(None, ground=config)
+    told = [e for e in rig.look() if isinstance(e, ev.Trouble)]
+    assert [e.what for e in told] == ["signing state"]
+    assert "set aside" in (told[0].words or "")
     rig.close()

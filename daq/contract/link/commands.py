@@ -32,7 +32,7 @@ RESULT_WORDS = {
     COMMAND_LONG_ONLY: "to be sent as COMMAND_LONG",
 }
 
-_PITOT_ZERO = re.compile(r"pitot_zero count=([0-9.]+) scans=([0-9]+)")
+_PITOT_ZERO = re.compile(r"pitot_zero count=([0-9]{1,9}(?:\.[0-9]{1,9})?) scans=([0-9]{1,9})")
 
 
 def pitot_zero_text(count: float, scans: int) -> str:

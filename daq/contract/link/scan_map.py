@@ -37,6 +37,15 @@ class ScanMap:
         for first, last in self.ranges():
             yield from range(first, last + 1)
 
+    def count_within(self, first: int, last: int) -> int:
+        """How many members are in an inclusive range; work goes by the blocks there are."""
+        count = 0
+        for block, word in self._blocks.items():
+            low, high = max(0, first - block * BLOCK), min(BLOCK - 1, last - block * BLOCK)
+            if low <= high:
+                count += (word >> low & (1 << high - low + 1) - 1).bit_count()
+        return count
+
     def blocks(self) -> list[int]:
         """Numbers of the blocks that have a member, ascending."""
         return sorted(self._blocks)

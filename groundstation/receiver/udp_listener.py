@@ -1,0 +1,192 @@
+"""A listening UDP port on which no sender can crowd out another.
+
+All datagrams of a port share one buffer in the kernel, and a sender at loopback speed fills it in a millisecond: what then
+comes from the aircraft is gone before anybody has seen it. So the senders of aircraft get sockets of their own: bound to the
+same port and connected to that sender, which the kernel prefers, buffer and all. The port stays closed to other programs.
+What strangers send is read to the end, so that a new aircraft gets through, but only as much of it is kept as is allowed.
+"""
+
+import contextlib
+import errno
+import socket
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from daq.transport.ports import MAX_PEERS, UdpPort
+from groundstation.receiver.allowance import Allowance
+from groundstation.receiver.timeline import Clock
+
+READ_BYTES = 65536
+TURN_DATAGRAMS, TURN_BYTES = 4096, 1 << 24
+"""Read from one socket in a turn at most: ten milliseconds of work."""
+STRANGER_AT_ONCE, STRANGER_PER_S = 1 << 16, 100_000
+"""Bytes of one sender that is not known for an aircraft: ten times what a radio carries."""
+STRANGERS_AT_ONCE, STRANGERS_PER_S = 1 << 18, 400_000
+"""Bytes of all of them together. Looking for frames in noise takes a microsecond a byte."""
+AIRCRAFT_AT_ONCE, AIRCRAFT_PER_S = 1 << 19, 400_000
+"""Bytes of one aircraft: two hundred times the default budget of its radio link, for a fast one."""
+OWN_SOCKETS = 16  # for as many aircraft as are served
+_STRANGERS = 64
+_MEMORY_INFO, _DROPS_AT = 55, 8 * 4  # SO_MEMINFO of Linux: nine counters, the last one datagrams dropped
+_QUIET = (errno.EAGAIN, errno.EWOULDBLOCK, errno.EINTR)
+_REFUSED = (errno.ECONNREFUSED, errno.ENETUNREACH, errno.EHOSTUNREACH, errno.ENETDOWN)
+Address = tuple[str | int, ...]
+
+
+@dataclass(frozen=True)
+class _Aircraft:
+    address: Address
+    allowance: Allowance
+
+
+class UdpListener(UdpPort):
+    """A port that anybody may send to. `favour` says who has proven to be an aircraft."""
+
+    def __init__(self, local: tuple[str, int], clock: Clock) -> None:
+        super().__init__(local=local)
+        self._clock = clock
+        self._buffer = bytearray(READ_BYTES)
+        self._own: dict[str, socket.socket] = {}  # sender's name -> socket connected to it
+        self._aircraft: dict[str, _Aircraft] = {}
+        self._addresses: dict[str, Address] = {}  # of senders heard lately
+        self._strangers = Allowance(STRANGERS_AT_ONCE, STRANGERS_PER_S)
+        self._each: dict[str, Allowance] = {}
+        self.refused_bytes = 0
+        self._dropped_before = 0  # by the kernel, at sockets that are closed
+
+    @property
+    def favoured(self) -> list[str]:
+        """Senders that have a socket of their own, the longest known first."""
+        return list(self._own)
+
+    @property
+    def dropped(self) -> int:
+        """Datagrams that the kernel has dropped because a socket's buffer was full; 0 where it does not say."""
+        if self._socket.fileno() < 0:
+            return self._dropped_before
+        return self._dropped_before + sum(_drops(s) for s in (self._socket, *self._own.values()))
+
+    def receive(self, limit: int = TURN_BYTES) -> list[tuple[str, bytes]]:
+        """Datagrams that have arrived, with a name of their sender; aircraft first, and of strangers what is allowed."""
+        out: list[tuple[str, bytes]] = []
+        now = self._clock.monotonic_ns()
+        for name, own in self._own.items():
+            for _, size in self._datagrams(own, limit):
+                self._keep(name, size, now, out)
+        for address, size in self._datagrams(self._socket, limit):
+            name = _name(address)
+            self._remember(name, address)
+            self._keep(name, size, now, out)
+        return out
+
+    def _keep(self, name: str, size: int, now_ns: int, out: list[tuple[str, bytes]]) -> None:
+        """Take what is in the buffer, if its sender may send so much."""
+        aircraft = self._aircraft.get(name)
+        if aircraft is not None:
+            allowed = aircraft.allowance.take(size, now_ns)
+        else:
+            allowed = self._allowance(name).take(size, now_ns) and self._strangers.take(size, now_ns)
+        if allowed:
+            out.append((name, bytes(self._buffer[:size])))
+        else:
+            self.refused_bytes += size
+
+    def _datagrams(self, own: socket.socket, limit: int) -> Iterator[tuple[Address, int]]:
+        """Sender and size of each datagram waiting, its bytes in the buffer; bounded, so that a turn has an end."""
+        taken = 0
+        for _ in range(TURN_DATAGRAMS):
+            try:
+                size, address = own.recvfrom_into(self._buffer)
+            except OSError as error:
+                if error.errno in _REFUSED:
+                    continue  # something sent before has not arrived
+                if error.errno in _QUIET:
+                    return
+                raise
+            yield address, size
+            taken += size
+            if taken >= limit:
+                return
+
+    def _remember(self, name: str, address: Address) -> None:
+        self._addresses.pop(name, None)
+        self._addresses[name] = address
+        if len(self._addresses) > _STRANGERS:
+            self._addresses.pop(next(iter(self._addresses)))
+
+    def _allowance(self, name: str) -> Allowance:
+        found = self._each.pop(name, None) or Allowance(STRANGER_AT_ONCE, STRANGER_PER_S)
+        self._each[name] = found  # the latest one last
+        if len(self._each) > _STRANGERS:
+            self._each.pop(next(iter(self._each)))
+        return found
+
+    # ------------------------------------------------------------------------------------------ aircraft
+
+    def favour(self, name: str) -> None:
+        """This sender is an aircraft's: it is answered, and gets a socket of its own while there are any."""
+        address = self._addresses.get(name)
+        if name in self._aircraft or address is None or len(self._aircraft) >= _STRANGERS:
+            return
+        self._aircraft[name] = _Aircraft(address, Allowance(AIRCRAFT_AT_ONCE, AIRCRAFT_PER_S))
+        if len(self._own) < OWN_SOCKETS:  # nobody loses one to a later one: that would be a way to crowd it out
+            with contextlib.suppress(OSError):  # a system that cannot do it: all share one buffer, as on any UDP port
+                self._own[name] = self._connected(address)
+
+    def _connected(self, address: Address) -> socket.socket:
+        made = socket.socket(self._socket.family, socket.SOCK_DGRAM)
+        bound = (self._socket, *self._own.values(), made)
+        try:
+            made.setblocking(False)
+            made.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
+            # Only while the new socket is bound: otherwise another program of this user could take the port too.
+            for shared in bound:
+                shared.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEPORT, 1)
+            made.bind(self._socket.getsockname())
+            made.connect(address)
+        except OSError:
+            made.close()
+            raise
+        finally:
+            for shared in bound:
+                if shared.fileno() >= 0:
+                    shared.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEPORT, 0)
+        return made
+
+    def forget(self, name: str) -> None:
+        """This sender is no aircraft's any more."""
+        self._aircraft.pop(name, None)
+        if name in self._own:
+            self._give_up(name)
+
+    def _give_up(self, name: str) -> None:
+        own = self._own.pop(name)
+        self._dropped_before += _drops(own)
+        own.close()
+
+    # ------------------------------------------------------------------------------------------ sending
+
+    def write(self, data: bytes) -> int:
+        """Send one datagram to each aircraft; while there is none, to the latest few who have sent anything."""
+        targets = [a.address for a in self._aircraft.values()] or list(self._addresses.values())[-MAX_PEERS:]
+        taken = [self._send(data, address) for address in targets]
+        return min(taken, default=len(data))
+
+    def close(self) -> None:
+        for name in list(self._own):
+            self._give_up(name)
+        self._dropped_before = self.dropped
+        super().close()
+
+
+def _name(address: Address) -> str:
+    return f"{address[0]}:{address[1]}"
+
+
+def _drops(own: socket.socket) -> int:
+    try:
+        counters = own.getsockopt(socket.SOL_SOCKET, _MEMORY_INFO, 9 * 4)
+    except OSError:
+        return 0
+    return int(struct.unpack_from("=I", counters, _DROPS_AT)[0]) if len(counters) >= 9 * 4 else 0
