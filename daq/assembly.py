@@ -10,8 +10,15 @@ from datetime import UTC, datetime
 
 from daq.acquisition.sampler import Sampler
 from daq.clock import Clock
-from daq.config import LoggerConfig, read_calibration
-from daq.contract.recordings.recording import CALIBRATION_PREFIX, CONFIG_ATTACHMENT, RecordingInfo, software_version
+from daq.config import LoggerConfig, read_aircraft, read_calibration
+from daq.contract.channels import CHANNELS
+from daq.contract.recordings.recording import (
+    AIRCRAFT_ATTACHMENT,
+    CALIBRATION_PREFIX,
+    CONFIG_ATTACHMENT,
+    RecordingInfo,
+    software_version,
+)
 from daq.logger import Logger, Opening
 from daq.recorder.recorder import Recorder
 from daq.recorder.storage import Storage
@@ -60,13 +67,28 @@ def session_name(config: LoggerConfig, clock: Clock, *, unique: bool = True) -> 
     A companion computer without a battery may start several flights at the same wrong time.
     """
     stamp = datetime.fromtimestamp(clock.utc_ns() // 10**9, UTC).strftime("%Y%m%dT%H%M%SZ")
-    return f"{config.aircraft.name}_{stamp}" + (f"_{secrets.token_hex(2)}" if unique else "")
+    return f"{config.aircraft.name or 'flight'}_{stamp}" + (f"_{secrets.token_hex(2)}" if unique else "")
+
+
+def laboratory_calibration() -> dict[str, bytes]:
+    """Calibration files of laboratory packages; a directory's own file of the same name goes before them."""
+    if not any(c.package for c in CHANNELS):
+        return {}
+    from daq.contract.laboratory import calibration_files
+
+    return calibration_files()
 
 
 def recording_info(config: LoggerConfig, text: str, session: str, source: str, started_utc_ns: int) -> RecordingInfo:
     """Identity of a session, with the configuration and the calibration files to be embedded."""
     attachments = {CONFIG_ATTACHMENT: text.encode()}
-    attachments |= {CALIBRATION_PREFIX + k: v for k, v in read_calibration(config.calibration).items()}
+    calibration = read_calibration(config.calibration)
+    if calibration:
+        calibration = {**laboratory_calibration(), **calibration}
+    attachments |= {CALIBRATION_PREFIX + k: v for k, v in calibration.items()}
+    aircraft = read_aircraft(config.aircraft.file)
+    if aircraft is not None:
+        attachments[AIRCRAFT_ATTACHMENT] = aircraft
     return RecordingInfo(
         session=session,
         source=source,

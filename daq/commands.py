@@ -1,28 +1,26 @@
 """Command-line verbs of the aircraft side: record, preflight, info, verify, recover."""
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import click
 
+from daq.contract.outputs import tried_file, write_json
+
 _JSON = click.option(
-    "--json", "json_path", type=click.Path(path_type=Path), help="Also write the result as JSON to PATH."
+    "--json",
+    "json_path",
+    type=click.Path(path_type=Path),
+    callback=tried_file,
+    help="Also write the result as JSON to PATH.",
 )
 _RECORDING = click.argument("recording", metavar="FILE", type=click.Path(path_type=Path))
 
 
 def _write_json(path: Path | None, result: Mapping[str, Any]) -> None:
-    from daq.contract.recordings.recording import RecordingError
-
-    if path is None:
-        return
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(json.dumps(result, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise RecordingError(f"{path}: the result cannot be written ({error.strerror or error})") from error
+    if path is not None:
+        write_json(result, path)
 
 
 @click.command(epilog="Example: sideslip info recordings/demo/onboard --json info.json")
@@ -65,7 +63,9 @@ def verify(recording: Path, json_path: Path | None) -> None:
 
 @click.command(epilog="Example: sideslip recover flight_000.mcap -o recovered.mcap")
 @_RECORDING
-@click.option("-o", "--out", required=True, type=click.Path(path_type=Path), help="The new recording.")
+@click.option(
+    "-o", "--out", required=True, type=click.Path(path_type=Path), callback=tried_file, help="The new recording."
+)
 @_JSON
 def recover(recording: Path, out: Path, json_path: Path | None) -> None:
     """Save everything undamaged in a recording, FILE or directory, to a new and sound one.

@@ -34,8 +34,9 @@ _ROOM_TO_FINISH = 0.1  # of the time between two scans
 class AircraftConfig(Section):
     """`[aircraft]`: which aircraft carries the logger."""
 
-    name: str = Field(default="cdfp", min_length=1, description="name under which results are filed")
+    name: str = Field(default="", description="name under which results are filed; empty: flights name no aircraft")
     tail_number: str = Field(default="", description="the individual aircraft")
+    file: str = Field(default="", description="its file (docs/aircraft.md), carried by every recording; empty: none")
 
 
 class ScanConfig(Section):
@@ -141,7 +142,21 @@ def _anchor(config: LoggerConfig, base: Path) -> LoggerConfig:
     changes: dict[str, Any] = {"recorder": config.recorder.model_copy(update={"directories": directories})}
     if config.calibration is not None:
         changes["calibration"] = base / config.calibration
+    if config.aircraft.file:
+        changes["aircraft"] = config.aircraft.model_copy(update={"file": str(base / config.aircraft.file)})
     return config.model_copy(update=changes)
+
+
+def read_aircraft(file: str) -> bytes | None:
+    """The aircraft's file; None where none is named. Raises ConfigError when it cannot be read."""
+    if not file:
+        return None
+    try:
+        return Path(file).read_bytes()
+    except OSError as error:
+        raise ConfigError(
+            f"{file}: the aircraft's file cannot be read ({error.strerror}); correct the key aircraft.file"
+        ) from error
 
 
 def read_calibration(directory: Path | None) -> dict[str, bytes]:

@@ -1,7 +1,7 @@
 """Aircraft identification: models, estimators, the gap workflow and their reports.
 
     from estimation import load_model, output_error
-    result = output_error(load_model("lateral"), [read_flight("flight.csv")])
+    result = output_error(load_model("lateral", "cdfp"), [read_flight("flight.csv")])
 
 Names are imported on first use, so that the simulator can read an aircraft without a numerical library.
 """

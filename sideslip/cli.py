@@ -7,7 +7,7 @@ Exit status: 0 done; 1 done, but the answer is a failed check; 2 unusable input,
 import importlib
 import sys
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import EntryPoint, PackageNotFoundError, entry_points, version
 
 import click
 
@@ -41,6 +41,9 @@ VERBS: dict[str, Verb] = {
     "estimate": Verb("estimation.commands.estimate", "estimate", "Aerodynamic parameters with bounds."),
     "match": Verb("estimation.commands.match", "match", "Proof of match on flights not used for the estimate."),
     "design": Verb("estimation.commands.design", "design", "Inputs designed from what is known, under limits."),
+    "aircraft": Verb(
+        "estimation.commands.aircraft", "aircraft", "A file for an aircraft of one's own, and what it is good for."
+    ),
     "gap": Verb("estimation.commands.gap", "gap", "Find, name and close the gap between model and flight."),
 }
 
@@ -49,14 +52,14 @@ class VerbTable(click.Group):
     """A click group whose commands are imported on use, so that `--help` and light verbs stay light."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """All verbs, in the order of the table."""
-        return list(VERBS)
+        """All verbs, in the order of the table; then those of installed packages."""
+        return [*VERBS, *(found.name for found in _package_verbs())]
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """Import one verb."""
         verb = VERBS.get(cmd_name)
         if verb is None:
-            return None
+            return _package_verb(cmd_name)
         try:
             command: click.Command = getattr(importlib.import_module(verb.module), verb.attribute)
         except ModuleNotFoundError as error:
@@ -66,7 +69,27 @@ class VerbTable(click.Group):
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """The list of verbs from the table, without importing them."""
         with formatter.section("Commands"):
-            formatter.write_dl([(name, verb.summary) for name, verb in VERBS.items()])
+            rows = [(name, verb.summary) for name, verb in VERBS.items()]
+            formatter.write_dl([*rows, *((found.name, f"From {found.module}.") for found in _package_verbs())])
+
+
+def _package_verbs() -> tuple[EntryPoint, ...]:
+    """Verbs that installed packages bring, by the entry point group `sideslip.verbs`: a click command each."""
+    return tuple(p for p in entry_points(group="sideslip.verbs") if p.name not in VERBS)
+
+
+def _package_verb(name: str) -> click.Command | None:
+    """The command of an installed package, None where none brings it. UserError when it cannot be had."""
+    for found in _package_verbs():
+        if found.name == name:
+            try:
+                command: click.Command = found.load()
+            except (ImportError, AttributeError) as error:
+                raise UserError(
+                    f"entry point sideslip.verbs {name} = {found.value}: no command there ({error}); correct the package"
+                ) from error
+            return command
+    return None
 
 
 class MissingPackageError(UserError):

@@ -5,8 +5,8 @@ from pathlib import Path
 import click
 
 from daq.contract.errors import UserError
+from daq.contract.outputs import tried_folder
 from sideslip.chain import fly_scenario
-from sideslip.outputs import Bar
 
 DEMO_FLIGHTS = ("cdfp_ld1", "cdfp_ld2", "cdfp_ld3", "cdfp_ld4")
 DEMO_HIDDEN = ("Cn_da", 1.0)
@@ -15,7 +15,7 @@ DEMO_RADIO = {"drop": 0.05}
 
 
 @click.command(epilog="Example: sideslip demo --out demo")
-@click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=Path("demo"), show_default=True)
+@click.option("--out", type=click.Path(path_type=Path), callback=tried_folder, default=Path("demo"), show_default=True)
 def demo(out: Path) -> int:
     """Fly, record, downlink, calibrate, check, estimate, match, and close a gap: the whole chain on a simulated aircraft."""
     import shutil
@@ -44,8 +44,8 @@ def demo(out: Path) -> int:
     click.echo(
         "\n3  Aerodynamic derivatives: maximum likelihood and Neural Gauss-Newton, joint over the four flights\n"
     )
-    _run("estimate", *flights, "--method", "ml,ngn,ngn-improved", "--joint", "--brief",
-         "--json", report / "estimate.json", "--report", report / "estimate", "--save-model", out / "model.toml")  # fmt: skip
+    saved = ("--json", report / "estimate.json", "--report", report / "estimate", "--save-model", out / "model.toml")
+    _run("estimate", *flights, "--method", "ml,ngn,ngn-improved", "--joint", "--brief", *saved)
 
     click.echo("\n4  Proof of match: the joint model predicts each flight, parameters frozen\n")
     _run(
@@ -83,10 +83,11 @@ def _run(verb: str, *arguments: object) -> None:
 
 
 def _demo_flight(name: str, out: Path) -> Path:
+    from estimation.commands.progress import Progress
     from firmware_sim.world.scenario import load_scenario
 
     scenario = load_scenario(name).altered(radio=DEMO_RADIO)
-    with Bar(f"flying {name}") as bar:
+    with Progress(f"flying {name}") as bar:
         flown = fly_scenario(scenario, out / name, tell=bar)
     s = flown.summary
     lost = sum(b - a + 1 for a, b in s["scans_lost"])
@@ -107,11 +108,12 @@ def _named(flight: Path, out: Path, name: str) -> Path:
 
 def _demo_hidden(out: Path) -> tuple[list[Path], Path]:
     """Three flights to learn from and one to hold out, all of one aircraft with one hidden effect."""
+    from estimation.commands.progress import Progress
     from firmware_sim.runs.campaign import Campaign
 
     paths = []
     for number, (scenario, seed) in enumerate(Campaign(hidden=(DEMO_HIDDEN,), seed=DEMO_SEED).scenarios()):
-        with Bar(f"flying hidden_{number}") as bar:
+        with Progress(f"flying hidden_{number}") as bar:
             flown = fly_scenario(scenario, out / f"hidden_{number}", seed=seed, backfill=False, tell=bar)
         paths.append(_named(flown.onboard, out, f"hidden_{number}"))
     return paths[:-1], paths[-1]

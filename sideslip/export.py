@@ -4,12 +4,21 @@ from pathlib import Path
 
 import click
 
+from daq.contract.outputs import tried_file
+
 _MODELS = (".toml", ".json")
 
 
 @click.command(epilog="Example: sideslip export ld4.mcap -o ld4.parquet")
 @click.argument("file", type=click.Path(path_type=Path))
-@click.option("-o", "--output", type=click.Path(path_type=Path), required=True, help="Its ending chooses the format.")
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path),
+    callback=tried_file,
+    required=True,
+    help="Its ending chooses the format.",
+)
 @click.option("--units-row", is_flag=True, help="CSV: a second line with the units.")
 @click.option("--raw", is_flag=True, help="Of a raw recording: counts as recorded, not calibrated columns.")
 @click.option(

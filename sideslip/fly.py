@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import click
 
 from daq.contract.errors import UserError
+from daq.contract.outputs import tried_file, tried_folder, write_json
 from sideslip.chain import fly_scenario
-from sideslip.outputs import Bar, write_json
 
 if TYPE_CHECKING:
     from firmware_sim.runs.flight import SimulatedFlight
@@ -20,7 +20,10 @@ if TYPE_CHECKING:
 @click.command(epilog="Example: sideslip fly nominal --out flights/first --seed 7")
 @click.argument("scenario", required=False)
 @click.option(
-    "--out", type=click.Path(path_type=Path, file_okay=False), help="Folder for the flight [default: flights/SCENARIO]."
+    "--out",
+    type=click.Path(path_type=Path),
+    callback=tried_folder,
+    help="Folder for the flight [default: flights/SCENARIO].",
 )
 @click.option("--speed", default="max", show_default=True, help="Simulated seconds a second, or max.")
 @click.option("--seed", type=int, help="Of everything random [default: the scenario's].")
@@ -32,7 +35,11 @@ if TYPE_CHECKING:
 )
 @click.option("--no-backfill", is_flag=True, help="Keep what the radio delivered; fetch nothing after landing.")
 @click.option(
-    "--json", "json_path", type=click.Path(path_type=Path), help="Write the ground station's counters as JSON."
+    "--json",
+    "json_path",
+    type=click.Path(path_type=Path),
+    callback=tried_file,
+    help="Write the ground station's counters as JSON.",
 )
 @click.option("--list", "show_list", is_flag=True, help="List the built-in scenarios.")
 def fly(
@@ -47,6 +54,7 @@ def fly(
     show_list: bool,
 ) -> int:
     """Fly SCENARIO (a TOML file or a built-in name) on the simulated aircraft, or run one of the calibration benches."""
+    from estimation.commands.progress import Progress
     from firmware_sim.runs.bench_recordings import bench_titles, record_bench
     from firmware_sim.world.scenario import built_in_scenarios, load_scenario
 
@@ -72,7 +80,7 @@ def fly(
         return _fly_over_port(chosen, folder, port, seed, pace)
     view = LiveFactory() if live else None
     try:
-        with Bar(f"flying {chosen.name}") as bar:
+        with Progress(f"flying {chosen.name}") as bar:
             flown = fly_scenario(
                 chosen,
                 folder,
@@ -92,7 +100,8 @@ def fly(
     click.echo(f"radio: {s['scans_received']} scans received, {lost} lost, {s['backfilled']} fetched after landing")
     click.echo(f"air and ground agree: {'yes' if flown.agreed else 'no'}")
     click.echo(f"onboard flight: {flown.onboard}")
-    write_json(json_path, s)
+    if json_path is not None:
+        write_json(s, json_path)
     return 0
 
 

@@ -5,12 +5,14 @@ from typing import Any
 
 import click
 
-from sideslip.outputs import write_json
+from daq.contract.outputs import tried_file, write_json
 
 
 @click.command(epilog="Example: sideslip info recordings/cdfp_ld1_raw.mcap --json info.json")
 @click.argument("file", type=click.Path(path_type=Path))
-@click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write the same as JSON.")
+@click.option(
+    "--json", "json_path", type=click.Path(path_type=Path), callback=tried_file, help="Write the same as JSON."
+)
 @click.pass_context
 def info(ctx: click.Context, file: Path, json_path: Path | None) -> int:
     """What is in FILE: a raw recording, the directory of its segments, a flight, or a .tlog."""
@@ -25,9 +27,12 @@ def info(ctx: click.Context, file: Path, json_path: Path | None) -> int:
         found = info_tlog(file)
     else:
         found = _flight_info(file)
-    write_json(json_path, found)
-    click.echo(f"{file}: {found['kind']}, {found['source']}, {found['scans']} scans in {found['duration_s']:.2f} s, "
-               f"{found['rate_hz']:.2f} Hz")  # fmt: skip
+    if json_path is not None:
+        write_json(found, json_path)
+    click.echo(
+        f"{file}: {found['kind']}, {found['source']}, {found['scans']} scans in {found['duration_s']:.2f} s, "
+        f"{found['rate_hz']:.2f} Hz"
+    )
     for channel in found["channels"]:
         click.echo(f"  {channel['name']:<24} {channel['unit'] or '-':<6} {channel['samples']:>8} samples")
     return 0

@@ -1,85 +1,17 @@
 """The one channel table: what the aircraft measures, from raw count to calibrated flight column.
 
-Recorder schema, downlink message, calibration, viewer entities and flight columns are all derived from the two
-tables below, so a new channel appears everywhere by one row. Raw values are what the chip delivered (counts);
-calibrated columns are SI and radians in body axes x forward, y right, z down.
+Recorder schema, downlink message, calibration, viewer entities and flight columns are all derived from the tables
+below, so a new channel appears everywhere by one row. Raw values are what the chip delivered (counts);
+calibrated columns are SI and radians in body axes x forward, y right, z down. Rows of a laboratory's own come from its
+installed packages (`daq.contract.laboratory`) and stand after the built-in ones.
 """
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
-from enum import StrEnum
-from typing import Literal
+from importlib.metadata import entry_points
 
-RawType = Literal["bit", "u8", "u16", "u32", "u64", "i16", "i32", "f32"]
-Downlink = Literal["fast", "slow", "none"]
+from daq.contract.channel_rows import Channel, Column, Downlink, Group, Rate, RawType
 
-
-class Rate(StrEnum):
-    """How often a channel carries a new value."""
-
-    SCAN = "scan"  # once a scan, 20 Hz by default
-    SLOW = "slow"  # slower than the scan (GPS, temperatures): absent from scans without a new value
-
-
-@dataclass(frozen=True, slots=True)
-class Group:
-    """Channels read together in one bus conversation: one read offset and one sensor state for all of them."""
-
-    name: str
-    title: str
-    device: str
-
-
-@dataclass(frozen=True, slots=True)
-class Channel:
-    """One raw channel as recorded.
-
-    `scale` and `offset` turn the count into `unit` where the transfer function is fixed by the datasheet at the
-    default range (physical = count * scale + offset); it is None where a calibration file decides.
-    `columns` names the calibrated flight columns the channel contributes to.
-    """
-
-    name: str
-    group: str
-    raw_type: RawType
-    unit: str
-    meaning: str
-    scale: float | None = None
-    offset: float = 0.0
-    rate: Rate = Rate.SCAN
-    logged: bool = True
-    downlink: Downlink = "fast"
-    columns: tuple[str, ...] = ()
-
-    def limits(self) -> tuple[float, float]:
-        """Smallest and largest raw value the raw type can carry."""
-        return RAW_LIMITS[self.raw_type]
-
-
-@dataclass(frozen=True, slots=True)
-class Column:
-    """One calibrated flight column: SI, radians, body axes."""
-
-    name: str
-    unit: str
-    meaning: str
-    entity: str  # path of the viewer entity that carries it; columns sharing an entity are drawn together
-    plausible: tuple[float, float]
-    title: str = ""
-
-
-RAW_LIMITS: Mapping[str, tuple[float, float]] = {
-    "bit": (0, 1),
-    "u8": (0, 2**8 - 1),
-    "u16": (0, 2**16 - 1),
-    "u32": (0, 2**32 - 1),
-    "u64": (0, 2**64 - 1),
-    "i16": (-(2**15), 2**15 - 1),
-    "i32": (-(2**31), 2**31 - 1),
-    "f32": (-3.4e38, 3.4e38),
-}
-
-GROUPS: tuple[Group, ...] = (
+BUILT_IN_GROUPS: tuple[Group, ...] = (
     Group("imu", "accelerometer and gyro", "ICM-20948"),
     Group("mag", "magnetometer", "AK09916"),
     Group("attitude", "attitude filter", "imufusion"),
@@ -109,7 +41,35 @@ def _axes(
 
 _VOLT = 4.096 / 32768  # ADS1115 at +-4.096 V
 
-CHANNELS: tuple[Channel, ...] = (
+
+def _volts(name: str, group: str, meaning: str, columns: str = "", downlink: Downlink = "fast") -> Channel:
+    """One input of an ADS1115; columns: names with blanks between."""
+    return Channel(name, group, "i16", "V", meaning, _VOLT, columns=tuple(columns.split()), downlink=downlink)
+
+
+def _gnss(
+    name: str, raw_type: RawType, unit: str, meaning: str, scale: float | None = None, column: str = ""
+) -> Channel:
+    """One field of a fix: comes less often than scans."""
+    columns = (column,) if column else ()
+    return Channel(name, "gnss", raw_type, unit, meaning, scale, rate=Rate.SLOW, downlink="slow", columns=columns)
+
+
+def _attitude(axis: str, part: str) -> Channel:
+    meaning = f"attitude, NED to body, {part}"
+    return Channel(f"quaternion_{axis}", "attitude", "i16", "", meaning, 1 / 32767, columns=("phi", "theta", "psi"))
+
+
+_ATTITUDE_STATUS = (
+    "filter flags: bit 0 initialising, 1 rate recovery, 2 acceleration rejected, 3 magnetic field rejected, "
+    "4 magnetometer used"
+)
+_PWM_COLUMNS = {1: ("cmd_e", "cmd_a"), 2: ("cmd_e", "cmd_a"), 3: ("cmd_r",), 4: ("throttle",)}
+_PITOT = ("p_dynamic", "V", "V_cas")
+_STATIC = ("p_static", "altitude", "rho", "V")
+_AIR = ("temperature", "rho", "p_static", "altitude", "V")
+
+BUILT_IN_CHANNELS: tuple[Channel, ...] = (
     # ICM-20948 at +-8 g and +-500 deg/s; axes already turned from chip to body axes by the driver's mounting matrix.
     *_axes("accel_x accel_y accel_z", "imu", "m/s2", "specific force at the IMU", _G / 4096, "ax ay az"),
     *_axes("gyro_x gyro_y gyro_z", "imu", "rad/s", "angular rate", _DEG / 65.5, "p q r"),
@@ -118,68 +78,60 @@ CHANNELS: tuple[Channel, ...] = (
     Channel("imu_temperature", "imu", "i16", "K", "IMU die", 1 / 333.87, 21.0 + 273.15),
     *_axes("mag_x mag_y mag_z", "mag", "T", "magnetic field", 0.15e-6, "mx my mz", "slow"),
     Channel("mag_status", "mag", "u8", "", "AK09916 ST2: bit 3 overflow", downlink="none"),
-    Channel("quaternion_w", "attitude", "i16", "", "attitude, NED to body, scalar part", 1 / 32767,
-            columns=("phi", "theta", "psi")),
-    Channel("quaternion_x", "attitude", "i16", "", "attitude, NED to body, x", 1 / 32767, columns=("phi", "theta", "psi")),
-    Channel("quaternion_y", "attitude", "i16", "", "attitude, NED to body, y", 1 / 32767, columns=("phi", "theta", "psi")),
-    Channel("quaternion_z", "attitude", "i16", "", "attitude, NED to body, z", 1 / 32767, columns=("phi", "theta", "psi")),
-    Channel("attitude_status", "attitude", "u8", "", "filter flags: bit 0 initialising, 1 rate recovery, "
-            "2 acceleration rejected, 3 magnetic field rejected, 4 magnetometer used", downlink="slow"),
-    Channel("alpha_vane", "analog_a", "i16", "V", "angle-of-attack vane, + nose up", _VOLT, columns=("alpha",)),
-    Channel("beta_vane", "analog_a", "i16", "V", "sideslip vane, + wind from the right", _VOLT, columns=("beta",)),
-    Channel("elevon_left_pot", "analog_a", "i16", "V", "left elevon, + trailing edge down", _VOLT,
-            columns=("delta_e", "delta_a")),
-    Channel("elevon_right_pot", "analog_a", "i16", "V", "right elevon, + trailing edge down", _VOLT,
-            columns=("delta_e", "delta_a")),
-    Channel("rudder_pot", "analog_b", "i16", "V", "rudder, + trailing edge to port", _VOLT, columns=("delta_r",)),
-    Channel("supply", "analog_b", "i16", "V", "main supply behind a divider", _VOLT, downlink="slow",
-            columns=("supply_voltage",)),
-    Channel("sensor_supply", "analog_b", "i16", "V", "5 V sensor supply behind a divider", _VOLT),
-    Channel("analog_1", "analog_b", "i16", "V", "free analog input", _VOLT, downlink="slow", columns=("analog_1",)),
-    *(Channel(f"analog_{i}", "analog_c", "i16", "V", "free analog input", _VOLT, downlink="slow",
-              columns=(f"analog_{i}",)) for i in range(2, 6)),
-    Channel("pitot_pressure", "pitot", "u16", "Pa", "dynamic pressure, 14-bit count", columns=("p_dynamic", "V", "V_cas")),
-    Channel("pitot_temperature", "pitot", "u16", "K", "pitot sensor die, 11-bit count", 200 / 2047, -50 + 273.15,
-            downlink="slow"),
-    Channel("static_pressure", "static", "u32", "Pa", "24-bit uncompensated pressure", columns=("p_static", "altitude",
-            "rho", "V")),
-    Channel("static_temperature", "static", "u32", "K", "24-bit uncompensated temperature",
-            columns=("temperature", "rho", "p_static", "altitude", "V")),
+    _attitude("w", "scalar part"),
+    *(_attitude(axis, axis) for axis in "xyz"),
+    Channel("attitude_status", "attitude", "u8", "", _ATTITUDE_STATUS, downlink="slow"),
+    _volts("alpha_vane", "analog_a", "angle-of-attack vane, + nose up", "alpha"),
+    _volts("beta_vane", "analog_a", "sideslip vane, + wind from the right", "beta"),
+    _volts("elevon_left_pot", "analog_a", "left elevon, + trailing edge down", "delta_e delta_a"),
+    _volts("elevon_right_pot", "analog_a", "right elevon, + trailing edge down", "delta_e delta_a"),
+    _volts("rudder_pot", "analog_b", "rudder, + trailing edge to port", "delta_r"),
+    _volts("supply", "analog_b", "main supply behind a divider", "supply_voltage", "slow"),
+    _volts("sensor_supply", "analog_b", "5 V sensor supply behind a divider"),
+    _volts("analog_1", "analog_b", "free analog input", "analog_1", "slow"),
+    *(_volts(f"analog_{i}", "analog_c", "free analog input", f"analog_{i}", "slow") for i in range(2, 6)),
+    Channel("pitot_pressure", "pitot", "u16", "Pa", "dynamic pressure, 14-bit count", columns=_PITOT),
+    Channel(
+        "pitot_temperature",
+        "pitot",
+        "u16",
+        "K",
+        "pitot sensor die, 11-bit count",
+        200 / 2047,
+        -50 + 273.15,
+        downlink="slow",
+    ),
+    Channel("static_pressure", "static", "u32", "Pa", "24-bit uncompensated pressure", columns=_STATIC),
+    Channel("static_temperature", "static", "u32", "K", "24-bit uncompensated temperature", columns=_AIR),
     Channel("thrust_load", "thrust", "i32", "N", "load cell, + forward", columns=("thrust",)),
-    *(Channel(f"pwm_{i}", "capture", "u16", "s", f"servo pulse width, output {i}", 1e-7,
-              columns={1: ("cmd_e", "cmd_a"), 2: ("cmd_e", "cmd_a"), 3: ("cmd_r",), 4: ("throttle",)}.get(i, ()))
-      for i in range(1, 7)),
-    *(Channel(f"digital_{i}", "capture", "bit", "", "digital input" + (": event switch" if i == 1 else ""),
-              columns=(f"digital_{i}",)) for i in range(1, 6)),
-    Channel("gnss_itow", "gnss", "u32", "ms", "GPS time of week of the fix", rate=Rate.SLOW, downlink="slow"),
-    Channel("gnss_utc_ns", "gnss", "u64", "ns", "UTC of the fix since 1970; 0 while not resolved", rate=Rate.SLOW,
-            downlink="slow"),
-    Channel("gnss_fix", "gnss", "u8", "", "fix type: 0 none, 2 2-D, 3 3-D", rate=Rate.SLOW, downlink="slow"),
-    Channel("gnss_satellites", "gnss", "u8", "", "satellites used", rate=Rate.SLOW, downlink="slow"),
-    Channel("latitude_e7", "gnss", "i32", "deg", "latitude, + north", 1e-7, rate=Rate.SLOW, downlink="slow",
-            columns=("latitude",)),
-    Channel("longitude_e7", "gnss", "i32", "deg", "longitude, + east", 1e-7, rate=Rate.SLOW, downlink="slow",
-            columns=("longitude",)),
-    Channel("height_msl_mm", "gnss", "i32", "m", "height above mean sea level", 1e-3, rate=Rate.SLOW, downlink="slow",
-            columns=("altitude_gnss",)),
-    Channel("velocity_north_mm", "gnss", "i32", "m/s", "ground velocity, + north", 1e-3, rate=Rate.SLOW,
-            downlink="slow", columns=("vn",)),
-    Channel("velocity_east_mm", "gnss", "i32", "m/s", "ground velocity, + east", 1e-3, rate=Rate.SLOW, downlink="slow",
-            columns=("ve",)),
-    Channel("velocity_down_mm", "gnss", "i32", "m/s", "ground velocity, + down", 1e-3, rate=Rate.SLOW, downlink="slow",
-            columns=("vd",)),
-    Channel("time_accuracy_ns", "gnss", "u32", "s", "time accuracy estimate", 1e-9, rate=Rate.SLOW, downlink="slow"),
-    Channel("horizontal_accuracy_mm", "gnss", "u32", "m", "horizontal accuracy estimate", 1e-3, rate=Rate.SLOW,
-            downlink="slow"),
-    Channel("vertical_accuracy_mm", "gnss", "u32", "m", "vertical accuracy estimate", 1e-3, rate=Rate.SLOW,
-            downlink="slow"),
-    Channel("speed_accuracy_mm", "gnss", "u32", "m/s", "speed accuracy estimate", 1e-3, rate=Rate.SLOW,
-            downlink="slow"),
-)  # fmt: skip
+    *(
+        Channel(
+            f"pwm_{i}", "capture", "u16", "s", f"servo pulse width, output {i}", 1e-7, columns=_PWM_COLUMNS.get(i, ())
+        )
+        for i in range(1, 7)
+    ),
+    Channel("digital_1", "capture", "bit", "", "digital input: event switch", columns=("digital_1",)),
+    *(Channel(f"digital_{i}", "capture", "bit", "", "digital input", columns=(f"digital_{i}",)) for i in range(2, 6)),
+    _gnss("gnss_itow", "u32", "ms", "GPS time of week of the fix"),
+    _gnss("gnss_utc_ns", "u64", "ns", "UTC of the fix since 1970; 0 while not resolved"),
+    _gnss("gnss_fix", "u8", "", "fix type: 0 none, 2 2-D, 3 3-D"),
+    _gnss("gnss_satellites", "u8", "", "satellites used"),
+    _gnss("latitude_e7", "i32", "deg", "latitude, + north", 1e-7, "latitude"),
+    _gnss("longitude_e7", "i32", "deg", "longitude, + east", 1e-7, "longitude"),
+    _gnss("height_msl_mm", "i32", "m", "height above mean sea level", 1e-3, "altitude_gnss"),
+    _gnss("velocity_north_mm", "i32", "m/s", "ground velocity, + north", 1e-3, "vn"),
+    _gnss("velocity_east_mm", "i32", "m/s", "ground velocity, + east", 1e-3, "ve"),
+    _gnss("velocity_down_mm", "i32", "m/s", "ground velocity, + down", 1e-3, "vd"),
+    _gnss("time_accuracy_ns", "u32", "s", "time accuracy estimate", 1e-9),
+    _gnss("horizontal_accuracy_mm", "u32", "m", "horizontal accuracy estimate", 1e-3),
+    _gnss("vertical_accuracy_mm", "u32", "m", "vertical accuracy estimate", 1e-3),
+    _gnss("speed_accuracy_mm", "u32", "m/s", "speed accuracy estimate", 1e-3),
+)
 
 _PI = 3.141592653589793
+_RUDDER = "rudder, + trailing edge to port: force to +y, nose left"
 
-COLUMNS: tuple[Column, ...] = (
+BUILT_IN_COLUMNS: tuple[Column, ...] = (
     *(Column(f"a{x}", "m/s2", f"specific force at the CG, {x} axis", "/acceleration", (-120.0, 120.0)) for x in "xyz"),
     Column("p", "rad/s", "roll rate, + right wing down", "/rates", (-10.0, 10.0)),
     Column("q", "rad/s", "pitch rate, + nose up", "/rates", (-10.0, 10.0)),
@@ -193,8 +145,7 @@ COLUMNS: tuple[Column, ...] = (
     Column("V_cas", "m/s", "calibrated airspeed", "/airdata/speed", (0.0, 350.0)),
     Column("delta_e", "rad", "elevator, (left + right)/2, + trailing edge down", "/controls/measured", (-1.0, 1.0)),
     Column("delta_a", "rad", "aileron, + rolls left", "/controls/measured", (-1.0, 1.0)),
-    Column("delta_r", "rad", "rudder, + trailing edge to port: force to +y, nose left", "/controls/measured",
-           (-1.0, 1.0)),
+    Column("delta_r", "rad", _RUDDER, "/controls/measured", (-1.0, 1.0)),
     Column("cmd_e", "rad", "elevator commanded by PWM", "/controls/commanded", (-1.0, 1.0)),
     Column("cmd_a", "rad", "aileron commanded by PWM", "/controls/commanded", (-1.0, 1.0)),
     Column("cmd_r", "rad", "rudder commanded by PWM", "/controls/commanded", (-1.0, 1.0)),
@@ -215,8 +166,20 @@ COLUMNS: tuple[Column, ...] = (
     *(Column(f"analog_{i}", "V", f"analog input {i}", "/inputs/analog", (-0.5, 6.5)) for i in range(1, 6)),
     *(Column(f"digital_{i}", "1", f"digital input {i}", "/inputs/digital", (0.0, 1.0)) for i in range(1, 6)),
     Column("supply_voltage", "V", "main supply", "/power", (0.0, 60.0)),
-)  # fmt: skip
+)
 
+
+def _whole_table() -> tuple[tuple[Group, ...], tuple[Channel, ...], tuple[Column, ...]]:
+    """The built-in rows and those of laboratory packages; the latter need pydantic, so only where there are any."""
+    packages = entry_points(group="sideslip.channels")
+    if not packages:
+        return BUILT_IN_GROUPS, BUILT_IN_CHANNELS, BUILT_IN_COLUMNS
+    from daq.contract.laboratory import with_packages
+
+    return with_packages(packages, BUILT_IN_GROUPS, BUILT_IN_CHANNELS, BUILT_IN_COLUMNS)
+
+
+GROUPS, CHANNELS, COLUMNS = _whole_table()
 CHANNEL_BY_NAME: Mapping[str, Channel] = {c.name: c for c in CHANNELS}
 COLUMN_BY_NAME: Mapping[str, Column] = {c.name: c for c in COLUMNS}
 GROUP_NAMES: tuple[str, ...] = tuple(g.name for g in GROUPS)

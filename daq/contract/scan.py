@@ -6,6 +6,7 @@ A channel that has no value in a scan (sensor absent, no new GPS fix) is simply 
 The last field of an encoded scan is its seal, a checksum over all the rest (`daq.contract.seal`).
 """
 
+import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
@@ -15,7 +16,7 @@ from typing import Any, NamedTuple
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from google.protobuf.message import DecodeError
 
-from daq.contract.channels import CHANNELS, GROUP_NAMES
+from daq.contract.channels import CHANNELS, GROUP_NAMES, GROUPS
 from daq.contract.errors import UserError
 from daq.contract.seal import SEAL_FIELD, SEAL_NUMBER, has_seal, seal, seal_holds
 
@@ -106,6 +107,12 @@ _PROTO_TYPE = {
 }
 
 
+def _own_number(name: str) -> int:
+    """Field number of a row that a laboratory's package brings: of its name alone, so that a recording is read right, or
+    the row not at all, whatever packages are installed. Above the built-in numbers and those protobuf reserves."""
+    return 1_000_000 + zlib.crc32(name.encode()) % 500_000_000
+
+
 def _add_field(message: descriptor_pb2.DescriptorProto, name: str, kind: str, number: int, optional: bool) -> None:
     row = message.field.add(name=name, number=number, type=_PROTO_TYPE[kind], label=_F.LABEL_OPTIONAL)
     if optional:
@@ -119,18 +126,19 @@ def file_descriptor_set() -> descriptor_pb2.FileDescriptorSet:
     """The protobuf schema of a scan, built from the channel table.
 
     Header fields take numbers 1-14, the seal 15, groups 16-127 (state and offset in turn), channels 128 on, in table
-    order.
+    order; rows of laboratory packages take numbers of their own (`_own_number`).
     """
     file = descriptor_pb2.FileDescriptorProto(name="sideslip/scan.proto", package="sideslip", syntax="proto3")
     message = file.message_type.add(name="Scan")
     for i, (name, kind) in enumerate(_HEADER):
         _add_field(message, name, kind, 1 + i, optional=False)
     message.field.add(name=SEAL_FIELD, number=SEAL_NUMBER, type=_F.TYPE_FIXED32, label=_F.LABEL_OPTIONAL)
-    for i, group in enumerate(GROUP_NAMES):
-        _add_field(message, f"{group}_state", "u8", 16 + 2 * i, optional=True)
-        _add_field(message, f"{group}_offset_us", "i32", 17 + 2 * i, optional=True)
+    for i, group in enumerate(GROUPS):
+        for k, (name, kind) in enumerate(((f"{group.name}_state", "u8"), (f"{group.name}_offset_us", "i32"))):
+            _add_field(message, name, kind, _own_number(name) if group.package else 16 + 2 * i + k, optional=True)
     for i, channel in enumerate(CHANNELS):
-        _add_field(message, channel.name, channel.raw_type, 128 + i, optional=True)
+        number = _own_number(channel.name) if channel.package else 128 + i
+        _add_field(message, channel.name, channel.raw_type, number, optional=True)
     return descriptor_pb2.FileDescriptorSet(file=[file])
 
 

@@ -15,9 +15,8 @@ from daq.sensors.base import MS, SECOND, Driver, Reading, SelfTestError, Wait, W
 from daq.sensors.bus import I2cBus
 from daq.sensors.config import StaticConfig
 
-CHIP_ID, ERR, STATUS, DATA, PWR_CTRL, OSR, ODR, FILTER, NVM, CMD = (
-    0x00, 0x02, 0x03, 0x04, 0x1B, 0x1C, 0x1D, 0x1F, 0x31, 0x7E,
-)  # fmt: skip
+CHIP_ID, ERR, STATUS, DATA, PWR_CTRL = 0x00, 0x02, 0x03, 0x04, 0x1B
+OSR, ODR, FILTER, NVM, CMD = 0x1C, 0x1D, 0x1F, 0x31, 0x7E
 NVM_LENGTH = 21
 SOFT_RESET, NORMAL_BOTH, READY_BOTH = 0xB6, 0x33, 0x60
 SKIPPED = 0x800000

@@ -107,9 +107,22 @@ def parse_nav_pvt(payload: bytes) -> NavPvt:
     satellites, longitude, latitude = f[13:16]
     height_msl, horizontal_accuracy, vertical_accuracy, north, east, down = f[17:23]
     return NavPvt(
-        itow, max(utc, 0), time_accuracy, f[10], f[11] & _FIX_OK != 0, satellites, longitude, latitude, height_msl,
-        horizontal_accuracy, vertical_accuracy, north, east, down, f[25],
-    )  # fmt: skip
+        itow,
+        max(utc, 0),
+        time_accuracy,
+        f[10],
+        f[11] & _FIX_OK != 0,
+        satellites,
+        longitude,
+        latitude,
+        height_msl,
+        horizontal_accuracy,
+        vertical_accuracy,
+        north,
+        east,
+        down,
+        f[25],
+    )
 
 
 def _is_date(year: int, month: int, day: int, hour: int, minute: int, second: int) -> bool:

@@ -8,12 +8,13 @@ to 2 Hz at worst, and the heartbeat goes on regardless.
 
 import math
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from daq.clock import NS, Clock
+from daq.contract.channels import Channel
 from daq.contract.link.scan_map import BLOCK, ScanMap
-from daq.contract.link.wire import SCAN_FAST_ID, SCAN_RARE_ID, SCAN_SLOW_ID, layouts, pack_scan
+from daq.contract.link.wire import SCAN_FAST_ID, SCAN_LABORATORY_ID, SCAN_RARE_ID, SCAN_SLOW_ID, layouts, pack_scan
 from daq.contract.recordings.messages import Event
 from daq.contract.scan import Scan
 from daq.telemetry.config import MIN_RATE_HZ, DownlinkConfig, max_rate
@@ -94,7 +95,10 @@ class Downlink:
         self._radio_ns: int | None = None
         self._next_fast = 0.0
         self._next_slow = 0.0
-        self._next_rare = 0.0
+        self._rare = _Turns(self._layouts[SCAN_RARE_ID].channels)
+        own = self._layouts[SCAN_LABORATORY_ID].channels if SCAN_LABORATORY_ID in self._layouts else ()
+        self._laboratory = _Turns(own)
+        self._laboratory_always = any(c.downlink == "fast" for c in own)
         self._first: int | None = None
         self._last = 0
         self._text_id = 0
@@ -155,9 +159,13 @@ class Downlink:
         if time >= self._next_slow:
             items.append(Item(SCAN_SLOW_ID, pack_scan(table[SCAN_SLOW_ID], scan, self.boot)))
             self._next_slow = time + 1.0 / self.config.slow_rate_hz / self._factor
-        if time >= self._next_rare and (self._gnss is scan or time >= self._next_rare + 1.0):
+        if self._rare.due(scan):
             items.append(Item(SCAN_RARE_ID, pack_scan(table[SCAN_RARE_ID], scan, self.boot)))
-            self._next_rare = time + 1.0 / self.config.gnss_rate_hz / self._factor
+            self._rare.next = time + 1.0 / self.config.gnss_rate_hz / self._factor
+        if self._laboratory.due(scan):
+            items.append(Item(SCAN_LABORATORY_ID, pack_scan(table[SCAN_LABORATORY_ID], scan, self.boot)))
+            if not self._laboratory_always:
+                self._laboratory.next = time + 1.0 / self.config.slow_rate_hz / self._factor
         fast = pack_scan(table[SCAN_FAST_ID], scan, self.boot)
         number = scan.number
         items.append(Item(SCAN_FAST_ID, fast, lambda: self._settle(number, True), lambda: self._settle(number, False)))
@@ -324,6 +332,32 @@ class Downlink:
         least = MIN_RATE_HZ / self._wanted_rate
         self._factor = min(1.0, max(least, factor))
         self.outbox.budget = self.config.budget_bytes_per_s * self._factor
+
+
+class _Turns:
+    """Which scan a message goes with whose channels come less often than scans: groups of them take turns.
+
+    next: when the next message is due [s]. It goes with the first scan from then on that has a value of the group whose last
+    value was sent longest ago, so that no sensor is always missed; a group that has none for a second has had its turn.
+    """
+
+    def __init__(self, channels: Sequence[Channel]) -> None:
+        self.next = 0.0
+        self._names = {
+            g: frozenset(c.name for c in channels if c.group == g) for g in dict.fromkeys(c.group for c in channels)
+        }
+        self._sent = dict.fromkeys(self._names, -math.inf)
+
+    def due(self, scan: Scan) -> bool:
+        """Whether the message goes with this scan."""
+        if not self._sent or scan.time < self.next:
+            return False
+        waiting = min(self._sent, key=lambda g: self._sent[g])
+        present = {g for g, names in self._names.items() if not names.isdisjoint(scan.values)}
+        if waiting not in present and scan.time < self.next + 1.0:
+            return False
+        self._sent.update(dict.fromkeys((*present, waiting), scan.time))
+        return True
 
 
 class _Timers:

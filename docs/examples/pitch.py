@@ -1,6 +1,6 @@
 """Nonlinear longitudinal motion: V, alpha, theta, q with a drag polar; thrust and dynamic pressure are inputs.
 
-Run: sideslip estimate FLIGHT.csv --model docs.examples.pitch:Pitch
+Run: sideslip estimate FLIGHT.csv --model docs.examples.pitch:Pitch --aircraft cdfp
 """
 
 from typing import Any, ClassVar

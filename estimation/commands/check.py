@@ -19,26 +19,37 @@ EXAMPLE = (
 
 @click.command(epilog=EXAMPLE)
 @click.argument("flights", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="FLIGHT...")
-@click.option("--factors", "factors_text", help="Factors to estimate, comma-separated; with a leading + they "
-              "are added to the standard ones (dax day daz dp dq dr K_beta dbeta). Also K_alpha dalpha K_V dV dphi dtheta, "
-              "x_imu y_imu z_imu, x_vane y_vane z_vane, delays tau_beta tau_alpha tau_V tau_phi tau_theta tau_psi.")  # fmt: skip
-@click.option("--aircraft", default="cdfp", show_default=True,
-              help="Built-in aircraft or an AIRCRAFT.toml: its derivatives predict what the flight can tell.")  # fmt: skip
+@click.option(
+    "--factors",
+    "factors_text",
+    help="Factors to estimate, comma-separated; with a leading + they "
+    "are added to the standard ones (dax day daz dp dq dr K_beta dbeta). Also K_alpha dalpha K_V dV dphi dtheta, "
+    "x_imu y_imu z_imu, x_vane y_vane z_vane, delays tau_beta tau_alpha tau_V tau_phi tau_theta tau_psi.",
+)
+@click.option(
+    "--aircraft",
+    help="Built-in aircraft or an AIRCRAFT.toml: its derivatives predict what the flight can tell"
+    "  [default: the one each flight carries or names; without one nothing is predicted].",
+)
 @click.option("--joint", is_flag=True, help="Also one set of factors shared by all flights.")
 @click.option("--segments", help="Use only these stretches, each with initial states of its own: 2:12,15:25 [s].")
 @click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write the results as JSON.")
 @click.option(
     "--figure", "figure_path", type=click.Path(path_type=Path), help="Write measured and reconstructed motion."
 )
-@click.option("--report", "report_folder", type=click.Path(path_type=Path, file_okay=False),
-              help="Write an HTML report: factors beside published ones, motion, quality.")  # fmt: skip
+@click.option(
+    "--report",
+    "report_folder",
+    type=click.Path(path_type=Path, file_okay=False),
+    help="Write an HTML report: factors beside published ones, motion, quality.",
+)
 @click.option(
     "--write", "folder", type=click.Path(path_type=Path, file_okay=False), help="Write corrected flights here."
 )
 def check(
     flights: tuple[Path, ...],
     factors_text: str | None,
-    aircraft: str,
+    aircraft: str | None,
     joint: bool,
     segments: str | None,
     json_path: Path | None,
@@ -47,27 +58,26 @@ def check(
     folder: Path | None,
 ) -> int:
     """Check that accelerations, rates, attitude and air data of each FLIGHT tell the same story."""
-    from estimation.aircraft import load_aircraft
-    from estimation.commands.outputs import write_json
+    from estimation.commands.outputs import check_outputs, write_json
     from estimation.compatibility.correct import corrected
-    from estimation.compatibility.excitation import excitation_findings, predicted_bounds
     from estimation.compatibility.reconstruction import compatibility
     from estimation.models.kinematic import STANDARD_FACTORS
     from estimation.report.compatibility_tables import factor_lines, published_lines, write_figure
+    from estimation.report.published import is_of
     from estimation.session.flights import select_segments, unique_names
     from groundstation.flight import read_flight, write_flight
     from groundstation.flight.quality import quality_report, worst
 
     factors, known = wanted_factors(factors_text)
-    craft = load_aircraft(aircraft)
+    check_outputs(json=json_path, figure=figure_path, report=report_folder, write=folder)
     read = unique_names([select_segments(read_flight(path), segments) for path in flights])
-    quality = [(*quality_report(f), *excitation_findings(predicted_bounds(f, craft))) for f in read]
+    quality = [(*quality_report(f), *_excitation(f, aircraft)) for f in read]
     results = [(flight.name, compatibility(flight, factors, known=known)) for flight in read]
     if joint and len(read) > 1:
         results.append(("joint", compatibility(read, factors, known=known)))
     for line in factor_lines(results):
         click.echo(line)
-    if all(f.provenance.aircraft == "cdfp" for f in read) and set(STANDARD_FACTORS) <= set(factors):
+    if all(is_of(f.provenance.aircraft) for f in read) and set(STANDARD_FACTORS) <= set(factors):
         click.echo()
         for line in published_lines():
             click.echo(line)
@@ -91,6 +101,18 @@ def check(
             click.echo(f"corrected flight: {target}")
     failed = any(worst(findings) == "fail" for findings in quality) or not all(r.converged for _, r in results)
     return 1 if failed else 0
+
+
+def _excitation(flight: "Flight", aircraft: str | None) -> "tuple[Finding, ...]":
+    """What the flight can tell of its aircraft's derivatives; one finding that says why not where it names none."""
+    from estimation.aircraft.of_flight import aircraft_of
+    from estimation.compatibility.excitation import CHECK, excitation_findings, predicted_bounds
+    from groundstation.flight.quality import Finding
+
+    if aircraft is None and not flight.provenance.aircraft:
+        why = "not predicted, for the flight names no aircraft; give one with --aircraft NAME or FILE"
+        return (Finding(CHECK, "ok", why),)
+    return tuple(excitation_findings(predicted_bounds(flight, aircraft_of([flight], aircraft))))
 
 
 def wanted_factors(text: str | None) -> tuple[tuple[str, ...], dict[str, float]]:

@@ -70,7 +70,12 @@ def design(
 
     check_outputs(json=json_path, figure=figure_path, save_model=output)
     known = _estimate(estimate_path) if estimate_path else {}
-    craft = load_aircraft(aircraft or known.get("aircraft") or "cdfp")
+    named = aircraft or known.get("aircraft")
+    if not named:
+        raise EstimationError(
+            "design: name the aircraft with --aircraft (a built-in one or an AIRCRAFT.toml), or --from an estimate"
+        )
+    craft = load_aircraft(named)
     chosen = load_model(known.get("model", model), craft)
     task = Task(
         kind=kind,

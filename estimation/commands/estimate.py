@@ -1,6 +1,5 @@
 """`sideslip estimate`: aerodynamic parameters with bounds, beside what was believed before flying."""
 
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -8,7 +7,7 @@ from typing import TYPE_CHECKING
 import click
 
 from estimation.estimators.estimator import Extra, Extras
-from estimation.estimators.registry import listed, names
+from estimation.estimators.registry import find, listed, names
 
 if TYPE_CHECKING:
     from estimation.estimators.result import Bootstrap, Result
@@ -32,16 +31,21 @@ def _able(extra: Extra) -> str:
     metavar="NAMES",
     help=f"Comma-separated: {', '.join(names())}; module:NAME is an estimator of your own.",
 )
-@click.option("--model", default="lateral", show_default=True,
-              help="lateral, lateral-simple, longitudinal, six-dof, a MODEL.toml, or module:Class.")  # fmt: skip
 @click.option(
-    "--aircraft", help="Built-in aircraft or an AIRCRAFT.toml  [default: cdfp, where the model asks for one]."
+    "--model",
+    default="lateral",
+    show_default=True,
+    help="lateral, lateral-simple, longitudinal, six-dof, a MODEL.toml, or module:Class.",
 )
+@click.option("--aircraft", help="Built-in aircraft or an AIRCRAFT.toml  [default: the one the flights carry or name].")
 @click.option("--joint", is_flag=True, help="Also one estimate over all flights together.")
 @click.option("--device", default="cpu", show_default=True, help="Where ngn trains its networks: cpu, cuda or auto.")
 @click.option("--segments", help="Use only these stretches, each with its own initial states: 2:12,15:25 [s].")
-@click.option("--each-segment", is_flag=True,
-              help="Take each segment as a flight of its own: estimates each, their scatter, --joint all of them.")  # fmt: skip
+@click.option(
+    "--each-segment",
+    is_flag=True,
+    help="Take each segment as a flight of its own: estimates each, their scatter, --joint all of them.",
+)
 @click.option(
     "--raw-inputs",
     is_flag=True,
@@ -60,17 +64,37 @@ def _able(extra: Extra) -> str:
     type=click.Path(path_type=Path),
     help="Write a figure of measured and estimated histories.",
 )
-@click.option("--histories", "histories_folder", type=click.Path(path_type=Path),
-              help="Write each flight with what the model shows beside it, for sideslip view.")  # fmt: skip
-@click.option("--save-model", "model_path", type=click.Path(path_type=Path),
-              help="Write the model with its estimates: joint if asked for, else of the first flight.")  # fmt: skip
-@click.option("--truth", "truth_path", type=click.Path(path_type=Path),
-              help="True derivatives of simulated flights (JSON), shown beside the means.")  # fmt: skip
-@click.option("--profile", default="", metavar="NAMES",
-              help=f"Comma-separated parameters: 95 % interval by profile likelihood ({_able(Extra.PROFILE)}).")  # fmt: skip
-@click.option("--bootstrap", default=0, metavar="N",
-              help=f"Spread by N refits ({_able(Extra.BOOTSTRAP)}): of simulated repetitions, or networks on resampled "
-              "stretches (64 where not given).")  # fmt: skip
+@click.option(
+    "--histories",
+    "histories_folder",
+    type=click.Path(path_type=Path),
+    help="Write each flight with what the model shows beside it, for sideslip view.",
+)
+@click.option(
+    "--save-model",
+    "model_path",
+    type=click.Path(path_type=Path),
+    help="Write the model with its estimates: joint if asked for, else of the first flight.",
+)
+@click.option(
+    "--truth",
+    "truth_path",
+    type=click.Path(path_type=Path),
+    help="True derivatives of simulated flights (JSON), shown beside the means.",
+)
+@click.option(
+    "--profile",
+    default="",
+    metavar="NAMES",
+    help=f"Comma-separated parameters: 95 % interval by profile likelihood ({_able(Extra.PROFILE)}).",
+)
+@click.option(
+    "--bootstrap",
+    default=0,
+    metavar="N",
+    help=f"Spread by N refits ({_able(Extra.BOOTSTRAP)}): of simulated repetitions, or networks on resampled "
+    "stretches (64 where not given).",
+)
 @click.option("--seed", default=0, show_default=True, help="Of the bootstrap, and of the networks.")
 @click.option(
     "--brief", is_flag=True, help="Print each flight in one line; tables for the mean and the joint estimate only."
@@ -103,8 +127,10 @@ def estimate(
 
     for library in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
         os.environ.setdefault(library, "1")  # matrices of a fit are small: threads only wait for one another
-    from estimation.aircraft import load_aircraft
+    from estimation.aircraft import unknown_aircraft
+    from estimation.aircraft.of_flight import aircraft_of
     from estimation.commands.outputs import check_outputs
+    from estimation.commands.progress import Progress
     from estimation.commands.truth import read_truth
     from estimation.models import load_model
     from estimation.models.load import asks_for_aircraft
@@ -115,20 +141,22 @@ def estimate(
     check_outputs(
         json=json_path, figure=figure_path, report=report_folder, save_model=model_path, histories=histories_folder
     )
-    craft = load_aircraft(aircraft or "cdfp")
-    chosen = load_model(model, craft)
     read = [select_segments(read_flight(path), segments) for path in flights]
     if each_segment:
         read = [part for flight in read for part in separated(flight)]
-    if aircraft is None and not asks_for_aircraft(model):
-        craft = replace(craft, name=read[0].provenance.aircraft or "not stated")
     chosen_methods = tuple(dict.fromkeys(m.strip() for m in methods.split(",") if m.strip()))
+    if aircraft is None and not asks_for_aircraft(model) and not any(find(m).needs_aircraft for m in chosen_methods):
+        craft = unknown_aircraft(read[0].provenance.aircraft or "not stated")
+    else:
+        craft = aircraft_of(read, aircraft)
+    chosen = load_model(model, craft)
     truth = {} if truth_path is None else read_truth(truth_path, [f.name for f in read])
     profiled = tuple(dict.fromkeys(n.strip() for n in profile.split(",") if n.strip()))
     extras = Extras(profiled, bootstrap, seed, raw_inputs, stepwise)
-    session = runner.estimate(
-        chosen, read, craft, chosen_methods, joint=joint, device=device, progress=_progress(), extras=extras
-    )
+    with Progress() as progress:
+        session = runner.estimate(
+            chosen, read, craft, chosen_methods, joint=joint, device=device, progress=progress, extras=extras
+        )
     session = replace(session, truth=truth)
     # files first: a reader that closes the pipe early (| head) must not cost a result
     written = list(write_files(session, json_path, model_path, figure_path, histories_folder, report_folder))
@@ -170,19 +198,6 @@ def write_files(
         from estimation.report.page import write_estimate_report
 
         yield f"report: {write_estimate_report(session, report_folder)}"
-
-
-class _Progress:
-    def __init__(self) -> None:
-        self.live = sys.stderr.isatty()
-
-    def __call__(self, text: str) -> None:
-        if self.live:
-            click.echo(f"  {text} ...", err=True)
-
-
-def _progress() -> _Progress:
-    return _Progress()
 
 
 # ------------------------------------------------------------------------------------------------------ tables

@@ -1,6 +1,5 @@
 """`sideslip gap`: find where model and flight disagree, name the effect, add it, show the gap shrink."""
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -35,12 +34,17 @@ class _ManyHoldouts(click.Command):
 
 @click.command(cls=_ManyHoldouts, epilog=EXAMPLE)
 @click.argument("flights", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="FLIGHT...")
-@click.option("--holdout", multiple=True, type=click.Path(path_type=Path), metavar="FLIGHT...",
-              help="Flights kept out of every fit, to confirm what is found; several may follow.")  # fmt: skip
+@click.option(
+    "--holdout",
+    multiple=True,
+    type=click.Path(path_type=Path),
+    metavar="FLIGHT...",
+    help="Flights kept out of every fit, to confirm what is found; several may follow.",
+)
 @click.option(
     "--model", default="lateral", show_default=True, help="Base model: built-in name, MODEL.toml or module:Class."
 )
-@click.option("--aircraft", default="cdfp", show_default=True, help="Built-in aircraft or an AIRCRAFT.toml.")
+@click.option("--aircraft", help="Built-in aircraft or an AIRCRAFT.toml  [default: the one the flights carry or name].")
 @click.option(
     "--report",
     "report_folder",
@@ -49,15 +53,25 @@ class _ManyHoldouts(click.Command):
 )
 @click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write the answer as JSON.")
 @click.option("--seed", default=1, show_default=True, help="Of every random draw: same seed, same answer.")
-@click.option("--nulls", default=200, show_default=True, type=click.IntRange(min=20),
-              help="Simulated baselines from which every threshold comes.")  # fmt: skip
-@click.option("--effects", "effect_files", multiple=True, type=click.Path(path_type=Path),
-              help="A .toml or .py file with effects of your own; may be repeated.")  # fmt: skip
+@click.option(
+    "--nulls",
+    default=200,
+    show_default=True,
+    type=click.IntRange(min=20),
+    help="Simulated baselines from which every threshold comes.",
+)
+@click.option(
+    "--effects",
+    "effect_files",
+    multiple=True,
+    type=click.Path(path_type=Path),
+    help="A .toml or .py file with effects of your own; may be repeated.",
+)
 def gap(
     flights: tuple[Path, ...],
     holdout: tuple[Path, ...],
     model: str,
-    aircraft: str,
+    aircraft: str | None,
     report_folder: Path | None,
     json_path: Path | None,
     seed: int,
@@ -65,20 +79,23 @@ def gap(
     effect_files: tuple[Path, ...],
 ) -> int:
     """Find what the model of the FLIGHTs is missing, name it with what it may be confused with, and add it."""
-    from estimation.aircraft import load_aircraft
+    from estimation.aircraft.of_flight import aircraft_of
+    from estimation.commands.outputs import check_outputs
+    from estimation.commands.progress import Progress
     from estimation.gap.effects import catalogue
     from estimation.gap.run import analyse
     from estimation.gap.workflow import Options
-    from estimation.models.load import load_model
+    from estimation.models.load import asks_for_aircraft, load_model
     from groundstation.flight import read_flight
 
-    chosen = load_model(model, load_aircraft(aircraft))
+    check_outputs(json=json_path, report=report_folder)
     training = [read_flight(path) for path in flights]
     held = [read_flight(path) for path in holdout]
+    chosen = load_model(model, aircraft_of([*training, *held], aircraft) if asks_for_aircraft(model) else None)
     effects = catalogue(effect_files)
-    result = analyse(
-        chosen, training, held, effects, Options(seed=seed, nulls=nulls), _Progress(), report_folder, json_path
-    )
+    options = Options(seed=seed, nulls=nulls)
+    with Progress() as progress:
+        result = analyse(chosen, training, held, effects, options, progress, report_folder, json_path)
     for line in lines(result):
         click.echo(line)
     if report_folder is not None:
@@ -109,19 +126,3 @@ def lines(result: "GapResult") -> list[str]:
     if result.files[1]:
         out.append(f"model: {result.files[0]} -> {result.files[1]}")
     return out
-
-
-class _Progress:
-    """A line that is rewritten on a terminal, plain lines at every quarter in a log."""
-
-    def __init__(self) -> None:
-        self._quarter = -1
-
-    def __call__(self, what: str, share: float) -> None:
-        if sys.stderr.isatty():
-            filled = int(30 * share)
-            end = "\n" if share >= 1.0 else ""
-            click.echo(f"\r[{'#' * filled}{'.' * (30 - filled)}] {what:45s}{end}", err=True, nl=False)
-        elif int(4 * share) > self._quarter:
-            self._quarter = int(4 * share)
-            click.echo(f"{share:4.0%} {what}", err=True)

@@ -13,12 +13,23 @@ EXAMPLE = "Example: sideslip match ld4.toml ld2.mcap --json match.json"
 @click.option(
     "--free", default="", help="Comma-separated parameters refitted on each flight (biases); all others are frozen."
 )
-@click.option("--limit", type=float, default=0.3, show_default=True,
-              help="Theil's coefficient above which a channel does not match (exit status 1).")  # fmt: skip
+@click.option(
+    "--limit",
+    type=float,
+    default=0.3,
+    show_default=True,
+    help="Theil's coefficient above which a channel does not match (exit status 1).",
+)
 @click.option("--segments", help="Use only these stretches, each with its own initial states: 2:12,15:25 [s].")
-@click.option("--histories", "histories_folder", type=click.Path(path_type=Path),
-              help="Write each flight with what the model predicts beside it, for sideslip view.")  # fmt: skip
-@click.option("--aircraft", default="cdfp", show_default=True, help="For a built-in model or a class of one's own.")
+@click.option(
+    "--histories",
+    "histories_folder",
+    type=click.Path(path_type=Path),
+    help="Write each flight with what the model predicts beside it, for sideslip view.",
+)
+@click.option(
+    "--aircraft", help="For a built-in model or a class of one's own  [default: the one the flights carry or name]."
+)
 @click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write the fit as JSON.")
 @click.option(
     "--figure",
@@ -33,22 +44,23 @@ def match(
     limit: float,
     segments: str | None,
     histories_folder: Path | None,
-    aircraft: str,
+    aircraft: str | None,
     json_path: Path | None,
     figure_path: Path | None,
 ) -> int:
     """Predict each FLIGHT with MODEL.toml, parameters frozen and only initial states refitted, and judge the match."""
-    from estimation.aircraft import load_aircraft
+    from estimation.aircraft.of_flight import aircraft_of
     from estimation.commands.outputs import check_outputs, write_json
     from estimation.models import load_model
+    from estimation.models.load import asks_for_aircraft
     from estimation.session.flights import select_segments, unique_names
     from estimation.session.proof_of_match import predict
     from groundstation.flight import read_flight
 
     check_outputs(json=json_path, figure=figure_path, histories=histories_folder)
-    chosen = load_model(model, load_aircraft(aircraft))
     wanted = tuple(n.strip() for n in free.split(",") if n.strip())
     read = unique_names([select_segments(read_flight(path), segments) for path in flights])
+    chosen = load_model(model, aircraft_of(read, aircraft) if asks_for_aircraft(str(model)) else None)
     proofs = [predict(chosen, flight, free=wanted) for flight in read]
     good = True
     for proof in proofs:

@@ -88,7 +88,7 @@ class Estimator:
     name: as `--method` and the JSON have it; title: in progress and reports. fit: raises EstimationError where model or
     flights cannot be used; a fit that fails is a Result whose status says so. supports: the extras that `fit` heeds.
     fit_each: each flight of the task by itself, given only where that is cheaper than one after the other. rank: place in
-    lists. look: in figures; one is chosen where none is given.
+    lists. look: in figures; one is chosen where none is given. needs_aircraft: takes geometry and mass from the aircraft itself.
     """
 
     name: str
@@ -98,3 +98,4 @@ class Estimator:
     fit_each: "Callable[[Task], list[Result]] | None" = None
     rank: int = 100
     look: Look | None = None
+    needs_aircraft: bool = False

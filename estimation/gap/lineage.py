@@ -1,13 +1,13 @@
 """Models as a lineage of files: each child says what was added to which parent, on which flights, with what evidence."""
 
 import hashlib
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+from daq.contract.outputs import write_json
 from estimation.gap.result import Step
 from estimation.models.base import Model
 from estimation.models.load import write_model
@@ -63,5 +63,5 @@ def write_lineage(
         "seed": seed,
         "software": software(),
     }  # fmt: skip
-    (folder / f"{after.stem}.lineage.json").write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+    write_json(record, folder / f"{after.stem}.lineage.json")
     return before, after

@@ -1,10 +1,10 @@
 """One run of the gap workflow with its files: models, lineage and JSON."""
 
-import json
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from daq.contract.outputs import write_json
 from estimation.gap.effects.base import Effect
 from estimation.gap.lineage import write_lineage
 from estimation.gap.result import GapResult
@@ -38,9 +38,6 @@ def analyse(
         )
         result = replace(result, files=(str(before), str(after)))
     if json_path is not None:
-        json_path.parent.mkdir(parents=True, exist_ok=True)
-        json_path.write_text(
-            json.dumps(result.to_json(), indent=1, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8"
-        )
+        write_json(result.to_json(), json_path)
     tell("done", 1.0)
     return result

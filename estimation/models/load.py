@@ -1,14 +1,16 @@
 """Get a model: by built-in name, from a TOML file of equations, or from a class of one's own; write one to TOML."""
 
-import json
+import math
 import tomllib
-from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from estimation.aircraft import Aircraft, load_aircraft
+from daq.contract.outputs import write_text
+from estimation.aircraft import Aircraft, built_in_aircraft, load_aircraft
 from estimation.errors import ModelError
 from estimation.models.base import Model
+from estimation.models.expressions import names_in
 from estimation.models.library import BUILDERS
 from estimation.own_code import MISTAKES, named, said
 
@@ -16,8 +18,9 @@ from estimation.own_code import MISTAKES, named, said
 def load_model(which: str | Path | type | Model, aircraft: Aircraft | str | None = None) -> Model:
     """The model meant by `which`: a built-in name, a TOML file, `module:Class`, a class, or a model.
 
-    aircraft: gives the built-in models constants and starting derivatives (default: the built-in CDFP).
-    Raises ModelError naming what was not found or does not fit.
+    aircraft: an aircraft, a built-in name or a file; gives the built-in models, and classes that ask for it, constants and
+    starting derivatives. Raises ModelError naming what was not found or does not fit, AircraftError for what the aircraft
+    lacks.
     """
     if isinstance(which, Model):
         return which
@@ -25,7 +28,8 @@ def load_model(which: str | Path | type | Model, aircraft: Aircraft | str | None
         return _from_class(which, aircraft)
     text = str(which)
     if text in BUILDERS:
-        return BUILDERS[text](aircraft if isinstance(aircraft, Aircraft) else load_aircraft(aircraft or "cdfp"))
+        craft = _named(aircraft, f"model {text}")
+        return _with_known_constants(BUILDERS[text](craft), craft, f"model {text}")
     if text.endswith(".toml"):
         return read_model(text)
     if ":" in text:
@@ -33,11 +37,29 @@ def load_model(which: str | Path | type | Model, aircraft: Aircraft | str | None
     raise ModelError(f"model {text!r}: none of {', '.join(BUILDERS)}, no .toml file and not of the form module:Class")
 
 
+def _named(aircraft: Aircraft | str | None, what: str) -> Aircraft:
+    if aircraft is None:
+        raise ModelError(
+            f"{what} takes mass and geometry of an aircraft and was given none; name a built-in one"
+            f" ({', '.join(built_in_aircraft())}), or write a file with: sideslip aircraft new NAME"
+        )
+    return aircraft if isinstance(aircraft, Aircraft) else load_aircraft(aircraft)
+
+
+def _with_known_constants(model: Model, aircraft: Aircraft | None, what: str) -> Model:
+    """The model without constants its aircraft does not know; AircraftError where an equation uses one of them."""
+    unknown = {name for name, value in model.constants.items() if math.isnan(value)}
+    if aircraft is None or not unknown:
+        return model
+    aircraft.need(sorted(frozenset[str]().union(*(names_in(text) for text in model.definitions.values()))), what)
+    return replace(model, constants={n: v for n, v in model.constants.items() if n not in unknown})
+
+
 def asks_for_aircraft(which: str) -> bool:
     """Whether a model takes constants or derivatives from an aircraft: a built-in one, or a class that is given it."""
     if which in BUILDERS:
         return True
-    if which.endswith(".toml"):
+    if which.endswith(".toml") or ":" not in which:
         return False
     from estimation.models.own import takes_aircraft
 
@@ -60,42 +82,22 @@ def read_model(path: str | Path) -> Model:
 
 def write_model(model: Model, path: str | Path) -> None:
     """Write a model so that `read_model` gives an equal one; the file is replaced in one step."""
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_suffix(path.suffix + ".part")
-    partial.write_text("\n".join(_toml(model)) + "\n", encoding="utf-8")
-    partial.replace(path)
+    import tomli_w
+
+    data = {key: _plain(value) for key, value in model.to_dict().items() if value}
+    order = ("name", "title", "description", "equations")  # what a person reads first
+    write_text(
+        tomli_w.dumps({key: data[key] for key in (*(k for k in order if k in data), *data)}, indent=2), Path(path)
+    )
 
 
-def _toml(model: Model) -> Iterator[str]:
-    data = model.to_dict()
-    for key in ("name", "title", "description"):
-        if data[key]:
-            yield f"{key} = {json.dumps(data[key])}"
-    yield "equations = ["
-    yield from (f"  {json.dumps(line)}," for line in data["equations"])
-    yield "]"
-    for key in ("states", "inputs", "outputs", "transforms", "parameters"):
-        if data[key]:
-            yield f"{key} = ["
-            yield from (f"  {_inline(item)}," for item in data[key])
-            yield "]"
-    for key in ("constants", "output_delays"):
-        if data[key]:
-            yield f"\n[{key}]"
-            yield from (f"{name} = {_value(value)}" for name, value in data[key].items())
-
-
-def _inline(item: Mapping[str, Any]) -> str:
-    return "{ " + ", ".join(f"{key} = {_value(value)}" for key, value in item.items() if value is not None) + " }"
-
-
-def _value(value: Any) -> str:
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, float | int):
-        return repr(float(value))
-    return json.dumps(value)
+def _plain(value: Any) -> Any:
+    """Without what TOML has no word for: None, and the bare numbers 1 and 1.0 as two things."""
+    if isinstance(value, dict):
+        return {k: _plain(v) for k, v in value.items() if v is not None}
+    if isinstance(value, list):
+        return [_plain(v) for v in value]
+    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else value
 
 
 def _import_class(text: str) -> type:
@@ -108,7 +110,8 @@ def _import_class(text: str) -> type:
 def _from_class(cls: type, aircraft: Aircraft | str | None) -> Model:
     from estimation.models.own import model_from_class
 
+    craft = load_aircraft(aircraft) if isinstance(aircraft, str) else aircraft
     try:
-        return model_from_class(cls, load_aircraft(aircraft) if isinstance(aircraft, str) else aircraft)
+        return _with_known_constants(model_from_class(cls, craft), craft, f"model class {cls.__name__}")
     except MISTAKES as error:
         raise ModelError(f"model class {cls.__name__}: {said(error)}") from error

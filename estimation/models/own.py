@@ -114,11 +114,14 @@ def symbol(value: object) -> Symbol:
     if isinstance(value, Symbol):
         return value
     try:
-        return Symbol("leaf", repr(float(value)))  # type: ignore[arg-type]
+        number = float(value)  # type: ignore[arg-type]
     except (TypeError, ValueError):
         raise ModelError(
             f"an equation holds {type(value).__name__}, which is neither a number nor a quantity"
         ) from None
+    if not math.isfinite(number):
+        raise ModelError("an equation holds a number that is not finite; does the aircraft's file lack it?")
+    return Symbol("leaf", repr(number))
 
 
 def _function(name: str) -> Any:
@@ -201,9 +204,10 @@ def _instance(cls: type, aircraft: Aircraft | None) -> Any:
     if not takes_aircraft(cls):
         return cls()
     if aircraft is None:
-        from estimation.aircraft import load_aircraft
-
-        aircraft = load_aircraft()
+        raise ModelError(
+            f"model class {cls.__name__} asks for an aircraft and was given none; name a built-in one or a file"
+            " (--aircraft, or the argument aircraft of load_model)"
+        )
     return cls(aircraft)
 
 

@@ -59,7 +59,7 @@ def write_check_report(
 
 def factor_table(results: Sequence[tuple[str, Compatibility]], flights: Sequence["Flight"]) -> Table:
     """Table 2: factor, estimate and bound a flight; the published columns where all flights are of the CDFP."""
-    ours = all(f.provenance.aircraft in ("", "cdfp") for f in flights)
+    ours = all(published.is_of(f.provenance.aircraft) for f in flights)
     others = published.published_flights() if ours else ()
     rows = []
     for name, first in results[0][1].factors.items():

@@ -17,7 +17,7 @@ BOUNDS = (
 
 def is_published(session: "Session") -> bool:
     """Whether the published columns are of this aircraft and model."""
-    return session.aircraft.name == "cdfp" and "CY_beta" in session.model.free_names
+    return published.is_of(session.aircraft.name) and "CY_beta" in session.model.free_names
 
 
 def _believed(session: "Session") -> bool:

@@ -80,7 +80,7 @@ def _derivatives(data: dict[str, Any] | None) -> Table | None:
     names = (
         list(next(iter((source[m]["parameters"] if source else data["mean"][m]) for m in methods))) if methods else []
     )
-    ours = data["aircraft"] == "cdfp"
+    ours = published.is_of(data["aircraft"])
     rows = []
     for name in names:
         row = [name]

@@ -26,6 +26,11 @@ def _data() -> Mapping[str, Any]:
     return data
 
 
+def is_of(aircraft: str) -> bool:
+    """Whether these numbers are of the named aircraft."""
+    return bool(_data()["aircraft"] == aircraft)
+
+
 def wind_tunnel(name: str) -> float | None:
     """Wind-tunnel value of a derivative [1/rad], None where there is none."""
     value = _data()["wind_tunnel"].get(name)

@@ -2,51 +2,57 @@
 
 Coefficients per radian with non-dimensional rates p_hat = p b / 2V, q_hat = q c / 2V, r_hat = r b / 2V. Lift and drag
 turn with alpha only; CY is the body-axis side-force coefficient m a_y / (q S) (The Aeronautical Journal (2018),
-pp 889-912, eq 4); moments are about body axes at the CG. Lateral truth: means of the maximum-likelihood estimates of
-four flights (same source, Table 5). Longitudinal derivatives are engineering estimates from the aircraft file.
+pp 889-912, eq 4); moments are about body axes at the CG. The derivatives are those of the aircraft's file.
 """
 
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
-from estimation.aircraft import Aircraft
+from estimation.aircraft import Aircraft, SimulatedFlight
 from firmware_sim.errors import ScenarioError
 
 if TYPE_CHECKING:
     from firmware_sim.physics.motion import Motion
 
-TABLE_5_ML_MEANS: Mapping[str, float] = {
-    "CY_0": 0.0001, "CY_beta": -0.1152, "CY_p": -0.0529, "CY_r": 0.1103, "CY_dr": 0.4174,
-    "Cl_0": -0.0001, "Cl_beta": -0.0894, "Cl_p": -0.4951, "Cl_r": 0.091, "Cl_da": -0.0948, "Cl_dr": -0.0193,
-    "Cn_0": 0.0002, "Cn_beta": 0.0263, "Cn_p": 0.0245, "Cn_r": -0.0472, "Cn_dr": -0.0327,
-}  # fmt: skip
-
+LATERAL = tuple("CY_0 CY_beta CY_p CY_r CY_dr Cl_0 Cl_beta Cl_p Cl_r Cl_da Cl_dr Cn_0 Cn_beta Cn_p Cn_r Cn_dr".split())
 LONGITUDINAL = ("CL_0", "CL_alpha", "CL_q", "CL_de", "CD_0", "CD_k", "Cm_0", "Cm_alpha", "Cm_q", "Cm_de")
-REFERENCE_SPEED = 17.0  # m/s at which the aircraft is rigged to fly level with the elevons in line
 REFERENCE_DENSITY = 1.17  # kg/m3
 
 
 def true_derivatives(aircraft: Aircraft, overrides: Mapping[str, float]) -> dict[str, float]:
-    """The derivatives the simulated aircraft flies with: Table 5 and the aircraft file, then `overrides`.
+    """The derivatives the simulated aircraft flies with: those believed, then those of [simulation], then `overrides`.
 
-    Cm_0 is set so that the elevator is in line at the reference speed, unless overridden. Raises ScenarioError for a
-    derivative this aircraft does not have.
+    Cm_0 is set so that the elevator is in line at the trim speed, unless overridden. Raises ScenarioError for a
+    derivative this aircraft does not have, or does not state and needs.
     """
-    values = dict(TABLE_5_ML_MEANS)
-    for name in LONGITUDINAL:
-        prior = aircraft.prior(name)
-        if prior is None:
-            raise ScenarioError(f"aircraft {aircraft.name!r}: derivative {name} is missing, needed to fly it")
-        values[name] = prior.value
-    unknown = sorted(set(overrides) - set(values))
+    flown = simulation_of(aircraft)
+    stated = {**{n: p.value for n, p in aircraft.derivatives.items()}, **flown.derivatives, **overrides}
+    names = (*LATERAL, *LONGITUDINAL)
+    unknown = sorted(set(overrides) - set(names))
     if unknown:
-        raise ScenarioError(f"derivatives.{unknown[0]}: no such derivative; known are {', '.join(values)}")
-    values.update(overrides)
+        raise ScenarioError(f"derivatives.{unknown[0]}: no such derivative; known are {', '.join(names)}")
+    missing = [n for n in names if n not in stated and n != "Cm_0"]
+    if missing:
+        raise ScenarioError(
+            f"aircraft {aircraft.name!r}: derivative {', '.join(missing)} missing, needed to fly it; add to"
+            " [derivatives] or [simulation.derivatives] of its file"
+        )
+    values = {name: stated.get(name, 0.0) for name in names}
     if "Cm_0" not in overrides:
-        pressure = 0.5 * REFERENCE_DENSITY * REFERENCE_SPEED**2
+        pressure = 0.5 * REFERENCE_DENSITY * flown.speed**2
         lift = aircraft.mass * 9.80665 / (pressure * aircraft.area)
         values["Cm_0"] = -values["Cm_alpha"] * (lift - values["CL_0"]) / values["CL_alpha"]
     return values
+
+
+def simulation_of(aircraft: Aircraft) -> SimulatedFlight:
+    """How an aircraft flies in simulation. Raises ScenarioError where its file does not say, or lacks geometry or mass."""
+    if aircraft.simulation is None:
+        raise ScenarioError(
+            f"aircraft {aircraft.name!r} cannot be flown: its file has no [simulation]; add it (docs/aircraft.md)"
+        )
+    aircraft.need(("m", "S", "b", "c", "Ixx", "Iyy", "Izz"), "a simulated flight")
+    return aircraft.simulation
 
 
 class Aerodynamics:

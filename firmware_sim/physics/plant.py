@@ -11,7 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimation.aircraft import Aircraft
+from estimation.aircraft import Aircraft, Engine, Servos
+from firmware_sim.errors import ScenarioError
 from firmware_sim.physics.aerodynamics import Aerodynamics
 from firmware_sim.physics.atmosphere import GRAVITY, Site, air_at
 from firmware_sim.physics.effects.base import Effect, overrides
@@ -24,12 +25,6 @@ VELOCITY, RATES, ATTITUDE, POSITION, ARMS, THRUST, GUST = 0, 3, 6, 10, 13, 16, 1
 RIGID_STATES = 13
 EFFECTS = GUST + GUST_STATES
 
-SERVO_LAG = 0.035  # s, first-order lag of a servo arm
-SERVO_RATE = 6.0  # rad/s, fastest a servo arm turns
-THRUST_LAG = 0.15  # s
-STATIC_THRUST = 14.0  # N at full throttle standing still, engineering estimate
-THRUST_FALL = 0.30  # N lost per m/s of airspeed at full throttle, engineering estimate
-
 
 @dataclass(frozen=True, slots=True)
 class Commands:
@@ -41,9 +36,14 @@ class Commands:
     throttle: Value
 
 
-def thrust_available(airspeed: Value) -> Value:
-    """Thrust [N] at full throttle."""
-    return STATIC_THRUST - THRUST_FALL * airspeed
+def actuators_of(aircraft: Aircraft) -> tuple[Servos, Engine]:
+    """Servos and engine of an aircraft. Raises ScenarioError where its file has none."""
+    if aircraft.servos is None or aircraft.engine is None:
+        lacking = " and ".join(f"[{n}]" for n in ("servos", "engine") if getattr(aircraft, n) is None)
+        raise ScenarioError(
+            f"aircraft {aircraft.name!r} cannot be flown: its file has no {lacking}; add it (docs/aircraft.md)"
+        )
+    return aircraft.servos, aircraft.engine
 
 
 class Plant:
@@ -63,6 +63,7 @@ class Plant:
         generators: Sequence[np.random.Generator] = (),
     ) -> None:
         self.aircraft = aircraft
+        self.servos, self.engine = actuators_of(aircraft)
         self.xp = xp
         self.site = site
         self.step_size = step_size
@@ -115,7 +116,7 @@ class Plant:
         for moments in self._moment_hooks:
             moments(m, x)
         self._rotation(m, dx)
-        self._actuators(m, x, commands, dx, xp)
+        self._actuators(m, x, commands, dx)
         if self.gusts is not None:
             self.gusts.derivatives(x, GUST, noise, dx, xp)
         for derivatives in self._state_hooks:
@@ -233,8 +234,12 @@ class Plant:
         dx[8] = 0.5 * (e0 * q + e3 * p - e1 * r)
         dx[9] = 0.5 * (e0 * r + e1 * q - e2 * p)
 
-    @staticmethod
-    def _actuators(m: Motion, x: State, commands: Commands, dx: State, xp: Maths) -> None:
+    def _actuators(self, m: Motion, x: State, commands: Commands, dx: State) -> None:
+        clip, lag, rate = self.xp.clip, self.servos.lag, self.servos.rate
         for i, target in enumerate((commands.left, commands.right, commands.rudder)):
-            dx[ARMS + i] = xp.clip((target - x[ARMS + i]) / SERVO_LAG, -SERVO_RATE, SERVO_RATE)
-        dx[THRUST] = (commands.throttle * thrust_available(m.V) - x[THRUST]) / THRUST_LAG
+            dx[ARMS + i] = clip((target - x[ARMS + i]) / lag, -rate, rate)
+        dx[THRUST] = (commands.throttle * self.thrust_available(m.V) - x[THRUST]) / self.engine.lag
+
+    def thrust_available(self, airspeed: Value) -> Value:
+        """Thrust [N] at full throttle."""
+        return self.engine.static_thrust - self.engine.thrust_fall * airspeed

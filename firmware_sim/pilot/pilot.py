@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from estimation.aircraft import Servos
 from firmware_sim.physics.maths import Maths, Value
 from firmware_sim.physics.motion import Motion
 from firmware_sim.physics.plant import Commands
@@ -18,8 +19,6 @@ from firmware_sim.physics.trim import Trim
 from firmware_sim.pilot.manoeuvres import AXES, Manoeuvre
 
 FRAME = 0.02  # s between servo pulses
-ELEVON_LIMIT = math.radians(20.0)
-RUDDER_LIMIT = math.radians(20.0)
 
 BANK_GAIN, ROLL_DAMPING = 0.10, 0.012  # rad of aileron per rad of bank and per rad/s
 ROLL_TRIM_RATE = 0.015  # rad of aileron per rad of bank and second: the slow trim lever
@@ -89,11 +88,12 @@ def join_plans(plans: Sequence[StickPlan]) -> StickPlan:
 class Pilot:
     """Turns plan and view into commands, once a frame."""
 
-    def __init__(self, trim: Trim, plan: StickPlan, throttle: Value, xp: Maths) -> None:
+    def __init__(self, trim: Trim, plan: StickPlan, throttle: Value, xp: Maths, servos: Servos) -> None:
         self.trim = trim
         self.plan = plan
         self.throttle = throttle
         self.xp = xp
+        self._elevon_limit, self._rudder_limit = servos.elevon_limit, servos.rudder_limit
         self._aileron = xp.full(0.0)
         self._roll_trim = xp.full(0.0)
         self._speed = xp.full(trim.speed)
@@ -129,8 +129,8 @@ class Pilot:
         da = self._aileron + self._roll_trim + aileron_in
         self.event = xp.clip(busy[0] + busy[1] + busy[2] + busy[3], 0.0, 1.0)
         return Commands(
-            left=xp.clip(de - da, -ELEVON_LIMIT, ELEVON_LIMIT),
-            right=xp.clip(de + da, -ELEVON_LIMIT, ELEVON_LIMIT),
-            rudder=xp.clip(rudder_in, -RUDDER_LIMIT, RUDDER_LIMIT),
+            left=xp.clip(de - da, -self._elevon_limit, self._elevon_limit),
+            right=xp.clip(de + da, -self._elevon_limit, self._elevon_limit),
+            rudder=xp.clip(rudder_in, -self._rudder_limit, self._rudder_limit),
             throttle=xp.clip(throttle, 0.0, 1.0),
         )

@@ -150,9 +150,22 @@ def bench_truth(time: float, pose: Pose, models: SensorModels, site: Site | None
     p, q, r = pose.rates
     phi, theta, psi = pose.attitude
     sensed = Sensed(
-        ax=ax, ay=ay, az=az, p=p, q=q, r=r, phi=phi, theta=theta, psi=psi, alpha=alpha, beta=beta, V=pose.speed,
-        arm_left=pose.left, arm_right=pose.right, arm_r=pose.rudder,
-    )  # fmt: skip
+        ax=ax,
+        ay=ay,
+        az=az,
+        p=p,
+        q=q,
+        r=r,
+        phi=phi,
+        theta=theta,
+        psi=psi,
+        alpha=alpha,
+        beta=beta,
+        V=pose.speed,
+        arm_left=pose.left,
+        arm_right=pose.right,
+        arm_r=pose.rudder,
+    )
     return Truth(
         time=time,
         phase="ground",
@@ -160,15 +173,28 @@ def bench_truth(time: float, pose: Pose, models: SensorModels, site: Site | None
         rates=pose.rates,
         rate_derivatives=(0.0, 0.0, 0.0),
         quaternion=quaternion(*pose.attitude),
-        phi=phi, theta=theta, psi=psi, alpha=alpha, beta=beta, V=pose.speed,
+        phi=phi,
+        theta=theta,
+        psi=psi,
+        alpha=alpha,
+        beta=beta,
+        V=pose.speed,
         air_velocity=(pose.speed, 0.0, 0.0),
         wind_ned=(0.0, 0.0, 0.0),
         velocity_ned=(0.0, 0.0, 0.0),
         position_ned=(0.0, 0.0, 0.0),
-        latitude=site.latitude_deg, longitude=site.longitude_deg, altitude=site.elevation_m,
-        left_elevon=pose.left, right_elevon=pose.right, rudder=pose.rudder,
-        surface_e=0.5 * (pose.left + pose.right), surface_a=0.5 * (pose.right - pose.left), surface_r=pose.rudder,
-        cmd_left=pose.left, cmd_right=pose.right, cmd_rudder=pose.rudder,
+        latitude=site.latitude_deg,
+        longitude=site.longitude_deg,
+        altitude=site.elevation_m,
+        left_elevon=pose.left,
+        right_elevon=pose.right,
+        rudder=pose.rudder,
+        surface_e=0.5 * (pose.left + pose.right),
+        surface_a=0.5 * (pose.right - pose.left),
+        surface_r=pose.rudder,
+        cmd_left=pose.left,
+        cmd_right=pose.right,
+        cmd_rudder=pose.rudder,
         throttle=0.0,
         thrust=pose.load,
         p_static=pressure,
@@ -179,7 +205,7 @@ def bench_truth(time: float, pose: Pose, models: SensorModels, site: Site | None
         digital=(0.0, 1.0, 0.0, 0.0, 0.0),
         supply_voltage=12.0,
         sensed=sensed,
-    )  # fmt: skip
+    )
 
 
 # ------------------------------------------------------------------------------------------------------- the benches
@@ -331,10 +357,15 @@ def record_bench(
         raise ScenarioError(f"bench {name!r}: known are {', '.join(_BENCHES)}")
     bench = _BENCHES[name](np.random.default_rng([seed, 0xBE2C]))
     scenario = scenario_from(
-        {"name": name, "title": bench.title, "flight": {"seed": seed, "duration_s": bench.duration_s},
-         "sensors": dict(sensors or {}), "logger": {"downlink": None}},
+        {
+            "name": name,
+            "title": bench.title,
+            "flight": {"seed": seed, "duration_s": bench.duration_s},
+            "sensors": dict(sensors or {}),
+            "logger": {"downlink": None},
+        },
         name,
-    )  # fmt: skip
+    )
     models = individual(SensorModels().altered(**dict(sensors or {})))
     flight = prepare_flight(scenario, folder, source=BenchRig(bench, models), calibration=calibration, speed=speed)
     with flight:

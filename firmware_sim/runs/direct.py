@@ -45,10 +45,11 @@ class DirectNoise:
 
 ORDINARY_NOISE = DirectNoise()
 
-DIRECT_COLUMNS = (
-    "time", "ax", "ay", "az", "p", "q", "r", "phi", "theta", "psi", "alpha", "beta", "V",
-    "delta_e", "delta_a", "delta_r", "cmd_e", "cmd_a", "cmd_r", "thrust", "altitude", "rho",
-)  # fmt: skip
+DIRECT_COLUMNS = tuple(
+    (
+        "time ax ay az p q r phi theta psi alpha beta V delta_e delta_a delta_r cmd_e cmd_a cmd_r thrust altitude rho"
+    ).split()
+)
 
 
 def measured(truth: Mapping[str, Array], seed: int, noise: DirectNoise = ORDINARY_NOISE) -> dict[str, Array]:

@@ -7,9 +7,10 @@ whoever runs the flight connects a ground station to it.
 
 import datetime as dt
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Literal
 
 from daq.acquisition.sampler import UnfinishedScan
@@ -18,7 +19,10 @@ from daq.clock import SimulatedClock
 from daq.config import LoggerConfig, parse_config
 from daq.contract.recordings.messages import Statistics
 from daq.sensors.bus import SerialPort
+from daq.sensors.config import ExtraConfig
+from estimation.aircraft import built_in_aircraft, load_aircraft
 from firmware_sim.errors import ScenarioError
+from firmware_sim.hardware.aircraft_instruments import calibration_of, placed
 from firmware_sim.hardware.autopilot import Autopilot
 from firmware_sim.hardware.board import Board, build_board
 from firmware_sim.hardware.bus import SimulatedBus
@@ -26,6 +30,7 @@ from firmware_sim.hardware.card import SimulatedCard
 from firmware_sim.hardware.faults import ADDRESSES, Events, FaultSet, PowerTaker, parse_faults
 from firmware_sim.hardware.gnss import GnssReceiver
 from firmware_sim.hardware.instruments import Instruments, TruthSource
+from firmware_sim.hardware.laboratory import laboratory_chips
 from firmware_sim.hardware.radio import RadioLink, parse_radio
 from firmware_sim.hardware.sensor_models import SensorModels, merged, parse_sensors
 from firmware_sim.hardware.serial import PseudoTerminal, SimulatedSerial
@@ -61,13 +66,26 @@ class Aircraft:
 
 
 def build_aircraft(
-    source: TruthSource, models: SensorModels, faults: FaultSet, clock: SimulatedClock, seed: int
+    source: TruthSource,
+    models: SensorModels,
+    faults: FaultSet,
+    clock: SimulatedClock,
+    seed: int,
+    extra: Mapping[str, ExtraConfig] = MappingProxyType({}),
 ) -> Aircraft:
-    """Instruments, chips, bus and GPS of an aircraft that moves as `source` says, time zero being the clock's now."""
+    """Instruments, chips, bus and GPS of an aircraft that moves as `source` says, time zero being the clock's now.
+
+    extra: sensors of a laboratory's own, of which installed packages may have simulated chips.
+    """
     origin = clock.monotonic_ns()
     instruments = Instruments(source, models, seed, origin)
     board = build_board(instruments, faults)
-    bus = SimulatedBus(clock, board.chips, instruments.models.bus, faults.disturb)
+    own = laboratory_chips(extra, instruments)
+    for address in own.keys() & board.chips.keys():
+        raise ScenarioError(
+            f"sensors.extra: address 0x{address:02x} is taken by a chip of the aircraft; choose another"
+        )
+    bus = SimulatedBus(clock, {**board.chips, **own}, instruments.models.bus, faults.disturb)
     gnss = GnssReceiver(instruments, clock.utc_ns(), faults.gnss_corrupt)
     autopilot = Autopilot(instruments)
     powered: dict[str, PowerTaker] = {device: board.chips[address] for device, address in ADDRESSES.items()}
@@ -195,14 +213,17 @@ def prepare_flight(
     if seed is not None:
         scenario = scenario.altered(flight={"seed": seed})
     seed = scenario.flight.seed
-    models = parse_sensors(scenario.sensors, scenario.name)
+    craft = load_aircraft(scenario.flight.aircraft)
+    models = parse_sensors(merged(placed(craft), scenario.sensors), scenario.name)
     faults = FaultSet(parse_faults(scenario.faults, scenario.name), 0, seed)
     radio_model = parse_radio(scenario.radio, scenario.name)
-    config, text = logger_config(scenario, folder, config_file, calibration)
     _refuse_old_recordings(folder)
+    if calibration is not None:
+        calibration = calibration_of(craft, calibration, folder)
+    config, text = logger_config(scenario, folder, config_file, calibration)
     clock = SimulatedClock(START_UTC_NS, speed=speed)
     world = TruthFile(source or World(scenario, seed), folder / "truth.csv")
-    aircraft = build_aircraft(world, models, faults, clock, seed)
+    aircraft = build_aircraft(world, models, faults, clock, seed, config.sensors.extra)
     radio = RadioLink(radio_model, clock.monotonic_ns, seed, faults.radio_lost)
     gnss, closers = _gnss_port(aircraft, gnss_port)
     capture = config.sensors.capture
@@ -267,7 +288,8 @@ def logger_config(
     The text goes into the recording, so it names folders as another machine could read them, not where they lie here.
     """
     table = merged(tomllib.loads(config_file.read_text(encoding="utf-8")), scenario.logger)
-    table.setdefault("aircraft", {})["name"] = scenario.flight.aircraft
+    craft = load_aircraft(scenario.flight.aircraft)
+    table.setdefault("aircraft", {})["name"] = craft.name
     table.pop("calibration", None)
     if table.get("downlink"):
         table["downlink"].pop("port", None)
@@ -276,6 +298,9 @@ def logger_config(
     if calibration is not None:
         here["calibration"] = str(calibration.resolve())
         told["calibration"] = calibration.name
+    if craft.name not in built_in_aircraft():
+        here["aircraft"] = {"file": str(Path(scenario.flight.aircraft).resolve())}
+        told["aircraft"] = {"file": "aircraft.toml"}
     return parse_config(toml_text(merged(table, here)), config_file), toml_text(merged(table, told))
 
 

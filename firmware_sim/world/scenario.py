@@ -11,7 +11,9 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
+from estimation.aircraft import load_aircraft
 from firmware_sim.errors import ScenarioError
+from firmware_sim.physics.aerodynamics import simulation_of
 from firmware_sim.pilot.manoeuvres import AXES, MANOEUVRE_SETS, SHAPES, Axis, Manoeuvre, Shape
 from firmware_sim.toml_text import toml_text
 
@@ -27,7 +29,7 @@ class FlightTable(_Table):
 
     aircraft: str = "cdfp"
     duration_s: float = Field(default=30.0, gt=0.0, le=7200.0)
-    speed_m_s: float = Field(default=17.0, ge=11.0, le=28.0)
+    speed_m_s: float = Field(default=17.0, gt=0.0, description="left out: the speed the aircraft is trimmed at")
     height_m: float = Field(default=60.0, ge=5.0, le=3000.0)
     heading_deg: float = 40.0
     seed: int = Field(default=1, ge=0)
@@ -164,12 +166,27 @@ class Scenario(_Table):
 def scenario_from(data: Mapping[str, Any], where: str) -> Scenario:
     """A checked scenario; raises ScenarioError naming the key."""
     try:
-        return Scenario.model_validate(data)
+        return _at_flyable_speed(Scenario.model_validate(data), where)
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"]) or "(top level)"
         hint = f"; axes are {', '.join(AXES)}, shapes {', '.join(SHAPES)}" if key.startswith("manoeuvre.") else ""
         raise ScenarioError(f"scenario {where}: {key}: {first['msg'].removeprefix('Value error, ')}{hint}") from error
+
+
+def _at_flyable_speed(scenario: Scenario, where: str) -> Scenario:
+    """The scenario, at the trim speed of its aircraft where it states none; ScenarioError for one it cannot fly at."""
+    aircraft, flight = load_aircraft(scenario.flight.aircraft), scenario.flight
+    flown = simulation_of(aircraft)
+    if "speed_m_s" not in flight.model_fields_set:
+        return scenario.model_copy(update={"flight": flight.model_copy(update={"speed_m_s": flown.speed})})
+    slowest, fastest = flown.speed_range
+    if not slowest <= flight.speed_m_s <= fastest:
+        raise ScenarioError(
+            f"scenario {where}: flight.speed_m_s = {flight.speed_m_s:g} is outside the {slowest:g} to {fastest:g} m/s"
+            f" that aircraft {aircraft.name} can be flown at; choose another"
+        )
+    return scenario
 
 
 def built_in_scenarios() -> dict[str, str]:

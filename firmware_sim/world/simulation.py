@@ -12,7 +12,7 @@ import numpy as np
 
 from estimation.aircraft import Aircraft, load_aircraft
 from firmware_sim.errors import ScenarioError
-from firmware_sim.physics.aerodynamics import TABLE_5_ML_MEANS, true_derivatives
+from firmware_sim.physics.aerodynamics import LATERAL, true_derivatives
 from firmware_sim.physics.atmosphere import Site
 from firmware_sim.physics.effects.base import Effect, Sensed, overrides
 from firmware_sim.physics.effects.registry import make_effects
@@ -26,7 +26,6 @@ from firmware_sim.physics.plant import (
     THRUST,
     Commands,
     Plant,
-    thrust_available,
 )
 from firmware_sim.physics.trim import Trim, level_trim
 from firmware_sim.physics.wind import GUST_STATES, NOISE_CHANNELS, gusts_for, stationary_start
@@ -50,13 +49,13 @@ def site_of(scenario: Scenario) -> Site:
 
 
 def derivatives_of(scenario: Scenario, seed: int | None = None) -> dict[str, float]:
-    """The true derivatives of a scenario's aircraft: Table 5 means, overrides, then scatter on the lateral ones."""
+    """The true derivatives of a scenario's aircraft: its file's, overrides, then scatter on the lateral ones."""
     flight = scenario.flight
     values = true_derivatives(load_aircraft(flight.aircraft), scenario.derivatives)
     if flight.derivative_scatter > 0.0:
         chosen = flight.derivative_seed
         rng = _stream(chosen if chosen is not None else (flight.seed if seed is None else seed), _SCATTER)
-        for name in TABLE_5_ML_MEANS:
+        for name in LATERAL:
             factor = 1.0 + flight.derivative_scatter * rng.uniform(-1.0, 1.0)
             if not name.endswith("_0"):
                 values[name] *= factor
@@ -133,9 +132,9 @@ class Simulation:
             generators=[_stream(seed, _EFFECT) for seed in seeds],
         )
         self.trim: Trim = level_trim(self.plant, speed, self._gather([s.flight.height_m for s in scenarios]))
-        throttle = self.trim.thrust / thrust_available(speed)
+        throttle = self.trim.thrust / self.plant.thrust_available(speed)
         plans = [_plan(s, seed) for s, seed in zip(scenarios, seeds, strict=True)]
-        self.pilot = Pilot(self.trim, join_plans(plans) if many else plans[0], throttle, xp)
+        self.pilot = Pilot(self.trim, join_plans(plans) if many else plans[0], throttle, xp, self.plant.servos)
         self.commands = Commands(self.trim.elevator, self.trim.elevator, xp.full(0.0), throttle)
         self._noise = _Noise(seeds, self.h, xp)
         self._held_noise = self._noise.next()
@@ -224,11 +223,22 @@ class Simulation:
         """What flawless instruments at the CG are shown in this motion."""
         xp = self.xp
         s = Sensed(
-            ax=m.ax, ay=m.ay, az=m.az, p=m.p, q=m.q, r=m.r,
-            phi=xp.atan2(m.c23, m.c33), theta=xp.asin(xp.clip(-m.c13, -1.0, 1.0)), psi=xp.atan2(m.c12, m.c11),
-            alpha=m.alpha, beta=m.beta, V=m.V,
-            arm_left=m.arm_left, arm_right=m.arm_right, arm_r=m.arm_r,
-        )  # fmt: skip
+            ax=m.ax,
+            ay=m.ay,
+            az=m.az,
+            p=m.p,
+            q=m.q,
+            r=m.r,
+            phi=xp.atan2(m.c23, m.c33),
+            theta=xp.asin(xp.clip(-m.c13, -1.0, 1.0)),
+            psi=xp.atan2(m.c12, m.c11),
+            alpha=m.alpha,
+            beta=m.beta,
+            V=m.V,
+            arm_left=m.arm_left,
+            arm_right=m.arm_right,
+            arm_r=m.arm_r,
+        )
         for sense in self._sensors:
             sense(s, m, x)
         return s

@@ -18,13 +18,15 @@ PULSE_PER_RAD_US = 500.0 / math.radians(25.0)  # +-25 deg make 1000..2000 us
 THROTTLE_PULSE_US = (1000.0, 1000.0)  # idle, and span to full
 
 # Flight columns that `Truth.columns` delivers, in the order of the file.
-TRUTH_COLUMNS = (
-    "time", "ax", "ay", "az", "p", "q", "r", "phi", "theta", "psi", "alpha", "beta", "V", "delta_e", "delta_a", "delta_r",
-    "cmd_e", "cmd_a", "cmd_r", "throttle", "thrust", "rho", "p_static", "p_dynamic", "temperature", "latitude", "longitude",
-    "altitude", "altitude_gnss", "vn", "ve", "vd", "mx", "my", "mz", "digital_1", "supply_voltage",
-    # beyond the flight columns: what studies of the truth want
-    "p_dot", "q_dot", "r_dot", "surface_e", "surface_a", "surface_r",
-)  # fmt: skip
+TRUTH_COLUMNS = tuple(
+    (
+        "time ax ay az p q r phi theta psi alpha beta V delta_e delta_a delta_r "
+        "cmd_e cmd_a cmd_r throttle thrust rho p_static p_dynamic temperature latitude longitude "
+        "altitude altitude_gnss vn ve vd mx my mz digital_1 supply_voltage "
+        # beyond the flight columns: what studies of the truth want
+        "p_dot q_dot r_dot surface_e surface_a surface_r"
+    ).split()
+)
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.contract.channels import channels_of
+from daq.contract.channels import CHANNEL_BY_NAME, channels_of
 from groundstation.calibration.align import completeness
 from groundstation.calibration.readings import Readings
 from groundstation.calibration.scan_table import ScanTable
@@ -31,6 +31,7 @@ def account(
         part = completeness(table.number)
         notes.append(f"{part:.0%} of the scans are here: sensor groups are left at their own instants (not aligned)")
     notes += _health_notes(table)
+    notes += _uncalibrated(table, calibration)
     for instrument, count in readings.extrapolated.items():
         notes.append(f"{instrument}: {count} samples outside the calibrated range, extrapolated")
     for channel, count in readings.clipped.items():
@@ -54,6 +55,24 @@ def account(
         "unusable": {g: int(np.sum(~ok)) for g, ok in table.usable.items() if not ok.all()},
     }
     return detail, notes
+
+
+_FIRST_CHANNEL = {
+    **{"accelerometer": "accel_x", "gyro": "gyro_x", "magnetometer": "mag_x", "pitot": "pitot_pressure"},
+    **{"static": "static_pressure", "alpha_vane": "alpha_vane", "beta_vane": "beta_vane", "mixing": "elevon_left_pot"},
+    **{"elevon_left": "elevon_left_pot", "elevon_right": "elevon_right_pot"},
+}
+"""Instrument whose file a combined column needs -> a channel that shows whether it was fitted."""
+
+
+def _uncalibrated(table: ScanTable, calibration: CalibrationSet) -> list[str]:
+    """Instruments that were recorded and for which the set has no file, so that their columns are not measured."""
+    return [
+        f"{channel} was recorded, but calibration set {calibration.name} has no file for instrument {instrument}:"
+        f" {', '.join(CHANNEL_BY_NAME[channel].columns)} not measured"
+        for instrument, channel in _FIRST_CHANNEL.items()
+        if calibration.get(instrument) is None and np.isfinite(table.raw[channel]).any()
+    ]
 
 
 def _health_notes(table: ScanTable) -> list[str]:

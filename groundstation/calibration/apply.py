@@ -12,12 +12,14 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.contract.channels import CHANNEL_BY_NAME, COLUMNS, RAW_LIMITS
+from daq.contract.channel_rows import RAW_LIMITS
+from daq.contract.channels import CHANNEL_BY_NAME, COLUMNS
 from daq.contract.scan import Scan
 from groundstation.calibration import air_data, curves, inertial
 from groundstation.calibration.account import account
 from groundstation.calibration.align import COMPLETE, completeness, hold, to_scan_time, undo_lag
 from groundstation.calibration.columns import GNSS, Columns
+from groundstation.calibration.direct import direct_columns
 from groundstation.calibration.errors import CalibrationError
 from groundstation.calibration.facts import Facts
 from groundstation.calibration.readings import Readings
@@ -48,6 +50,11 @@ class Calibrator:
         self.calibration = calibration
         self.facts = Facts({**calibration.facts, **(facts or {})})
         nvm = self.facts.nvm("static")
+        self._direct = direct_columns(calibration)
+        plain = (d.channel for d in self._direct if d.as_it_is)
+        self._as_they_are = frozenset(c.name for c in plain if c.raw_type != "bit")
+        # of a channel that a table merely names it is not known that it is smooth
+        self._linear = {*_LINEAR, *(d.reading for d in self._direct if d.as_it_is or d.channel.package)}
         self._static_chip = air_data.Bmp390.from_nvm(nvm) if nvm else None
 
     def sample(self, scan: Scan) -> dict[str, float]:
@@ -63,6 +70,12 @@ class Calibrator:
         nothing = np.full(len(table), np.nan)
         return {c.name: made.get(c.name, nothing) for c in COLUMNS}, readings
 
+    def check(self, table: ScanTable) -> None:
+        """Raise CalibrationError for a channel that was recorded and of which its column cannot be made."""
+        for direct in self._direct:
+            if direct.why_not and np.isfinite(table.raw[direct.channel.name]).any():
+                raise CalibrationError(f"column {direct.column.name}: {direct.why_not}")
+
     # -------------------------------------------------------------------------------------------- counts to values
 
     def _readings(self, table: ScanTable) -> Readings:
@@ -74,6 +87,9 @@ class Calibrator:
                 self._read_triad(item, item.triad, table, out)
         self._read_static(table, out)
         self._read_gnss(table, out)
+        for name in self._as_they_are:
+            group = CHANNEL_BY_NAME[name].group
+            _add(out, name, self.physical(table, name), group, self.facts.delay(name, group) - self.facts.after(name))
         attitude = self.calibration.get("attitude")
         for axis in "wxyz":
             name = f"quaternion_{axis}"
@@ -165,7 +181,7 @@ class Calibrator:
                 if name in readings.lag:
                     reading = undo_lag(reading, table.time, table.number, readings.lag[name])
                 at = table.time + known_offset(table, readings.group[name]) - readings.delay[name]
-                values[name] = to_scan_time(reading, at, table.time, table.number, smooth=name not in _LINEAR)
+                values[name] = to_scan_time(reading, at, table.time, table.number, smooth=name not in self._linear)
         return values
 
 
@@ -237,7 +253,9 @@ def calibrate(
     if len(table) < 2:
         raise CalibrationError(f"{name}: only one scan in this recording; a flight needs at least two")
     aligned = completeness(table.number) >= COMPLETE if align is None else align
-    columns, readings = Calibrator(calibration, facts).columns(table, aligned=aligned)
+    calibrator = Calibrator(calibration, facts)
+    calibrator.check(table)
+    columns, readings = calibrator.columns(table, aligned=aligned)
     detail, notes = account(table, calibration, columns, readings, aligned, align)
     if table.utc_offset is not None:
         detail["utc_offset_s"], detail["utc_accuracy_s"] = table.utc_offset

@@ -191,9 +191,12 @@ class _Job:
                 slope = np.array(old.bias_per_kelvin)
                 readings = readings - (np.outer(warmth, slope) if slope.any() else 0.0)
             found = fit_vectors(
-                readings, references, np.array([d.std for d in dwells]), self.fit.reference_uncertainty,
+                readings,
+                references,
+                np.array([d.std for d in dwells]),
+                self.fit.reference_uncertainty,
                 warmth if self.fit.fit_temperature else None,
-            )  # fmt: skip
+            )
             points = Points(
                 reading=tuple(tuple(d.mean.tolist()) for d in dwells),
                 reference=tuple(tuple(r) for r in references.tolist()),

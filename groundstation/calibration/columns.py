@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from daq.contract.channels import CHANNEL_BY_NAME
 from groundstation.calibration import air_data, flow, inertial
 from groundstation.calibration.align import derivative
+from groundstation.calibration.direct import direct_columns
 from groundstation.calibration.scan_table import ScanTable
 from groundstation.calibration.schema import Attitude, CalibrationSet, Vector
 
@@ -18,9 +19,7 @@ Array = NDArray[np.float64]
 
 EARTH_RADIUS = 6_371_000.0  # m, mean: an antenna is metres from the CG at most
 
-GNSS = (
-    "latitude_e7", "longitude_e7", "height_msl_mm", "velocity_north_mm", "velocity_east_mm", "velocity_down_mm",
-)  # fmt: skip
+GNSS = tuple("latitude_e7 longitude_e7 height_msl_mm velocity_north_mm velocity_east_mm velocity_down_mm".split())
 
 
 class Columns:
@@ -37,8 +36,9 @@ class Columns:
 
     def make(self) -> dict[str, Array]:
         steps: tuple[Callable[[], None], ...] = (
-            self._air, self._rates, self._acceleration, self._attitude, self._flow, self._controls, self._others, self._gnss,
-        )  # fmt: skip
+            *(self._air, self._rates, self._acceleration, self._attitude, self._flow, self._controls),
+            *(self._magnetic, self._gnss, self._direct),
+        )
         for step in steps:
             step()
         return self.columns
@@ -104,16 +104,17 @@ class Columns:
                 left, right = self._value(left_name), self._value(right_name)
                 for column, weights in ((elevator, item.mixing.elevator), (aileron, item.mixing.aileron)):
                     self.columns[column] = weights[0] * left + weights[1] * right
-        self.columns["delta_r"], self.columns["cmd_r"] = self._value("rudder"), self._value("pwm_3")
-        self.columns["throttle"] = self._value("pwm_4")
 
-    def _others(self) -> None:
-        self.columns["thrust"] = self._value("thrust")
+    def _magnetic(self) -> None:
         self.columns.update(zip(("mx", "my", "mz"), self._axes("magnetometer"), strict=True))
-        self.columns["supply_voltage"] = self._value("supply")
-        for i in range(1, 6):
-            self.columns[f"analog_{i}"] = self._value(f"analog_{i}")
-            self.columns[f"digital_{i}"] = self.table.raw[f"digital_{i}"]
+
+    def _direct(self) -> None:
+        """Columns of one channel each. A bit is as it was read: there is nothing between 0 and 1."""
+        for direct in direct_columns(self.calibration):
+            bit = direct.channel.raw_type == "bit"
+            self.columns[direct.column.name] = (
+                self.table.raw[direct.channel.name] if bit else self._value(direct.reading)
+            )
 
     def _gnss(self) -> None:
         for name in GNSS:

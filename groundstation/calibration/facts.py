@@ -12,13 +12,12 @@ from daq.contract.channels import CHANNEL_BY_NAME
 from groundstation.calibration.errors import CalibrationError
 
 _SCALE_KEYS = {
-    "accel_x": "imu.accel_scale_m_s2", "accel_y": "imu.accel_scale_m_s2", "accel_z": "imu.accel_scale_m_s2",
-    "gyro_x": "imu.gyro_scale_rad_s", "gyro_y": "imu.gyro_scale_rad_s", "gyro_z": "imu.gyro_scale_rad_s",
-    "mag_x": "mag.scale_t", "mag_y": "mag.scale_t", "mag_z": "mag.scale_t",
-}  # fmt: skip
-_LAG_KEYS = {  # first-order low passes; an attitude filter integrates the gyro, lag and all
-    "accelerometer": "imu.accel_delay_s", "gyro": "imu.gyro_delay_s", "attitude": "imu.gyro_delay_s",
-}  # fmt: skip
+    **dict.fromkeys(("accel_x", "accel_y", "accel_z"), "imu.accel_scale_m_s2"),
+    **dict.fromkeys(("gyro_x", "gyro_y", "gyro_z"), "imu.gyro_scale_rad_s"),
+    **dict.fromkeys(("mag_x", "mag_y", "mag_z"), "mag.scale_t"),
+}
+# first-order low passes; an attitude filter integrates the gyro, lag and all
+_LAG_KEYS = {"accelerometer": "imu.accel_delay_s", **dict.fromkeys(("gyro", "attitude"), "imu.gyro_delay_s")}
 _LONGEST_DELAY = 1.0  # s
 _LARGEST_SCALE = 1e3  # of any unit a count; all of them are far below one
 

@@ -1,16 +1,19 @@
 """A raw recording to a flight: with the calibration it carries, or with another one in its place."""
 
 import hashlib
+import tomllib
 from pathlib import Path
 
+from daq.contract.channels import GROUP_NAMES
 from daq.contract.link.commands import parse_pitot_zero
 from daq.contract.ranges import count
 from daq.contract.recordings.accounting import verify_recording
 from daq.contract.recordings.reading import Recording, read_recording
+from daq.contract.recordings.recording import AIRCRAFT_ATTACHMENT
 from groundstation.calibration.apply import calibrate
 from groundstation.calibration.errors import CalibrationError
 from groundstation.calibration.schema import CalibrationSet, load_calibration
-from groundstation.flight import Flight, Provenance
+from groundstation.flight import AIRCRAFT_FILE, Flight, Provenance
 
 
 def calibrate_recording(
@@ -39,7 +42,21 @@ def calibrate_recording(
         align=align,
         provenance=_provenance(recording),
     )
-    return flight.with_notes(*_gaps(recording))
+    return flight.with_notes(*_undescribed(recording), *_gaps(recording))
+
+
+def _undescribed(recording: Recording) -> list[str]:
+    """Sensor groups that the aircraft was fitted with and that no package installed here describes."""
+    try:
+        sensors = tomllib.loads(recording.info.config_text).get("sensors", {})
+    except tomllib.TOMLDecodeError:
+        return []
+    unknown = sorted(set(sensors.get("extra", {})) - set(GROUP_NAMES))
+    return [
+        f"sensor group {group} is described by no package installed here: its channels are in the recording and not in the"
+        " flight; install the laboratory's package and calibrate again"
+        for group in unknown
+    ]
 
 
 def _gaps(recording: Recording) -> list[str]:
@@ -83,6 +100,7 @@ def _provenance(recording: Recording) -> Provenance:
     digest = hashlib.sha256()
     for segment in recording.segments:
         digest.update(segment.path.read_bytes())
+    aircraft = info.attachments.get(AIRCRAFT_ATTACHMENT)
     return Provenance(
         source=info.source,
         path=str(recording.path),
@@ -92,6 +110,7 @@ def _provenance(recording: Recording) -> Provenance:
         detail={
             "session": info.session,
             "role": info.role,
+            **({} if aircraft is None else {AIRCRAFT_FILE: aircraft.decode("utf-8", "replace")}),
             "events": [
                 {"time": e.time_monotonic_ns * 1e-9, "origin": e.origin, "text": e.text} for e in recording.events
             ],

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.calibration import curves
+from groundstation.calibration.direct import direct_columns
 from groundstation.calibration.schema import CalibrationSet, Curve, Instrument
 
 Array = NDArray[np.float64]
@@ -17,10 +18,9 @@ def column_uncertainty(calibration: CalibrationSet, columns: Mapping[str, Array]
     What the files do not state is not in it; noise is apart (`noise`).
     """
     out: dict[str, float] = {}
-    for column, instrument in (("delta_r", "rudder"), ("thrust", "thrust"), ("cmd_r", "pwm_3"), ("throttle", "pwm_4"),
-                               ("supply_voltage", "supply"), ("p_dynamic", "pitot"),
-                               *((f"analog_{i}", f"analog_{i}") for i in range(1, 6))):  # fmt: skip
-        _put(out, column, _curve_sigma(calibration.get(instrument)))
+    _put(out, "p_dynamic", _curve_sigma(calibration.get("pitot")))
+    for direct in direct_columns(calibration):
+        _put(out, direct.column.name, _curve_sigma(direct.instrument))
     _controls(calibration, out)
     _air(calibration, columns, out)
     _vanes(calibration, out)

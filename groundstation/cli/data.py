@@ -1,23 +1,27 @@
 """Command line of the data side: `sideslip calibrate`, `bench` and `import`."""
 
-import json
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from daq.contract import outputs
+from daq.contract.outputs import tried_file, tried_folder
+
 if TYPE_CHECKING:
     from groundstation.flight import Flight
 
 
-_JSON = click.option("--json", "report", type=click.Path(path_type=Path), help="Write the same as JSON.")
+_JSON = click.option(
+    "--json", "report", type=click.Path(path_type=Path), callback=tried_file, help="Write the same as JSON."
+)
 
 
 def write_json(report: Path | None, content: Any) -> None:
+    """Write what was asked for as JSON; None: not asked for."""
     if report is not None:
-        report.parent.mkdir(parents=True, exist_ok=True)
-        report.write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+        outputs.write_json(content, report)
 
 
 def _say(flight: "Flight", output: Path, report: Path | None) -> None:
@@ -70,7 +74,12 @@ _SPLIT = click.option("--split", is_flag=True, help="Write each stretch without 
 @click.command()
 @click.argument("raw", type=click.Path(path_type=Path))
 @click.option(
-    "-o", "--output", type=click.Path(path_type=Path), required=True, help="Flight to write: .mcap, .csv or .parquet."
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path),
+    required=True,
+    callback=tried_file,
+    help="Flight to write: .mcap, .csv or .parquet.",
 )
 @click.option(
     "--calibration",
@@ -104,9 +113,15 @@ def calibrate(
 @click.command("import")
 @click.argument("data", type=click.Path(path_type=Path))
 @click.option(
-    "-o", "--output", type=click.Path(path_type=Path), required=True, help="Flight to write: .mcap, .csv or .parquet."
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path),
+    required=True,
+    callback=tried_file,
+    help="Flight to write: .mcap, .csv or .parquet.",
 )
 @click.option("--map", "mapping", type=click.Path(path_type=Path), help="Mapping file: columns, units, signs, time.")
+@click.option("--aircraft", help="Built-in aircraft or an AIRCRAFT.toml that the flight is of and carries.")
 @click.option("--rate", type=click.FloatRange(min=0, min_open=True, max=1000), help="Resample to so many Hz.")
 @click.option("--accept-implausible", is_flag=True, help="Import values that look like another unit, with a note.")
 @_SPLIT
@@ -115,6 +130,7 @@ def import_(
     data: Path,
     output: Path,
     mapping: Path | None,
+    aircraft: str | None,
     rate: float | None,
     accept_implausible: bool,
     split: bool,
@@ -126,14 +142,27 @@ def import_(
     """
     from groundstation.importers.run import import_data
 
-    _write(import_data(data, mapping, rate_hz=rate, accept_implausible=accept_implausible), output, split, report)
+    flight = import_data(data, mapping, rate_hz=rate, accept_implausible=accept_implausible)
+    if aircraft is not None:
+        from groundstation.importers.aircraft import with_aircraft
+
+        flight = with_aircraft(flight, aircraft)
+        if output.suffix.lower() == ".csv":
+            said = f"a CSV cannot carry its aircraft: give --aircraft {aircraft} to each verb, or import to .mcap or .parquet"
+            flight = flight.with_notes(said)
+    _write(flight, output, split, report)
 
 
 @click.command()
 @click.argument("raw", type=click.Path(path_type=Path))
 @click.option("--plan", type=click.Path(path_type=Path), required=True, help="Bench plan: what was set, and when.")
 @click.option(
-    "-o", "--output", type=click.Path(path_type=Path), required=True, help="Directory for the calibration files."
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path),
+    required=True,
+    callback=tried_folder,
+    help="Directory for the calibration files.",
 )
 @click.option(
     "--calibration", type=click.Path(path_type=Path), help="Set to refine, or 'cdfp'; instead of the embedded one."

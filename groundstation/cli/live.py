@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from daq.contract.outputs import tried_file, tried_folder
+
 if TYPE_CHECKING:
     from groundstation.live.config import GroundConfig
     from groundstation.live.handover import Handover
@@ -30,9 +32,18 @@ _VIEW_HELP = "Show it in the browser, in rerun's own window, or not at all."
 @click.option("--view", "window", type=VIEW, default="none", show_default=True, help=_VIEW_HELP)
 @click.option("--estimate", "with_estimate", is_flag=True, help="Estimate parameters from the finished flight.")
 @click.option(
-    "--out", type=click.Path(path_type=Path, file_okay=False), help="Folder of this session, instead of the configured."
+    "--out",
+    type=click.Path(path_type=Path),
+    callback=tried_folder,
+    help="Folder of this session, instead of the configured.",
 )
-@click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write the counters of the session as JSON.")
+@click.option(
+    "--json",
+    "json_path",
+    type=click.Path(path_type=Path),
+    callback=tried_file,
+    help="Write the counters of the session as JSON.",
+)
 @click.option("--duration", type=float, help="End after this many seconds.")
 def ground(
     config: Path,
@@ -93,8 +104,10 @@ def _conclude(station: "Station", handed: list["Handover"], json_path: Path | No
     summary["flights"] = [str(h.path) for h in handed]
     write_json(json_path, summary)
     lost = sum(b - a + 1 for a, b in summary["scans_lost"])
-    click.echo(f"{summary['frames_received']} frames, {summary['scans_received']} scans received, {lost} lost, "
-               f"{summary['backfilled']} backfilled, {summary['unsigned_rejected']} refused")  # fmt: skip
+    click.echo(
+        f"{summary['frames_received']} frames, {summary['scans_received']} scans received, {lost} lost, "
+        f"{summary['backfilled']} backfilled, {summary['unsigned_rejected']} refused"
+    )
 
 
 def _hold(views: "SessionViews") -> None:
@@ -252,7 +265,9 @@ def _estimate(handed: list["Handover"], settings: "GroundConfig", folder: Path, 
 @click.argument("file", type=click.Path(path_type=Path))
 @click.option("--view", "window", type=VIEW, default="web", show_default=True, help=_VIEW_HELP)
 @click.option("--layout", type=click.Choice(["full", "light"]), default="full", show_default=True)
-@click.option("--rrd", type=click.Path(path_type=Path), help="Write the rerun recording here and keep it.")
+@click.option(
+    "--rrd", type=click.Path(path_type=Path), callback=tried_file, help="Write the rerun recording here and keep it."
+)
 @click.option(
     "--calibration", type=click.Path(path_type=Path), help="For a raw recording: calibration in place of its own."
 )

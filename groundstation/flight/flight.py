@@ -37,6 +37,10 @@ FLIGHT_SCHEMA = "sideslip.FlightSample"
 METADATA_NAME = "sideslip.flight"
 
 
+AIRCRAFT_FILE = "aircraft_file"
+"""Key of a provenance's detail under which the text of the aircraft's file travels with the flight."""
+
+
 @dataclass(frozen=True, slots=True)
 class Provenance:
     """Where a flight's numbers come from, so that every result can be traced."""

@@ -5,6 +5,7 @@ import re
 import unicodedata
 from collections.abc import Callable
 from dataclasses import replace
+from importlib.metadata import entry_points
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +29,7 @@ DEFAULT_RATE = 50.0
 _WRAPPED = ("phi", "psi")
 _TABLES = (".csv", ".txt", ".tsv", ".asc", ".dat", ".parquet")
 _LOGS = (".ulg", ".bin", ".tlog")
+ENTRY_POINTS = "sideslip.importers"
 
 
 def import_data(
@@ -88,13 +90,32 @@ def _read(path: Path, given: Map | None) -> tuple[Log, Map]:
     if suffix in _TABLES:
         return _read_table(path, given)
     readers: dict[str, tuple[str, Callable[[Path], Log]]] = {
-        ".ulg": ("px4", _ulog), ".ulog": ("px4", _ulog), ".bin": ("ardupilot", _dataflash), ".tlog": ("mavlink", _tlog),
-    }  # fmt: skip
+        ".ulg": ("px4", _ulog),
+        ".ulog": ("px4", _ulog),
+        ".bin": ("ardupilot", _dataflash),
+        ".tlog": ("mavlink", _tlog),
+    }
     if suffix not in readers:
-        raise ImportDataError(f"{path}: files of this kind are not known; give {', '.join((*_TABLES, *_LOGS))}")
+        return _read_with_package(path, given)
     name, read = readers[suffix]
     base = built_in_map(name)
     return read(path), given.over(base) if given else base
+
+
+def _read_with_package(path: Path, given: Map | None) -> tuple[Log, Map]:
+    """A file of a kind that an installed package reads: entry point group `sideslip.importers`, named by the suffix."""
+    packages = entry_points(group=ENTRY_POINTS)
+    found = next((p for p in packages if p.name == path.suffix.lower().removeprefix(".")), None)
+    if found is None:
+        known = (*_TABLES, *_LOGS, *(f".{p.name}" for p in packages))
+        raise ImportDataError(f"{path}: files of this kind are not known; give {', '.join(known)}")
+    try:
+        log, base = found.load()(path)
+    except (ImportError, AttributeError) as error:
+        raise ImportDataError(
+            f"entry point {ENTRY_POINTS} {found.name} = {found.value}: no reader there ({error})"
+        ) from error
+    return log, given.over(base) if given else base
 
 
 def _read_table(path: Path, given: Map | None) -> tuple[Log, Map]:

@@ -1,6 +1,5 @@
 """The end of a flight: from recordings to a calibrated, split and checked flight for the estimation package."""
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -8,6 +7,7 @@ from pathlib import Path
 from numpy.linalg import LinAlgError
 
 from daq.contract.errors import UserError
+from daq.contract.outputs import write_json
 from daq.contract.recordings.recording import RecordingError
 from groundstation.calibration.errors import CalibrationError
 from groundstation.calibration.recording import calibrate_recording
@@ -80,7 +80,7 @@ def hand_over(
     manoeuvres_path = _write_manoeuvres(flight, manoeuvres, folder / f"{name}_manoeuvres.mcap")
     handed = Handover(path, manoeuvres_path, flight, manoeuvres, findings, origin)
     summary = {"flight": str(path), "origin": origin, "manoeuvres": listed, "quality": [f.to_json() for f in findings]}
-    (folder / f"{name}.json").write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
+    write_json(summary, folder / f"{name}.json")
     return handed
 
 

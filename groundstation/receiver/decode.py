@@ -6,10 +6,11 @@ each system id an `AircraftDecoder` of its own.
 
 from collections import OrderedDict
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from typing import Any
 
 from daq.contract.link.scan_map import BLOCK
-from daq.contract.link.wire import SCAN_FAST_ID, SCAN_RARE_ID, SCAN_SLOW_ID, ScanPart, join_parts, layouts, unpack_scan
+from daq.contract.link.wire import SCAN_FAST_ID, SCAN_IDS, ScanPart, join_parts, layouts, unpack_scan
 from daq.transport.mavlink_codec import Frame, padded
 from groundstation.receiver import doubts as d
 from groundstation.receiver import events as ev
@@ -18,7 +19,6 @@ from groundstation.receiver.continuity import LATE_NS, Held, Line, Proven, Waiti
 from groundstation.receiver.link_accounting import SequenceTracker, SessionBooks
 from groundstation.receiver.timeline import NS, ClockSync
 
-_SCAN_IDS = (SCAN_FAST_ID, SCAN_SLOW_ID, SCAN_RARE_ID)
 _PARTS_KEPT = 64
 _MAX_SESSIONS = 64
 _TEXTS, _TEXT_PIECES = 32, 32
@@ -29,6 +29,11 @@ _CLAIMS, _CLAIM_NS = 3, 8 * NS  # reports of a new run without scans that are be
 _MAX_CLAIMS = 8
 MAX_AIRCRAFT_TIME_NS = 2**56 - 1
 """What a packed scan can say; two years."""
+_WARNING = 4  # as in syslog
+_FOREIGN_CHANNELS = (
+    "ground: the aircraft sends laboratory channels that no package installed here describes, or another version of it"
+    " does; install the aircraft's package. All other channels are received"
+)
 
 
 class AircraftDecoder:
@@ -51,6 +56,7 @@ class AircraftDecoder:
         self._parts: OrderedDict[int, list[ScanPart]] = OrderedDict()
         self._texts: OrderedDict[int, dict[int, tuple[int, str]]] = OrderedDict()
         self._out: list[ev.Event] = []
+        self._told_of_foreign_channels = False
 
     @property
     def tracker(self) -> SequenceTracker:
@@ -69,7 +75,7 @@ class AircraftDecoder:
         self._out = []
         if not self.trackers.setdefault(frame.component, SequenceTracker()).take(frame, now_ns):
             return []
-        if frame.msg_id in _SCAN_IDS:
+        if frame.msg_id in SCAN_IDS:
             self._take_scan(frame, now_ns, utc_ns)
             return self._out
         handler = _HANDLERS.get(frame.name)
@@ -85,8 +91,9 @@ class AircraftDecoder:
         return self._waiting.count
 
     def _take_scan(self, frame: Frame, now_ns: int, utc_ns: int) -> None:
-        layout = layouts()[frame.msg_id]
-        part = unpack_scan(layout, padded(frame.payload, layout.size))
+        part = self._part(frame, now_ns)
+        if part is None:
+            return
         held = Held(part, frame.component, now_ns, utc_ns)
         straggled = self._straggled(part)
         if straggled is not None:
@@ -177,6 +184,17 @@ class AircraftDecoder:
             self.latency_s = latency
         scan = join_parts(parts)
         self._out.append(ev.ScanReceived(books.session, scan, now_ns, held.utc_ns, latency, late))
+
+    def _part(self, frame: Frame, now_ns: int) -> ScanPart | None:
+        """What a scan message says; None, told once, for laboratory channels that no package here describes."""
+        layout = layouts().get(frame.msg_id)
+        if layout is not None:
+            with suppress(ValueError):
+                return unpack_scan(layout, padded(frame.payload, layout.size))
+        if not self._told_of_foreign_channels:
+            self._told_of_foreign_channels = True
+            self._out.append(ev.StatusText(self.system, _WARNING, _FOREIGN_CHANNELS, now_ns))
+        return None
 
     def _forget_old_parts(self) -> None:
         while len(self._parts) > _PARTS_KEPT:

@@ -26,7 +26,7 @@ from estimation.models import load_model
 from groundstation.flight import write_flight
 from tests.estimation.truth import NOISE, STRONG, Case, fly
 
-MODEL = load_model("lateral-simple")
+MODEL = load_model("lateral-simple", "cdfp")
 
 
 def timed(work: Callable[[], object], repeats: int = 3) -> float:

@@ -17,7 +17,7 @@ OPTIONS = Options(seed=2, most=2)
 
 def answer(letter: str) -> GapResult:
     flights = [read_flight(FOLDER / f"{letter}_{k}.mcap") for k in range(4)]
-    return run_gap(load_model("lateral"), flights[:3], flights[3:], catalogue(), OPTIONS)
+    return run_gap(load_model("lateral", "cdfp"), flights[:3], flights[3:], catalogue(), OPTIONS)
 
 
 @pytest.mark.parametrize("letter", ["b", pytest.param("c", marks=pytest.mark.study)])

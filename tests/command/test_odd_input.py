@@ -26,7 +26,7 @@ def test_result_that_cannot_be_written_is_named(
     Path("folder").mkdir()
     code, said = ended([*verb, str(FOREIGN), "--json", result], capsys)
     assert code == 2
-    assert said.startswith(f"sideslip: {result.split('/', maxsplit=1)[0]}")
+    assert said.startswith(f"sideslip: --json {result.split('/', maxsplit=1)[0]}")
     assert "\n" not in said
 
 

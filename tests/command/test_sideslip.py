@@ -75,7 +75,10 @@ def test_unknown_verb_and_option_are_status_2() -> None:
 def test_truncated_recording_and_wrong_columns_are_one_sentence(tmp_path: Path) -> None:
     (tmp_path / "cut.mcap").write_bytes(b"\x89MCAP0\r\n\x01\x00")
     (tmp_path / "wrong.csv").write_text("time,speed\n0,1\n0.05,1\n0.1,1\n")
-    for arguments, word in ((("estimate", "cut.mcap"), "cut.mcap"), (("estimate", "wrong.csv"), "beta")):
+    for arguments, word in (
+        (("estimate", "cut.mcap"), "cut.mcap"),
+        (("estimate", "wrong.csv", "--aircraft", "cdfp"), "beta"),
+    ):
         done = run(*arguments, cwd=tmp_path)
         assert done.returncode == 2
         assert word in done.stderr

@@ -45,14 +45,14 @@ def test_lateral_motion_agrees_with_an_independent_integrator(clean_flight: Flig
     """Against another program's equations (body-axis velocities, 400 Hz); see tests/estimation/truth.py."""
     from tests.estimation.truth import NOISE, TRUE
 
-    data = prepare(load_model("lateral"), clean_flight)
-    y = simulate(load_model("lateral"), data, TRUE, x0=np.zeros(4), substeps=4)
-    for i, name in enumerate(load_model("lateral").output_names):
+    data = prepare(load_model("lateral", "cdfp"), clean_flight)
+    y = simulate(load_model("lateral", "cdfp"), data, TRUE, x0=np.zeros(4), substeps=4)
+    for i, name in enumerate(load_model("lateral", "cdfp").output_names):
         assert np.sqrt(np.mean((y[:, i] - clean_flight[name]) ** 2)) < 0.02 * NOISE[name]
 
 
 def test_lateral_rates_agree_with_scipy(clean_flight: Flight) -> None:
-    model = load_model("lateral-simple")
+    model = load_model("lateral-simple", "cdfp")
     data = prepare(model, clean_flight)
     u, t = data.segments[0].u, data.segments[0].time
     c, v = model.constants, model.starts()
@@ -78,7 +78,7 @@ def test_lateral_rates_agree_with_scipy(clean_flight: Flight) -> None:
 
 def wide_model() -> Model:
     """Everything an effect may bring: transforms, a lagging instrument, a late channel, a lever arm."""
-    return load_model("lateral").plus(
+    return load_model("lateral", "cdfp").plus(
         transforms=[InputTransform("delay", "delta_a", ("T_a",)), InputTransform("lag", "delta_r", ("T_r",))],
         parameters=[
             Parameter("T_a", "s", 0.031), Parameter("T_r", "s", 0.04), Parameter("T_v", "s", 0.1),
@@ -114,7 +114,7 @@ def test_sensitivities_are_derivatives_of_the_simulation(clean_flight: Flight) -
 @needs_gcc
 @pytest.mark.parametrize("name", ["lateral", "longitudinal", "six-dof", "wide"])
 def test_compiled_and_virtual_machine_agree(name: str) -> None:
-    model = wide_model() if name == "wide" else load_model(name)
+    model = wide_model() if name == "wide" else load_model(name, "cdfp")
     rng = np.random.default_rng(4)
     t = np.cumsum(0.05 + 0.004 * rng.uniform(-1, 1, 30))
     columns = {n: 0.02 * rng.normal(size=30) for n in (*model.input_names, *model.output_names)}
@@ -181,7 +181,7 @@ def test_runaway_motion_is_reported_not_raised(kernel: str) -> None:
 def test_missing_columns_are_named(clean_flight: Flight) -> None:
     without = {k: v for k, v in clean_flight.columns.items() if k not in ("delta_r", "theta")}
     with pytest.raises(MissingColumnError, match=r"columns delta_r, theta missing, needed for model lateral"):
-        prepare(load_model("lateral"), Flight.build("cut", clean_flight.time, without))
+        prepare(load_model("lateral", "cdfp"), Flight.build("cut", clean_flight.time, without))
 
 
 def test_gaps_and_holes_split_segments(clean_flight: Flight) -> None:
@@ -189,7 +189,7 @@ def test_gaps_and_holes_split_segments(clean_flight: Flight) -> None:
     columns = {k: v[keep].copy() for k, v in clean_flight.columns.items()}
     columns["V"][300:340] = np.nan
     columns["alpha"][50:52] = np.nan
-    data = prepare(load_model("lateral"), Flight.build("holes", clean_flight.time[keep], columns))
+    data = prepare(load_model("lateral", "cdfp"), Flight.build("holes", clean_flight.time[keep], columns))
     assert [(s.first, len(s)) for s in data.segments] == [(0, 160), (160, 140), (340, 200)]
     assert any("gap" in n.text for n in data.notes)
     assert any("V not measured at 40 samples" in n.text for n in data.notes)
@@ -200,10 +200,10 @@ def test_nothing_usable_is_said(clean_flight: Flight) -> None:
     columns = dict(clean_flight.columns)
     columns["q"] = np.where(np.arange(len(clean_flight)) % 5 == 0, columns["q"], np.nan)
     with pytest.raises(DataError, match="no stretch of 8 samples"):
-        prepare(load_model("lateral"), Flight.build("holes", clean_flight.time, columns))
+        prepare(load_model("lateral", "cdfp"), Flight.build("holes", clean_flight.time, columns))
 
 
 def test_dead_output_is_left_out_and_named(clean_flight: Flight) -> None:
-    data = prepare(load_model("lateral"), clean_flight.with_columns(ay=np.full(len(clean_flight), 0.3)))
+    data = prepare(load_model("lateral", "cdfp"), clean_flight.with_columns(ay=np.full(len(clean_flight), 0.3)))
     assert data.absent_outputs == ("ay",)
     assert any("ay stands still at 0.3" in n.text for n in data.notes)

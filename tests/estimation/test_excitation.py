@@ -21,7 +21,7 @@ RUDDER = ("CY_dr", "Cl_dr", "Cn_dr")
 
 
 def lateral(flight: Flight, aircraft: Aircraft | None = None) -> dict[str, PredictedBound]:
-    first = predicted_bounds(flight, aircraft or load_aircraft())[0]
+    first = predicted_bounds(flight, aircraft or load_aircraft("cdfp"))[0]
     assert first.model == "lateral"
     assert not first.why
     return {b.name: b for b in first.bounds}
@@ -33,14 +33,14 @@ def ordinary() -> Flight:
 
 
 def test_bounds_agree_with_those_of_the_fit(ordinary: Flight) -> None:
-    fit = output_error(load_model("lateral", load_aircraft()), ordinary)
+    fit = output_error(load_model("lateral", load_aircraft("cdfp")), ordinary)
     bounds = lateral(ordinary)
     ratio = np.array([bounds[n].bound / fit.std[n] for n in STRONG])
     assert np.all((ratio > 0.45) & (ratio < 2.2)), dict(zip(STRONG, ratio, strict=True))
 
 
 def test_a_right_prior_predicts_the_bounds_of_the_fit(ordinary: Flight) -> None:
-    aircraft = load_aircraft()
+    aircraft = load_aircraft("cdfp")
     fit = output_error(load_model("lateral", aircraft), ordinary)
     right = {**aircraft.derivatives, **{n: PriorDerivative(v) for n, v in fit.values.items()}}
     bounds = lateral(ordinary, replace(aircraft, derivatives=right))
@@ -72,14 +72,14 @@ def test_half_the_flight_tells_less(ordinary: Flight) -> None:
 
 def test_a_flight_without_a_rudder_column_gets_a_sentence(ordinary: Flight) -> None:
     columns = {n: v for n, v in ordinary.columns.items() if n != "delta_r"}
-    first = predicted_bounds(replace(ordinary, columns=columns), load_aircraft())[0]
+    first = predicted_bounds(replace(ordinary, columns=columns), load_aircraft("cdfp"))[0]
     assert not first.bounds
     assert "delta_r" in first.why
     assert "delta_r" in excitation_findings([first])[0].text
 
 
 def test_beliefs_of_another_aircraft_are_not_used_to_judge(ordinary: Flight) -> None:
-    own = load_aircraft()
+    own = load_aircraft("cdfp")
     heavy = replace(own, name="heavy", mass=7500.0, area=31.0, chord=2.4, Iyy=94_000.0)
     _, longitudinal = predicted_bounds(ordinary, heavy)
     assert not longitudinal.bounds

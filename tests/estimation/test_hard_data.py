@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
+from daq.contract.errors import UserError
 from estimation.aircraft import load_aircraft
 from estimation.commands.estimate import estimate
 from estimation.commands.outputs import check_outputs
 from estimation.engine.data import Preparation, prepare
 from estimation.engine.plausible import stuck
-from estimation.errors import DataError, EstimationError, ModelError
+from estimation.errors import DataError, ModelError
 from estimation.estimators.output_error import output_error
 from estimation.models import load_model
 from estimation.session import runner
@@ -22,7 +23,7 @@ from estimation.session.sanity_checks import DoubtKind
 from groundstation.flight import Flight, MissingColumnError, read_flight, write_flight
 from groundstation.flight.notes import texts
 
-LATERAL = load_model("lateral")
+LATERAL = load_model("lateral", "cdfp")
 Change = Callable[[Flight], dict[str, np.ndarray]]
 
 
@@ -82,16 +83,16 @@ def test_a_stuck_sensor_is_left_out_and_the_answer_stays_right(made_flights: lis
 
 def test_a_channel_that_is_not_explained_is_named(made_flights: list[Flight]) -> None:
     flight = made_flights[0].with_columns(r=-made_flights[0]["r"])
-    session = runner.estimate(LATERAL, [flight], load_aircraft())
+    session = runner.estimate(LATERAL, [flight], load_aircraft("cdfp"))
     assert any("is not explained by the model" in n for n in session.flights[0].notes)
     assert {d.kind for d in session.flights[0].doubts} == {DoubtKind.UNEXPLAINED}
     turned = made_flights[0].with_columns(delta_a=-made_flights[0]["delta_a"])
-    session = runner.estimate(LATERAL, [turned], load_aircraft())
+    session = runner.estimate(LATERAL, [turned], load_aircraft("cdfp"))
     assert any("check the sign of delta_a" in n for n in session.flights[0].notes)
     doubt = next(d for d in session.flights[0].doubts if d.kind is DoubtKind.SIGN)
     assert doubt.to_json() == {"kind": "sign of a control", "text": doubt.text}
     assert doubt.text in session.flights[0].notes
-    session = runner.estimate(LATERAL, [made_flights[0]], load_aircraft())
+    session = runner.estimate(LATERAL, [made_flights[0]], load_aircraft("cdfp"))
     assert not any("check" in n for n in session.flights[0].notes)
 
 
@@ -117,8 +118,8 @@ def test_options_are_looked_at_before_any_work(
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(runner, "_each", lambda *_, **__: pytest.fail("the fit had begun"))
     write_flight(made_flights[0], "flight.csv")
-    result = run("flight.csv", *options)
-    assert isinstance(result.exception, EstimationError)
+    result = run("flight.csv", "--aircraft", "cdfp", *options)
+    assert isinstance(result.exception, UserError)
     assert said in str(result.exception)
     assert result.output == ""
 
@@ -130,7 +131,7 @@ def test_outputs_that_can_be_written_leave_nothing_behind(tmp_path: Path) -> Non
 
 def test_segments_say_what_is_wrong_with_them(made_flights: list[Flight]) -> None:
     for text, said in (("2:2.1", "only 3 samples"), ("2:12,10:20", "overlaps"), ("50:60", "it runs from")):
-        with pytest.raises(EstimationError, match=said):
+        with pytest.raises(UserError, match=said):
             select_segments(made_flights[0], text)
 
 
@@ -203,7 +204,7 @@ def test_flights_with_histories_open_in_the_viewer(made_flights: list[Flight], t
     from groundstation.viewer.entities import model_groups
 
     write_flight(made_flights[0], tmp_path / "flight.mcap")
-    result = run(tmp_path / "flight.mcap", "--histories", tmp_path / "shown")
+    result = run(tmp_path / "flight.mcap", "--aircraft", "cdfp", "--histories", tmp_path / "shown")
     assert result.exception is None
     assert "sideslip view" in result.output
     shown = read_flight(tmp_path / "shown" / "flight.mcap")

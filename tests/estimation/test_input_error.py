@@ -15,7 +15,7 @@ from estimation.signals.preprocess import denoise_many
 from groundstation.flight import Flight
 from tests.estimation.truth import NOISE, STRONG, TRUE, Case, fly
 
-LATERAL = load_model("lateral")
+LATERAL = load_model("lateral", "cdfp")
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from estimation.report.model_export import export_model, rounded
 
 @pytest.fixture
 def model(tmp_path: Path) -> Path:
-    write_model(load_model("lateral"), tmp_path / "model.toml")
+    write_model(load_model("lateral", "cdfp"), tmp_path / "model.toml")
     return tmp_path / "model.toml"
 
 
@@ -21,7 +21,7 @@ def test_csv_and_json_hold_every_parameter_with_unit_and_source(model: Path, tmp
     export_model(model, tmp_path / "m.csv")
     export_model(model, tmp_path / "m.json")
     rows = list(csv.DictReader((tmp_path / "m.csv").read_text().splitlines()))
-    parameters = load_model("lateral").parameters
+    parameters = load_model("lateral", "cdfp").parameters
     assert [r["parameter"] for r in rows] == [p.name for p in parameters]
     assert {r["parameter"]: r["unit"] for r in rows}["Cl_p"] == "1/rad"
     content = json.loads((tmp_path / "m.json").read_text())
@@ -34,7 +34,7 @@ def test_latex_compiles_in_the_eye_of_matplotlib(model: Path, tmp_path: Path) ->
     export_model(model, tmp_path / "m.tex")
     text = (tmp_path / "m.tex").read_text()
     cells = [c for line in text.splitlines() for c in line.split("&") if "$" in c]
-    assert len(cells) >= 2 * len(load_model("lateral").parameters)
+    assert len(cells) >= 2 * len(load_model("lateral", "cdfp").parameters)
     for cell in cells:
         MathTextParser("agg").parse(cell.replace(r"\\", "").strip())
 

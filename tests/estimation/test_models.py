@@ -51,9 +51,9 @@ def test_names_leave_functions_and_numbers_out() -> None:
 @pytest.mark.parametrize("name", sorted(BUILDERS))
 def test_model_survives_a_file(name: str, tmp_path: Any) -> None:
     model = (
-        load_model(name)
+        load_model(name, "cdfp")
         .fixed("CY_0" if "lateral" in name else "CD_0")
-        .with_prior(**{load_model(name).parameter_names[1]: (0.1, 0.2)})
+        .with_prior(**{load_model(name, "cdfp").parameter_names[1]: (0.1, 0.2)})
     )
     write_model(model, tmp_path / "m.toml")
     again = read_model(tmp_path / "m.toml")
@@ -62,7 +62,7 @@ def test_model_survives_a_file(name: str, tmp_path: Any) -> None:
 
 
 def test_model_file_with_everything(tmp_path: Any) -> None:
-    model = load_model("lateral").with_biases("p").plus(
+    model = load_model("lateral", "cdfp").with_biases("p").plus(
         transforms=[InputTransform("delay", "delta_a", ("T",))],
         parameters=[Parameter("T", "s", 0.02, 0.0, 0.2), Parameter("skew", "s")],
         output_delays={"beta": "skew"},
@@ -124,7 +124,7 @@ def test_wrong_model_files_name_file_and_key(text: str, said: str, tmp_path: Any
 
 
 def test_plus_adds_terms_states_and_outputs() -> None:
-    base = load_model("lateral")
+    base = load_model("lateral", "cdfp")
     child = base.plus(
         name="child",
         terms={"Cn": "Cn_da*delta_a", "beta_dot": "-a - b"},
@@ -140,7 +140,7 @@ def test_plus_adds_terms_states_and_outputs() -> None:
 
 
 def test_output_changes_chain() -> None:
-    model = load_model("lateral").with_biases("ay").plus(
+    model = load_model("lateral", "cdfp").with_biases("ay").plus(
         outputs={"ay": "ay + x_imu*r_dot"}, parameters=[Parameter("x_imu", "m")]
     )  # fmt: skip
     assert model.output_expression("ay") == "ay_shown0 + x_imu*r_dot"
@@ -148,7 +148,7 @@ def test_output_changes_chain() -> None:
 
 
 def test_a_parameter_may_take_the_place_of_a_constant() -> None:
-    model = load_model("lateral").plus(parameters=[Parameter("Ixz", "kg m2", 0.008)])
+    model = load_model("lateral", "cdfp").plus(parameters=[Parameter("Ixz", "kg m2", 0.008)])
     assert "Ixz" not in model.structure.constants_kept
     assert "Ixz" in model.free_names
 
@@ -234,4 +234,4 @@ def test_wrong_aircraft_files_name_the_key(change: str, said: str, tmp_path: Any
     path = tmp_path / "a.toml"
     path.write_text(f"[geometry]\n{change}\narea=1.0\nchord=1.0\n[mass]\nmass=1.0\nIxx=1.0\nIyy=1.0\nIzz=1.0\n")
     with pytest.raises(AircraftError, match=said):
-        load_aircraft(path)
+        load_model("lateral", load_aircraft(path))

@@ -21,7 +21,7 @@ from tests.estimation.truth import TRUE
 
 
 def run(*words: str) -> Any:
-    return CliRunner().invoke(estimate, list(words), standalone_mode=False)
+    return CliRunner().invoke(estimate, [*words, "--aircraft", "cdfp"], standalone_mode=False)
 
 
 def test_networks_bootstrap_and_truth(made_flights: list[Flight], tmp_path: Path) -> None:

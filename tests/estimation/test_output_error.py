@@ -21,7 +21,7 @@ from estimation.models.base import Model, Signal
 from groundstation.flight import Flight
 from tests.estimation.truth import DEG, NOISE, STRONG, TRUE, Case, fly
 
-LATERAL = load_model("lateral")
+LATERAL = load_model("lateral", "cdfp")
 PLAIN = {k: v for k, v in NOISE.items() if k in ("beta", "p", "r", "phi", "ay")}
 
 
@@ -268,7 +268,7 @@ def test_own_longitudinal_model_equals_an_independent_solution() -> None:
     noise = np.array([0.1, 0.004, 0.004, 0.006, 0.05, 0.08])
     z = outputs(true, x0) + noise * rng.normal(size=(count, 6))
     columns = dict(zip(("V", "alpha", "theta", "q", "ax", "az"), z.T, strict=True))
-    model = load_model("docs.examples.pitch:Pitch")
+    model = load_model("docs.examples.pitch:Pitch", "cdfp")
     result = output_error(model, Flight.build("pitch", t, {**u, **columns}), options=OutputErrorOptions(substeps=4))
     assert result.converged
     assert max(abs(e.estimate - true[n]) / e.std for n, e in result.parameters.items()) < 4.0
@@ -366,7 +366,7 @@ def test_parameter_without_effect_is_named(made_flights: list[Flight]) -> None:
 
 def test_tied_parameters_are_not_inverted_silently(made_flights: list[Flight]) -> None:
     """A sideslip output bias is exactly collinear with CY_0, Cl_0 and Cn_0 where the kinematics drop everything else."""
-    result = output_error(load_model("lateral-simple").with_biases("beta"), made_flights[0])
+    result = output_error(load_model("lateral-simple", "cdfp").with_biases("beta"), made_flights[0])
     assert result.status is Status.NOT_IDENTIFIABLE
     tied = {n for n, e in result.parameters.items() if "tied exactly" in e.why}
     assert {"bias_beta", "Cl_0"} <= tied <= {"bias_beta", "CY_0", "Cl_0", "Cn_0"}

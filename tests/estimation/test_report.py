@@ -21,7 +21,7 @@ from estimation.report.page import write_estimate_report
 from estimation.report.tables import Table, number
 from estimation.session import runner
 from estimation.session.session import Session
-from groundstation.flight import Flight
+from groundstation.flight import Flight, Provenance
 from groundstation.flight.quality import quality_report
 
 CRAFT = load_aircraft("cdfp")
@@ -163,7 +163,7 @@ def kinematic_flight() -> Flight:
     columns = {"ax": noisy(0, 0.05), "ay": noisy(0, 0.05), "az": noisy(-9.80665, 0.05), "p": noisy(0, 0.005),
                "q": noisy(0, 0.005), "r": noisy(0, 0.005), "V": noisy(17, 0.1), "alpha": noisy(0, 0.004), "beta": noisy(0, 0.004),
                "phi": noisy(0, 0.002), "theta": noisy(0, 0.002), "psi": noisy(0, 0.002)}  # fmt: skip
-    return Flight.build("level", t, columns)
+    return Flight.build("level", t, columns, provenance=Provenance(aircraft="cdfp"))
 
 
 def test_front_page_links_what_is_there_and_nothing_else(session: Session, report: Path) -> None:

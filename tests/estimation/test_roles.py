@@ -18,7 +18,7 @@ from estimation.session import runner
 from groundstation.flight import Flight
 from tests.estimation.truth import TRUE
 
-LATERAL = load_model("lateral")
+LATERAL = load_model("lateral", "cdfp")
 OWN_NAMES = ("bias_x", "timing_x", "edge_x", "plumb_x", "rounding_x")
 
 
@@ -43,8 +43,8 @@ def test_a_persons_bias_x_is_estimated_reported_and_judged_like_any_other(
     write_model(with_own_names(), tmp_path / "own.toml")
     own = read_model(tmp_path / "own.toml")
     assert all(own.parameter(n).role is ParameterRole.DERIVATIVE for n in OWN_NAMES)
-    session = runner.estimate(own, made_flights[:1], load_aircraft())
-    plain = runner.estimate(LATERAL, made_flights[:1], load_aircraft())
+    session = runner.estimate(own, made_flights[:1], load_aircraft("cdfp"))
+    plain = runner.estimate(LATERAL, made_flights[:1], load_aircraft("cdfp"))
     there = dict(zip(OWN_NAMES, ("Cl_beta", "Cl_p", "Cl_da", "Cn_beta", "Cn_r"), strict=True))
     for name, other in there.items():
         mine, usual = (s.flights[0].results["ml"].parameters[n] for s, n in ((session, name), (plain, other)))
@@ -61,7 +61,10 @@ def test_constants_are_each_flights_own_by_their_role(made_flights: list[Flight]
     assert LATERAL.free_of(ParameterRole.CONSTANT) == ("CY_0", "Cl_0", "Cn_0")
     shared = LATERAL.with_role(ParameterRole.DERIVATIVE, "CY_0").with_role(ParameterRole.CONSTANT, "CY_dr")
     assert [p.name for p in runner.joint_model(shared).parameters if p.local] == ["CY_dr", "Cl_0", "Cn_0"]
-    assert load_model("longitudinal").free_of(ParameterRole.CONSTANT) == ("CL_0", "Cm_0")  # CD_0 is a derivative
+    assert load_model("longitudinal", "cdfp").free_of(ParameterRole.CONSTANT) == (
+        "CL_0",
+        "Cm_0",
+    )  # CD_0 is a derivative
 
 
 def test_roles_go_through_a_file_and_unknown_ones_are_refused(tmp_path: Path) -> None:

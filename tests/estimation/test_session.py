@@ -22,7 +22,7 @@ from estimation.signals.goodness_of_fit import autocorrelation, channel_fit
 from groundstation.flight import Flight, write_flight
 from tests.estimation.truth import STRONG, TRUE
 
-LATERAL = load_model("lateral")
+LATERAL = load_model("lateral", "cdfp")
 
 
 def test_theil_parts_add_to_one_and_mean_what_they_say() -> None:
@@ -48,7 +48,7 @@ def test_whiteness_knows_white_from_coloured() -> None:
 
 
 def test_scatter_says_when_bounds_are_too_small(made_flights: list[Flight]) -> None:
-    session = runner.estimate(LATERAL, made_flights[:2], load_aircraft(), ["ml"])
+    session = runner.estimate(LATERAL, made_flights[:2], load_aircraft("cdfp"), ["ml"])
     results = [f.results["ml"] for f in session.flights]
     honest = scatter(results)["Cl_p"]
     assert honest.text == ""
@@ -62,7 +62,7 @@ def test_scatter_says_when_bounds_are_too_small(made_flights: list[Flight]) -> N
 
 
 def test_session_json_has_the_promised_names(made_flights: list[Flight]) -> None:
-    session = runner.estimate(LATERAL, made_flights[:2], load_aircraft(), ["ml", "ls"], joint=True)
+    session = runner.estimate(LATERAL, made_flights[:2], load_aircraft("cdfp"), ["ml", "ls"], joint=True)
     data = json.loads(json.dumps(session.to_json(), allow_nan=False))
     assert set(data) >= {"version", "aircraft", "model", "status", "flights", "mean", "joint", "collinear"}
     ml = data["flights"][0]["methods"]["ml"]
@@ -99,9 +99,19 @@ def test_estimate_and_match_from_the_command_line(made_flights: list[Flight], tm
         paths.append(str(tmp_path / f"{flight.name}.csv"))
         write_flight(flight, paths[-1])
     out: Any = CliRunner().invoke(
-        estimate, [*paths, "--joint", "--json", str(tmp_path / "e.json"), "--figure", str(tmp_path / "f.png")],
+        estimate,
+        [
+            *paths,
+            "--aircraft",
+            "cdfp",
+            "--joint",
+            "--json",
+            str(tmp_path / "e.json"),
+            "--figure",
+            str(tmp_path / "f.png"),
+        ],
         standalone_mode=False,
-    )  # fmt: skip
+    )
     assert out.exception is None
     assert out.return_value == 0
     assert "joint over 2 flights" in out.output
@@ -127,7 +137,7 @@ def test_light_imports() -> None:
     import sys
 
     code = (
-        "import sys, estimation.aircraft as a; a.load_aircraft();"
+        "import sys, estimation.aircraft as a; a.load_aircraft('cdfp');"
         "assert not {'casadi', 'scipy', 'torch', 'matplotlib'} & set(sys.modules);"
         "import estimation.estimators.output_error, estimation.session.runner;"
         "assert not {'torch', 'matplotlib', 'scipy', 'rerun'} & set(sys.modules)"

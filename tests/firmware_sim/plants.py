@@ -8,7 +8,7 @@ from firmware_sim.physics.atmosphere import Site
 from firmware_sim.physics.effects.base import Effect
 from firmware_sim.physics.maths import FLOATS, State
 from firmware_sim.physics.motion import Motion
-from firmware_sim.physics.plant import ARMS, ATTITUDE, POSITION, THRUST, Commands, Plant, thrust_available
+from firmware_sim.physics.plant import ARMS, ATTITUDE, POSITION, THRUST, Commands, Plant
 from firmware_sim.physics.trim import Trim, level_trim
 
 QUIET = [0.0] * 4
@@ -43,7 +43,7 @@ def level_state(plant: Plant, speed: float = 17.0, height: float = 60.0) -> tupl
     x[POSITION + 2] = -height
     x[ARMS] = x[ARMS + 1] = trim.elevator
     x[THRUST] = trim.thrust
-    return x, Commands(trim.elevator, trim.elevator, 0.0, trim.thrust / thrust_available(speed)), trim
+    return x, Commands(trim.elevator, trim.elevator, 0.0, trim.thrust / plant.thrust_available(speed)), trim
 
 
 def motion_of(plant: Plant, x: State, commands: Commands) -> tuple[Motion, State]:

@@ -69,7 +69,7 @@ def test_small_motion_is_that_of_the_lateral_model_with_the_same_derivatives() -
         ]
     )
     (columns,) = direct_flights([scenario], [2], DirectNoise(scale=0.01), rate_hz=200.0)
-    model = load_model("lateral")
+    model = load_model("lateral", "cdfp")
     truth = derivatives_of(scenario)
     values = {name: truth[name] for name in model.starts() if name in truth}
     assert len(values) >= 16
@@ -85,7 +85,7 @@ def test_the_laboratory_recovers_the_derivatives_flown() -> None:
         flight={"derivative_scatter": 0.15, "derivative_seed": 9}, wind={"gust_deg": 0.05}
     )
     flights = direct_flights([scenario, scenario.altered(flight={"speed_m_s": 15.0})], [21, 22])
-    result = output_error(load_model("lateral"), [as_flight(f, f"f{i}") for i, f in enumerate(flights)])
+    result = output_error(load_model("lateral", "cdfp"), [as_flight(f, f"f{i}") for i, f in enumerate(flights)])
     truth = derivatives_of(scenario)
     for name in WELL_EXCITED:
         estimate = result.parameters[name]

@@ -8,12 +8,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from daq.contract.errors import UserError
+from estimation.aircraft import load_aircraft
 from firmware_sim.errors import ScenarioError
-from firmware_sim.physics.aerodynamics import TABLE_5_ML_MEANS
+from firmware_sim.physics.aerodynamics import simulation_of
 from firmware_sim.physics.effects.registry import EFFECTS
 from firmware_sim.pilot.manoeuvres import MANOEUVRE_SETS, SHAPES, Manoeuvre
 from firmware_sim.world.scenario import Scenario, built_in_scenarios, load_scenario, scenario_from
 from firmware_sim.world.simulation import derivatives_of, manoeuvres_of
+
+CDFP = simulation_of(load_aircraft("cdfp")).derivatives
 
 
 @pytest.mark.parametrize("name", sorted(built_in_scenarios()))
@@ -90,12 +93,12 @@ def test_an_unknown_derivative_is_refused() -> None:
 
 def test_truth_is_table_5_with_overrides_then_scatter_by_seed() -> None:
     plain = derivatives_of(Scenario())
-    assert {name: plain[name] for name in TABLE_5_ML_MEANS} == TABLE_5_ML_MEANS
+    assert {name: plain[name] for name in CDFP} == CDFP
     other = derivatives_of(scenario_from({"derivatives": {"Cl_dr": 0.02}}, "here"))
     assert other["Cl_dr"] == 0.02
     scattered = scenario_from({"flight": {"derivative_scatter": 0.15}}, "here")
     one, two = derivatives_of(scattered, 1), derivatives_of(scattered, 2)
-    ratios = [one[n] / plain[n] for n in TABLE_5_ML_MEANS if not n.endswith("_0")]
+    ratios = [one[n] / plain[n] for n in CDFP if not n.endswith("_0")]
     assert all(0.85 <= ratio <= 1.15 for ratio in ratios)
     assert max(ratios) - min(ratios) > 0.05
     assert one != two

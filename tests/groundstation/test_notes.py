@@ -48,7 +48,7 @@ def test_a_file_without_kinds_is_read_and_a_gap_in_it_said_once(tmp_path: Path) 
 
 
 def test_columns_that_the_model_knows_are_not_called_unknown(clean: Flight) -> None:
-    lateral = load_model("lateral")
+    lateral = load_model("lateral", "cdfp")
     model = replace(lateral, inputs=(*lateral.inputs, Signal("weight", "kg")))
     added = clean.with_columns(weight=np.full(len(clean), 8.5), odd=np.ones(len(clean)))
     both = added.with_notes(unknown_columns({"weight": "Gewicht, kg: as is", "odd": "odd, too"}))

@@ -82,7 +82,7 @@ def run(kind: str, size: float, start: int, count: int, gust: float, manoeuvres:
         only: Sequence[str] = ()) -> None:  # fmt: skip
     """Fly and analyse all cases; one JSON line each."""
     chosen = [c for c in cases(kind, size, start, count) if not only or c[0] in only]
-    model = load_model("lateral")
+    model = load_model("lateral", "cdfp")
     out.parent.mkdir(parents=True, exist_ok=True)
     for at in range(0, len(chosen), 12):
         block = chosen[at : at + 12]

@@ -124,7 +124,7 @@ def run(name: str, seed: int, nulls: int) -> dict[str, Any]:
     effects = tuple(e for e in catalogue() if e.name not in decoy.without)
     began = time.perf_counter()
     try:
-        result = run_gap(load_model("lateral"), four[: decoy.training], four[3 : 3 + decoy.holdout], effects,
+        result = run_gap(load_model("lateral", "cdfp"), four[: decoy.training], four[3 : 3 + decoy.holdout], effects,
                          Options(seed=1, nulls=nulls))  # fmt: skip
     except UserError as error:
         return {"decoy": name, "seed": seed, "answer": "refused", "text": str(error), "right": "refused" in decoy.right}

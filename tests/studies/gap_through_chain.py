@@ -55,7 +55,7 @@ def main() -> None:
             break
         hidden = tuple((name, 1.0) for name in names)
         flights = flown(hidden, given.nulls_from + number, given.gust)
-        result = run_gap(load_model("lateral"), flights[:3], flights[3:], catalogue())
+        result = run_gap(load_model("lateral", "cdfp"), flights[:3], flights[3:], catalogue())
         said = [step.effect for step in result.steps]
         print(f"{'+'.join(names) or 'nothing':<16} {result.verdict:<15} {' '.join(said)}", flush=True)
         if names:

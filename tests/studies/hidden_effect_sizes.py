@@ -28,7 +28,7 @@ def visibility(hidden: tuple[tuple[str, float], ...], seed: int) -> dict[str, fl
         )
         for k, c in enumerate(flown.training)
     ]
-    result = output_error(load_model("lateral"), flights)
+    result = output_error(load_model("lateral", "cdfp"), flights)
     residuals = np.concatenate([np.asarray(flight.residuals) for flight in result.flights])
     return {
         name: float(np.sqrt(np.nanmean(residuals[:, k] ** 2))) / float(getattr(ORDINARY_NOISE, name))

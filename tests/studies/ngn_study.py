@@ -26,12 +26,13 @@ from estimation.aircraft import load_aircraft
 from estimation.estimators.neural_gauss_newton import estimate_ngn
 from estimation.models import load_model
 from estimation.session.runner import run_method
-from firmware_sim.physics.aerodynamics import TABLE_5_ML_MEANS, true_derivatives
+from firmware_sim.physics.aerodynamics import simulation_of, true_derivatives
 from firmware_sim.runs.direct import DirectNoise, direct_flights
 from firmware_sim.world.scenario import load_scenario
 from groundstation.flight import Flight, read_flight
 from tests.studies import second_truth
 
+FLOWN = simulation_of(load_aircraft("cdfp")).derivatives
 STRONG = {
     "lateral": ("CY_beta", "CY_dr", "Cl_beta", "Cl_p", "Cl_da", "Cn_beta", "Cn_r", "Cn_dr"),
     "longitudinal": ("CL_alpha", "CD_0", "CD_k", "Cm_0", "Cm_alpha", "Cm_q", "Cm_de"),
@@ -161,8 +162,8 @@ def grid(store: Store, seeds: Sequence[int], methods: Sequence[str]) -> Iterator
                 if not found:
                     cells.append("")
                     continue
-                error = np.array([[f[n][0] - TABLE_5_ML_MEANS[n] for n in names] for f in found])
-                percent = 100 * error / np.array([TABLE_5_ML_MEANS[n] for n in names])
+                error = np.array([[f[n][0] - FLOWN[n] for n in names] for f in found])
+                percent = 100 * error / np.array([FLOWN[n] for n in names])
                 bias = np.abs(percent.mean(axis=0)).max()
                 cells.append(f"{np.abs(percent).mean():.1f} ({bias:.1f})")
             yield f"| {rate:g} | {noise:g} | " + " | ".join(cells) + " |"
@@ -203,7 +204,7 @@ def main() -> None:
         lines = grid(store, seeds, methods)
     else:
         store.fill(given.axis, seeds, partial(flights_of, scenario=SCENARIOS[given.axis]), methods, given.axis)
-        truth = {**true_derivatives(load_aircraft("cdfp"), {}), **TABLE_5_ML_MEANS}
+        truth = {**true_derivatives(load_aircraft("cdfp"), {}), **FLOWN}
         lines = table(store, given.axis, named(seeds), truth, methods, given.axis)
     for line in lines:
         print(line, flush=True)

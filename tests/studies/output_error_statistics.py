@@ -128,7 +128,7 @@ def rms(values: np.ndarray) -> float:
 def study(name: str, seeds: int, method: str) -> None:
     """Fit the flights of one set and print its tables."""
     title, groups = SETS[name]
-    model = load_model("lateral")
+    model = load_model("lateral", "cdfp")
     options = OutputErrorOptions(compile_="always")
     fit = {"ml": output_error, "fem": filter_error}[method]
     alone, joint, failed = Tally(), Tally(), 0

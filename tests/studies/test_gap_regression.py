@@ -22,7 +22,7 @@ HIDDEN = {
 
 
 def test_the_library_holds_every_form_of_every_effect_that_applies() -> None:
-    model = load_model("lateral")
+    model = load_model("lateral", "cdfp")
     wanted = {(e.name, f.label) for e in catalogue() if not e.tied_to for f in e.applicable(model)}
     held = [(h.effect, h.form) for h in LIBRARY]
     assert set(held) == wanted

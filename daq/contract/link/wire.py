@@ -8,6 +8,9 @@ Three messages carry a scan, each with the scan's number, its exact monotonic ti
 - SCAN_SLOW: "slow" channels that have a value in every scan, and the rest of the scan's header (UTC, lateness).
 - SCAN_RARE: "slow" channels that come less often than scans (GPS).
 
+A fourth, SCAN_LABORATORY, carries what laboratory packages bring. To MAVLink it is a row of bytes, so that the dialect stays
+the same for every ground station; a checksum of its channels in front of them says which they are.
+
 Values are the raw counts as recorded. What does not fit is never clamped: the channel is marked missing, and if a read
 offset does not fit, all channels of its group are. Three bytes suffice for the 24-bit converters and seven for the
 time (two years); such fields are split into MAVLink's own types, low part first. Bits of a mask count from the least
@@ -16,22 +19,24 @@ out of the frame.
 """
 
 import struct
+import zlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from operator import itemgetter
 
 from daq.contract.channels import CHANNELS, Channel, Rate
+from daq.contract.errors import UserError
 from daq.contract.scan import GroupStatus, RawValue, Scan, SensorState
 
-SCAN_FAST_ID, SCAN_SLOW_ID, SCAN_RARE_ID = 44100, 44101, 44102
+SCAN_FAST_ID, SCAN_SLOW_ID, SCAN_RARE_ID, SCAN_LABORATORY_ID = 44100, 44101, 44102, 44108
+SCAN_IDS = (SCAN_FAST_ID, SCAN_SLOW_ID, SCAN_RARE_ID, SCAN_LABORATORY_ID)
 MAX_FAST_PAYLOAD = 93
+MAX_LABORATORY_PAYLOAD = 200
+"""Bytes of SCAN_LABORATORY in the dialect definition."""
 
 _CODE = {"u8": "B", "u16": "H", "u32": "I", "u64": "Q", "i16": "h", "i32": "i", "f32": "f"}
-_MAVLINK_TYPE = {
-    "u8": "uint8_t", "u16": "uint16_t", "u32": "uint32_t", "u64": "uint64_t",
-    "i16": "int16_t", "i32": "int32_t", "f32": "float",
-}  # fmt: skip
+_MAVLINK_TYPE = {**{k: f"{'u' * (k[0] == 'u')}int{k[1:]}_t" for k in _CODE if k != "f32"}, "f32": "float"}
 _SIZE = {kind: struct.calcsize(code) for kind, code in _CODE.items()}
 
 _CONVERTER_BITS = {"static_pressure": 24, "static_temperature": 24, "thrust_load": 24}
@@ -101,6 +106,7 @@ class Layout:
     plain: tuple[str, ...] = field(repr=False)  # channels that are one field each
     pick_plain: Callable[[Sequence[RawValue]], tuple[RawValue, ...]] = field(repr=False)
     packer: "_Packer" = field(repr=False)
+    table: int = 0  # checksum of the channels of SCAN_LABORATORY
 
     @property
     def size(self) -> int:
@@ -109,16 +115,19 @@ class Layout:
 
 
 _HEADER = (
-    *(WireField(f"time_monotonic_ns_{i}", kind, 0, f"start of the scan on the logger's monotonic clock, part {i}")
-      for i, kind in enumerate(_SPLIT[_TIME_BITS])),
+    *(
+        WireField(f"time_monotonic_ns_{i}", kind, 0, f"start of the scan on the logger's monotonic clock, part {i}")
+        for i, kind in enumerate(_SPLIT[_TIME_BITS])
+    ),
     WireField("number", "u32", meaning="scan number"),
     WireField("boot", "u8", meaning="random number drawn when the logger started"),
-)  # fmt: skip
+)
 _REST_OF_HEADER = (
     WireField("time_utc_ns", "u64", meaning="the same instant in UTC since 1970, 0 while unknown"),
     WireField("utc_accuracy_ns", "u32", meaning="one-sigma accuracy of the UTC time, 0 while unknown"),
     WireField("lateness_us", "u32", meaning="how late after its deadline the scan started"),
 )
+_WHICH_TABLE = (WireField("table", "u16", meaning="checksum of the channels in this message"),)
 
 
 def _bytes_for(bits: int) -> int:
@@ -219,7 +228,8 @@ def _pick_all(places: tuple[int, ...]) -> Callable[[Sequence[RawValue]], tuple[R
 @cache
 def layouts(channels: tuple[Channel, ...] = CHANNELS) -> Mapping[int, Layout]:
     """The packed scan messages of a channel table, by message id."""
-    sent = [c for c in channels if c.downlink != "none"]
+    own = [c for c in channels if c.downlink != "none" and c.package]
+    sent = [c for c in channels if c.downlink != "none" and not c.package]
     fast = [c for c in sent if c.downlink == "fast"]
     slow = [c for c in sent if c.downlink == "slow" and c.rate is Rate.SCAN]
     rare = [c for c in sent if c.downlink == "slow" and c.rate is Rate.SLOW]
@@ -239,7 +249,22 @@ def layouts(channels: tuple[Channel, ...] = CHANNELS) -> Mapping[int, Layout]:
         _layout(SCAN_SLOW_ID, "SCAN_SLOW", texts[1], _REST_OF_HEADER, slow, groups[1]),
         _layout(SCAN_RARE_ID, "SCAN_RARE", texts[2], (), rare, groups[2]),
     )
-    return {layout.msg_id: layout for layout in made}
+    laboratory = (_laboratory_layout(own, seen),) if own else ()
+    return {layout.msg_id: layout for layout in (*made, *laboratory)}
+
+
+def _laboratory_layout(channels: Sequence[Channel], seen: Iterable[str]) -> Layout:
+    """SCAN_LABORATORY; UserError when it would be too long for a frame."""
+    text = "One scan: the channels that laboratory packages bring."
+    groups = list(dict.fromkeys(c.group for c in channels if c.group not in set(seen)))
+    made = _layout(SCAN_LABORATORY_ID, "SCAN_LABORATORY", text, _WHICH_TABLE, channels, groups)
+    if made.size > MAX_LABORATORY_PAYLOAD:
+        raise UserError(
+            f"the channels of laboratory packages take {made.size} bytes of a frame, {MAX_LABORATORY_PAYLOAD} at most can be"
+            ' sent down; set downlink = "none" for some of them in channels.toml'
+        )
+    rows = [(c.name, c.group, c.raw_type) for c in channels]
+    return replace(made, table=zlib.crc32(repr(rows).encode()) & 0xFFFF)
 
 
 def pack_scan(layout: Layout, scan: Scan, boot: int) -> bytes:
@@ -264,7 +289,9 @@ def pack_scan(layout: Layout, scan: Scan, boot: int) -> bytes:
         for part, size in parts:
             found[part] = word & (1 << size) - 1
             word >>= size
-    if layout.msg_id == SCAN_SLOW_ID:
+    if layout.msg_id == SCAN_LABORATORY_ID:
+        found["table"] = layout.table
+    elif layout.msg_id == SCAN_SLOW_ID:
         found["time_utc_ns"], found["utc_accuracy_ns"] = scan.time_utc_ns, scan.utc_accuracy_ns
         found["lateness_us"] = scan.lateness_us
     return packer.codec.pack(*packer.pick(found))
@@ -312,11 +339,13 @@ class ScanPart:
 def unpack_scan(layout: Layout, payload: bytes) -> ScanPart:
     """The inverse of `pack_scan`; `payload` has its trailing zeros restored.
 
-    Raises ValueError for a payload of the wrong length: a frame made from another channel table.
+    Raises ValueError for a payload of the wrong length or mark: a frame made from another channel table.
     """
     if len(payload) != layout.codec.size:
         raise ValueError(f"{layout.name} payload has {len(payload)} bytes, not {layout.codec.size}")
     numbers = layout.codec.unpack(payload)
+    if layout.msg_id == SCAN_LABORATORY_ID and numbers[layout.scalars["table"]] != layout.table:
+        raise ValueError(f"{layout.name} is of another table of laboratory channels")
     values = dict(zip(layout.plain, layout.pick_plain(numbers), strict=True))
     for name, bits in layout.split.items():
         values[name] = _joined(layout, numbers, name, bits)

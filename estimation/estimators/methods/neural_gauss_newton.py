@@ -25,7 +25,9 @@ def _form(name: str, title: str, improved: bool, rank: int, look: Look) -> Estim
             bootstraps=task.extras.bootstrap or None, seed=task.extras.seed,
         )  # fmt: skip
 
-    return Estimator(name, title, fit, frozenset({Extra.BOOTSTRAP, Extra.SEED}), fit_each, rank, look)
+    return Estimator(
+        name, title, fit, frozenset({Extra.BOOTSTRAP, Extra.SEED}), fit_each, rank, look, needs_aircraft=True
+    )
 
 
 ESTIMATORS = (

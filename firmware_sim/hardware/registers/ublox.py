@@ -11,9 +11,8 @@ import struct
 from dataclasses import dataclass
 
 SYNC = b"\xb5\x62"
-NAV_PVT, ACK_ACK, ACK_NAK, CFG_PRT, CFG_MSG, CFG_RATE, CFG_VALSET, MON_VER = (
-    (0x01, 0x07), (0x05, 0x01), (0x05, 0x00), (0x06, 0x00), (0x06, 0x01), (0x06, 0x08), (0x06, 0x8A), (0x0A, 0x04),
-)  # fmt: skip
+NAV_PVT, ACK_ACK, ACK_NAK, MON_VER = (0x01, 0x07), (0x05, 0x01), (0x05, 0x00), (0x0A, 0x04)
+CFG_PRT, CFG_MSG, CFG_RATE, CFG_VALSET = (0x06, 0x00), (0x06, 0x01), (0x06, 0x08), (0x06, 0x8A)
 KEY_RATE_MEAS, KEY_NAV_PVT_UART1 = 0x30210001, 0x20910007
 VALUE_BYTES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8}  # by the size field of a key
 GPS_EPOCH = dt.datetime(1980, 1, 6, tzinfo=dt.UTC)
@@ -68,7 +67,13 @@ def nav_pvt(fix: Fix) -> bytes:
     payload = struct.pack(
         "<IHBBBBBBIiBBBBiiiiIIiiiiiIIHH4xihH",
         gps_ms % _WEEK_MS,
-        utc.year, utc.month, utc.day, utc.hour, utc.minute, utc.second, valid,
+        utc.year,
+        utc.month,
+        utc.day,
+        utc.hour,
+        utc.minute,
+        utc.second,
+        valid,
         round(fix.time_accuracy_s * 1e9),
         fraction_ns,
         fix.fix_type,
@@ -81,12 +86,19 @@ def nav_pvt(fix: Fix) -> bytes:
         round(fix.height_msl_m * 1e3),
         round(fix.horizontal_accuracy_m * 1e3),
         round(fix.vertical_accuracy_m * 1e3),
-        round(north * 1e3), round(east * 1e3), round(down * 1e3), round(speed * 1e3),
+        round(north * 1e3),
+        round(east * 1e3),
+        round(down * 1e3),
+        round(speed * 1e3),
         round(heading * 1e5),
         round(fix.speed_accuracy_m_s * 1e3),
         round(5.0 * 1e5),
-        150, 0, 0, 0, 0,
-    )  # fmt: skip
+        150,
+        0,
+        0,
+        0,
+        0,
+    )
     return frame(NAV_PVT, payload)
 
 

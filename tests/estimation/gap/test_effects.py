@@ -41,7 +41,7 @@ def test_every_fixed_name_is_there_once() -> None:
 def test_every_form_applies_somewhere_and_is_nothing_at_no_effect(effect) -> None:  # type: ignore[no-untyped-def]
     applied = 0
     for name in ("lateral", "lateral-simple", "longitudinal"):
-        model = load_model(name)
+        model = load_model(name, "cdfp")
         if effect.name == "CY_p_r" and "CY" in model.definitions:
             model = without(without(model, "CY_p", "p_hat"), "CY_r", "r_hat")
         for form in effect.applicable(model):
@@ -69,9 +69,9 @@ def without(model: Model, parameter: str, regressor: str) -> Model:
 
 
 def test_missing_derivatives_become_hypotheses() -> None:
-    model = without(load_model("lateral"), "Cl_dr", "delta_r")
+    model = without(load_model("lateral", "cdfp"), "Cl_dr", "delta_r")
     assert [e.name for e in missing_derivatives(model, set(NAMES))] == ["Cl_dr"]
-    held = load_model("lateral").fixed(Cn_p=0.0)
+    held = load_model("lateral", "cdfp").fixed(Cn_p=0.0)
     (effect,) = missing_derivatives(held, set(NAMES))
     assert effect.name == "Cn_p"
     assert "Cn_p" in effect.forms[0].added_to(held).free_names
@@ -83,7 +83,7 @@ def test_two_changes_of_one_instrument_add_up() -> None:
     model = (
         effects["beta_lag"]
         .forms[0]
-        .added_to(effects["beta_scale"].forms[0].added_to(load_model("lateral")), {"beta_lag": 0.1})
+        .added_to(effects["beta_scale"].forms[0].added_to(load_model("lateral", "cdfp")), {"beta_lag": 0.1})
     )
     flight = still(model)
     y0 = simulate(model, flight, {"beta_scale": 0.0})[0, 0]
@@ -91,7 +91,7 @@ def test_two_changes_of_one_instrument_add_up() -> None:
 
 
 def test_an_awakened_form_equals_the_form_added() -> None:
-    model = load_model("lateral")
+    model = load_model("lateral", "cdfp")
     effects = catalogue()
     asleep = with_dormant(model, effects, frozenset(model.input_names))
     for name, value in (("Cn_da", -0.01), ("Cl_beta3", 1.0), ("aileron_delay", 0.06), ("airspeed_factor", 1.05)):
@@ -122,7 +122,7 @@ parameters = [{ name = "Cl_r_abs_r", unit = "1/rad2", typical = 0.5, lower = -5.
         encoding="utf-8",
     )
     (mine,) = load_effects(path)
-    model = add_effect(mine, load_model("lateral"), size=1.0)
+    model = add_effect(mine, load_model("lateral", "cdfp"), size=1.0)
     assert model.parameter("Cl_r_abs_r").start == 0.5
     write_model(model, tmp_path / "child.toml")
     assert read_model(tmp_path / "child.toml").definitions == model.definitions

@@ -50,7 +50,7 @@ def linear() -> Linear:
 class _Outputs:
     """As much of a problem as the drawing of instrument noise asks for."""
 
-    model = load_model("lateral")
+    model = load_model("lateral", "cdfp")
 
 
 def drawn(noise: NoiseModel, count: int, seed: int) -> Array:
@@ -93,7 +93,7 @@ def test_strengths_are_found_again() -> None:
 
 def test_only_a_filtered_attitude_gets_timing_rounding_and_plumb_line() -> None:
     noise = dict.fromkeys(OUTPUTS, 0.01)
-    plain, filtered = (with_nuisance(load_model("lateral"), noise, STEP, names) for names in ((), ("phi",)))
+    plain, filtered = (with_nuisance(load_model("lateral", "cdfp"), noise, STEP, names) for names in ((), ("phi",)))
     more = set(filtered.parameter_names) - set(plain.parameter_names)
     assert more == {"timing_phi", "rounding_phi", "plumb_phi"}
     assert all(is_nuisance(n) for n in more)

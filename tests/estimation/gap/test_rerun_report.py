@@ -27,7 +27,7 @@ def history(flight: str, holdout: bool, rng: np.random.Generator) -> Histories:
 
 @pytest.fixture
 def answered(rng: np.random.Generator) -> GapResult:
-    model = load_model("lateral")
+    model = load_model("lateral", "cdfp")
     gap = Gap(1.65, 1.19, 1.17)
     step = Step(
         effect="Cn_da", title="adverse yaw from aileron", form="Cn_da", confidence=0.78,

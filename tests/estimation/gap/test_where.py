@@ -31,7 +31,7 @@ def answered() -> GapResult:
         Flight.build(f"f{i}", c["time"], {k: v for k, v in c.items() if k != "time"})
         for i, c in enumerate(truth.fly(requests))
     ]
-    return run_gap(load_model("lateral"), flights, options=Options(seed=2, nulls=30, most=1))
+    return run_gap(load_model("lateral", "cdfp"), flights, options=Options(seed=2, nulls=30, most=1))
 
 
 def test_the_flight_of_another_aircraft_does_not_repeat_the_others(answered: GapResult) -> None:

@@ -39,7 +39,7 @@ def flown() -> dict[str, list[Flight]]:
 def test_adverse_yaw_is_named_added_and_written_down(flown: dict[str, list[Flight]], tmp_path: Path) -> None:
     flights = flown["Cn_da"]
     said: list[str] = []
-    result = analyse(load_model("lateral"), flights[:2], flights[2:], catalogue(), QUICK,
+    result = analyse(load_model("lateral", "cdfp"), flights[:2], flights[2:], catalogue(), QUICK,
                      lambda what, share: said.append(what), tmp_path / "report", tmp_path / "gap.json")  # fmt: skip
     answer = json.loads((tmp_path / "gap.json").read_text(encoding="utf-8"))
     step = answer["steps"][0]
@@ -65,7 +65,7 @@ def test_adverse_yaw_is_named_added_and_written_down(flown: dict[str, list[Fligh
 
 def test_the_gap_of_a_delay_is_what_the_base_had_followed_by_timing(flown: dict[str, list[Flight]]) -> None:
     flights = flown["late"]
-    result = run_gap(load_model("lateral"), flights[:2], flights[2:], options=QUICK)
+    result = run_gap(load_model("lateral", "cdfp"), flights[:2], flights[2:], options=QUICK)
     (step,) = result.steps
     true = truth.TYPICAL["rudder_delay"]
     assert step.effect == "rudder_delay"
@@ -92,11 +92,11 @@ def _lives_where_it_arises(result: GapResult) -> None:
 
 
 def test_nothing_hidden_gives_no_gap_and_the_same_answer_again(flown: dict[str, list[Flight]]) -> None:
-    first = run_gap(load_model("lateral"), flown["none"], options=QUICK)
+    first = run_gap(load_model("lateral", "cdfp"), flown["none"], options=QUICK)
     assert first.verdict is Verdict.NO_GAP
     assert not first.steps
     assert first.minimum_detectable["Cn_da"] < 0.01
-    again = run_gap(load_model("lateral"), flown["none"], options=QUICK)
+    again = run_gap(load_model("lateral", "cdfp"), flown["none"], options=QUICK)
     assert json.dumps(first.to_json()) == json.dumps(again.to_json())
 
 
@@ -109,18 +109,18 @@ def test_a_missing_channel_is_named(flown: dict[str, list[Flight]]) -> None:
     flight = flown["none"][0]
     bare = Flight.build("bare", flight.time, {k: v for k, v in flight.columns.items() if k != "delta_a"})
     with pytest.raises(FlightError, match="delta_a"):
-        run_gap(load_model("lateral"), [bare], options=QUICK)
+        run_gap(load_model("lateral", "cdfp"), [bare], options=QUICK)
 
 
 def test_a_baseline_that_runs_away_is_a_finding(flown: dict[str, list[Flight]]) -> None:
-    wild = load_model("lateral").fixed(Cl_p=40.0)
+    wild = load_model("lateral", "cdfp").fixed(Cl_p=40.0)
     with pytest.raises(GapError, match="runs away on f"):
         run_gap(wild, flown["none"][:1], options=QUICK)
 
 
 def test_no_training_flight_is_refused() -> None:
     with pytest.raises(GapError, match="no training flight"):
-        run_gap(load_model("lateral"), [], options=QUICK)
+        run_gap(load_model("lateral", "cdfp"), [], options=QUICK)
 
 
 def test_the_second_truth_obeys_its_own_trim() -> None:

@@ -74,7 +74,7 @@ def fake_flights(
 
 def fitted_baseline(training: Sequence[Flight]) -> tuple[Baseline, Bench]:
     """The workflow's own baseline of these flights."""
-    model, effects = load_model("lateral"), catalogue()
+    model, effects = load_model("lateral", "cdfp"), catalogue()
     bench = build_bench(model, effects, training, ())
     white = channel_noise(bench.records)
     scatter = bank_error(bench.records, model.output_names, white)

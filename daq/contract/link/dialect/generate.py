@@ -15,6 +15,7 @@ from importlib import import_module
 from pathlib import Path
 from xml.sax.saxutils import escape, quoteattr
 
+from daq.contract.channels import BUILT_IN_CHANNELS
 from daq.contract.link.wire import Layout, layouts
 
 HERE = Path(__file__).parent
@@ -22,12 +23,14 @@ DEFINITION = HERE / "sideslip.xml"
 MODULE = HERE / "sideslip_dialect.py"
 OWN = HERE / "own_messages.xml"
 
-STANDARD = (
-    "HEARTBEAT", "SYS_STATUS", "GPS_RAW_INT", "ATTITUDE", "COMMAND_LONG", "COMMAND_ACK", "RADIO_STATUS", "TIMESYNC",
-    "LOG_REQUEST_LIST", "LOG_ENTRY", "LOG_REQUEST_DATA", "LOG_DATA", "LOG_ERASE", "LOG_REQUEST_END", "STATUSTEXT",
-    "TUNNEL", "COMMAND_INT", "PARAM_REQUEST_READ", "PARAM_REQUEST_LIST", "PARAM_VALUE", "PARAM_SET",
-    "MISSION_REQUEST_LIST", "MISSION_COUNT",
-)  # fmt: skip
+STANDARD = tuple(
+    (
+        "HEARTBEAT SYS_STATUS GPS_RAW_INT ATTITUDE COMMAND_LONG COMMAND_ACK RADIO_STATUS TIMESYNC "
+        "LOG_REQUEST_LIST LOG_ENTRY LOG_REQUEST_DATA LOG_DATA LOG_ERASE LOG_REQUEST_END STATUSTEXT "
+        "TUNNEL COMMAND_INT PARAM_REQUEST_READ PARAM_REQUEST_LIST PARAM_VALUE PARAM_SET "
+        "MISSION_REQUEST_LIST MISSION_COUNT"
+    ).split()
+)
 
 _NOTE = "Made by daq/contract/link/dialect/generate.py from the channel table and own_messages.xml. Do not edit."
 
@@ -37,7 +40,7 @@ def definition() -> str:
     standard = _standard_messages()
     parts = [_message_text(standard[name]) for name in sorted(STANDARD, key=lambda n: int(standard[n].attrib["id"]))]
     own = [_message_text(m) for m in ET.parse(OWN).getroot()]
-    scans = [_layout_text(layout) for layout in layouts().values()]
+    scans = [_layout_text(layout) for layout in layouts(BUILT_IN_CHANNELS).values()]
     body = "\n".join([*parts, *scans, *own])
     head = f'<?xml version="1.0"?>\n<!-- {_NOTE} -->\n<mavlink>\n  <version>3</version>\n  <dialect>0</dialect>\n'
     return f"{head}  <messages>\n{body}\n  </messages>\n</mavlink>\n"

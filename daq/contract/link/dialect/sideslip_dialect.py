@@ -392,6 +392,7 @@ MAVLINK_MSG_ID_LINK_STATISTICS = 44104
 MAVLINK_MSG_ID_SENT_MAP = 44105
 MAVLINK_MSG_ID_SENT_MAP_REQUEST = 44106
 MAVLINK_MSG_ID_SCAN_EVENT = 44107
+MAVLINK_MSG_ID_SCAN_LABORATORY = 44108
 MAVLINK_MSG_ID_BACKFILL_REQUEST = 44110
 MAVLINK_MSG_ID_BACKFILL_DATA = 44111
 MAVLINK_MSG_ID_BACKFILL_SUMMARY_REQUEST = 44112
@@ -1888,6 +1889,46 @@ class MAVLink_scan_event_message(MAVLink_message):
 setattr(MAVLink_scan_event_message, "name", mavlink_msg_deprecated_name_property())
 
 
+class MAVLink_scan_laboratory_message(MAVLink_message):
+    """
+    One scan: the channels that laboratory packages bring, laid out as
+    daq.contract.link.wire says; cut after its last byte that is not
+    0.
+    """
+
+    id = MAVLINK_MSG_ID_SCAN_LABORATORY
+    msgname = "SCAN_LABORATORY"
+    fieldnames = ["data"]
+    ordered_fieldnames = ["data"]
+    fieldtypes = ["uint8_t"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {}
+    fieldunits_by_name: Dict[str, str] = {}
+    native_format = bytearray(b"<B")
+    orders = [0]
+    lengths = [200]
+    array_lengths = [200]
+    crc_extra = 21
+    unpacker = struct.Struct("<200B")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, data: Sequence[int]):
+        MAVLink_message.__init__(self, MAVLink_scan_laboratory_message.id, MAVLink_scan_laboratory_message.msgname)
+        self._fieldnames = MAVLink_scan_laboratory_message.fieldnames
+        self._instance_field = MAVLink_scan_laboratory_message.instance_field
+        self._instance_offset = MAVLink_scan_laboratory_message.instance_offset
+        self.data = data
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.data[0], self.data[1], self.data[2], self.data[3], self.data[4], self.data[5], self.data[6], self.data[7], self.data[8], self.data[9], self.data[10], self.data[11], self.data[12], self.data[13], self.data[14], self.data[15], self.data[16], self.data[17], self.data[18], self.data[19], self.data[20], self.data[21], self.data[22], self.data[23], self.data[24], self.data[25], self.data[26], self.data[27], self.data[28], self.data[29], self.data[30], self.data[31], self.data[32], self.data[33], self.data[34], self.data[35], self.data[36], self.data[37], self.data[38], self.data[39], self.data[40], self.data[41], self.data[42], self.data[43], self.data[44], self.data[45], self.data[46], self.data[47], self.data[48], self.data[49], self.data[50], self.data[51], self.data[52], self.data[53], self.data[54], self.data[55], self.data[56], self.data[57], self.data[58], self.data[59], self.data[60], self.data[61], self.data[62], self.data[63], self.data[64], self.data[65], self.data[66], self.data[67], self.data[68], self.data[69], self.data[70], self.data[71], self.data[72], self.data[73], self.data[74], self.data[75], self.data[76], self.data[77], self.data[78], self.data[79], self.data[80], self.data[81], self.data[82], self.data[83], self.data[84], self.data[85], self.data[86], self.data[87], self.data[88], self.data[89], self.data[90], self.data[91], self.data[92], self.data[93], self.data[94], self.data[95], self.data[96], self.data[97], self.data[98], self.data[99], self.data[100], self.data[101], self.data[102], self.data[103], self.data[104], self.data[105], self.data[106], self.data[107], self.data[108], self.data[109], self.data[110], self.data[111], self.data[112], self.data[113], self.data[114], self.data[115], self.data[116], self.data[117], self.data[118], self.data[119], self.data[120], self.data[121], self.data[122], self.data[123], self.data[124], self.data[125], self.data[126], self.data[127], self.data[128], self.data[129], self.data[130], self.data[131], self.data[132], self.data[133], self.data[134], self.data[135], self.data[136], self.data[137], self.data[138], self.data[139], self.data[140], self.data[141], self.data[142], self.data[143], self.data[144], self.data[145], self.data[146], self.data[147], self.data[148], self.data[149], self.data[150], self.data[151], self.data[152], self.data[153], self.data[154], self.data[155], self.data[156], self.data[157], self.data[158], self.data[159], self.data[160], self.data[161], self.data[162], self.data[163], self.data[164], self.data[165], self.data[166], self.data[167], self.data[168], self.data[169], self.data[170], self.data[171], self.data[172], self.data[173], self.data[174], self.data[175], self.data[176], self.data[177], self.data[178], self.data[179], self.data[180], self.data[181], self.data[182], self.data[183], self.data[184], self.data[185], self.data[186], self.data[187], self.data[188], self.data[189], self.data[190], self.data[191], self.data[192], self.data[193], self.data[194], self.data[195], self.data[196], self.data[197], self.data[198], self.data[199]), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_scan_laboratory_message, "name", mavlink_msg_deprecated_name_property())
+
+
 class MAVLink_backfill_request_message(MAVLink_message):
     """
     Ask for complete scans.
@@ -2093,6 +2134,7 @@ mavlink_map: Dict[int, Type[MAVLink_message]] = {
     MAVLINK_MSG_ID_SENT_MAP: MAVLink_sent_map_message,
     MAVLINK_MSG_ID_SENT_MAP_REQUEST: MAVLink_sent_map_request_message,
     MAVLINK_MSG_ID_SCAN_EVENT: MAVLink_scan_event_message,
+    MAVLINK_MSG_ID_SCAN_LABORATORY: MAVLink_scan_laboratory_message,
     MAVLINK_MSG_ID_BACKFILL_REQUEST: MAVLink_backfill_request_message,
     MAVLINK_MSG_ID_BACKFILL_DATA: MAVLink_backfill_data_message,
     MAVLINK_MSG_ID_BACKFILL_SUMMARY_REQUEST: MAVLink_backfill_summary_request_message,
@@ -3662,6 +3704,28 @@ class MAVLink(object):
 
         """
         self.send(self.scan_event_encode(time_monotonic_ns, number, boot, origin, text), force_mavlink1=force_mavlink1)
+
+    def scan_laboratory_encode(self, data: Sequence[int]) -> MAVLink_scan_laboratory_message:
+        """
+        One scan: the channels that laboratory packages bring, laid out as
+        daq.contract.link.wire says; cut after its last byte that is
+        not 0.
+
+        data                      : Header, checksum of the channel table, values. (type:uint8_t)
+
+        """
+        return MAVLink_scan_laboratory_message(data)
+
+    def scan_laboratory_send(self, data: Sequence[int], force_mavlink1: bool = False) -> None:
+        """
+        One scan: the channels that laboratory packages bring, laid out as
+        daq.contract.link.wire says; cut after its last byte that is
+        not 0.
+
+        data                      : Header, checksum of the channel table, values. (type:uint8_t)
+
+        """
+        self.send(self.scan_laboratory_encode(data), force_mavlink1=force_mavlink1)
 
     def backfill_request_encode(self, wanted: int, fragments: int, first_number: int, boot: int, target_system: int, target_component: int) -> MAVLink_backfill_request_message:
         """

@@ -1,0 +1,179 @@
+"""Channels that a laboratory brings in a package of its own, without touching this one.
+
+An installed package that names itself under the entry point group `sideslip.channels` (value: the package) has a file
+`channels.toml` beside its `__init__.py`, read here as data: nothing of the package is imported for it. The channels stand
+after the built-in ones in the table; everything that is derived from the table follows (docs/sensors.md).
+"""
+
+import tomllib
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, fields, replace
+from importlib.metadata import EntryPoint, entry_points
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from daq.contract.channel_rows import RAW_LIMITS, Channel, Column, Downlink, Group, Rate, RawType
+from daq.contract.errors import UserError
+
+ENTRY_POINTS = "sideslip.channels"
+ROWS_FILE = "channels.toml"
+
+_Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=40)]
+_Finite = Annotated[float, Field(allow_inf_nan=False)]
+
+
+class LaboratoryError(UserError):
+    """A laboratory's package whose channels cannot be used."""
+
+
+class _Row(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class _Group(_Row):
+    name: _Name
+    title: str
+    device: str
+
+
+class _Channel(_Row):
+    """`columns` left out: one flight column of the channel's own name and unit."""
+
+    name: _Name
+    group: str
+    raw_type: RawType
+    unit: str
+    meaning: str
+    scale: Annotated[float, Field(allow_inf_nan=False)] | None = None
+    offset: _Finite = 0.0
+    rate: Rate = Rate.SCAN
+    downlink: Downlink = "none"
+    columns: tuple[str, ...] | None = None
+
+
+class _Column(_Row):
+    name: _Name
+    unit: str
+    meaning: str
+    entity: Annotated[str, Field(pattern=r"^(/[a-z0-9_]+)+$")]
+    plausible: tuple[_Finite, _Finite]
+    title: str = ""
+
+
+class _File(_Row):
+    group: tuple[_Group, ...] = ()
+    channel: tuple[_Channel, ...]
+    column: tuple[_Column, ...] = ()
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Groups, channels and columns of a table, or of the part of it that one package brings."""
+
+    groups: tuple[Group, ...]
+    channels: tuple[Channel, ...]
+    columns: tuple[Column, ...]
+
+    def plus(self, other: "Rows") -> "Rows":
+        """These rows and then the other ones."""
+        return Rows(*(getattr(self, f.name) + getattr(other, f.name) for f in fields(self)))
+
+
+def with_packages(
+    packages: Iterable[EntryPoint],
+    groups: tuple[Group, ...],
+    channels: tuple[Channel, ...],
+    columns: tuple[Column, ...],
+) -> tuple[tuple[Group, ...], tuple[Channel, ...], tuple[Column, ...]]:
+    """The whole table: the given rows, then those of the packages in order of name.
+
+    Raises LaboratoryError naming file and key for a row that is wrong, or that does not fit the others.
+    """
+    table = Rows(groups, channels, columns)
+    for package in sorted({p.value for p in packages}):
+        file = package_folder(package) / ROWS_FILE
+        table = table.plus(read_rows(file, package))
+        check(table, str(file))
+    return table.groups, table.channels, table.columns
+
+
+def package_folder(package: str) -> Path:
+    """Where an installed package lies, without importing it. Raises LaboratoryError when it is not a package."""
+    spec = find_spec(package)
+    if spec is None or not spec.submodule_search_locations:
+        raise LaboratoryError(
+            f"entry point {ENTRY_POINTS} = {package!r} is no package (a folder with __init__.py and {ROWS_FILE});"
+            " correct it or uninstall what declares it"
+        )
+    return Path(spec.submodule_search_locations[0])
+
+
+def calibration_files() -> dict[str, bytes]:
+    """Calibration files that laboratory packages bring in a folder `calibration`, by file name."""
+    packages = sorted({p.value for p in entry_points(group=ENTRY_POINTS)})
+    folders = [package_folder(package) / "calibration" for package in packages]
+    return {file.name: file.read_bytes() for folder in folders for file in sorted(folder.glob("*.toml"))}
+
+
+def read_rows(file: Path, package: str) -> Rows:
+    """The rows of a package. Raises LaboratoryError naming file and key."""
+    try:
+        read = _File.model_validate(tomllib.loads(file.read_text(encoding="utf-8")))
+    except OSError as error:
+        raise LaboratoryError(f"{file}: cannot be read ({error.strerror}); a laboratory's package has it") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise LaboratoryError(f"{file}: not a TOML file: {error}") from error
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise LaboratoryError(
+            f"{file}: {'.'.join(map(str, first['loc']))}: {first['msg']}; see docs/sensors.md"
+        ) from error
+    channels = tuple(_channel(row, package) for row in read.channel)
+    named = tuple(Column(**row.model_dump()) for row in read.column)
+    known = {c.name for c in named}
+    implied = tuple(_column(c) for r, c in zip(read.channel, channels, strict=True) if r.columns is None)
+    return Rows(
+        tuple(Group(**row.model_dump(), package=package) for row in read.group),
+        channels,
+        (*named, *(c for c in implied if c.name not in known)),
+    )
+
+
+def _channel(row: _Channel, package: str) -> Channel:
+    values = row.model_dump()
+    values["columns"] = (row.name,) if row.columns is None else row.columns
+    return replace(Channel(**values), package=package)
+
+
+def _column(channel: Channel) -> Column:
+    """The flight column that a channel has of itself: its plausible range is what its counts can say."""
+    ends = sorted(count * (channel.scale or 1.0) + channel.offset for count in RAW_LIMITS[channel.raw_type])
+    return Column(channel.name, channel.unit or "1", channel.meaning, f"/{channel.group}", (ends[0], ends[1]))
+
+
+def check(table: Rows, where: str) -> None:
+    """Raise LaboratoryError for a table whose names collide or lead nowhere."""
+    for mistake in _mistakes(table):
+        raise LaboratoryError(f"{where}: {mistake}")
+
+
+def _mistakes(table: Rows) -> Iterator[str]:
+    groups = [g.name for g in table.groups]
+    columns = [c.name for c in table.columns]
+    fields_of_scan = [c.name for c in table.channels] + [g + end for g in groups for end in ("_state", "_offset_us")]
+    for kind, names in (("group", groups), ("channel or state", fields_of_scan), ("column", columns)):
+        twice = sorted({n for n in names if names.count(n) > 1})
+        if twice:
+            yield f"{kind} {twice[0]} is already in the channel table; choose another name"
+    for channel in table.channels:
+        if channel.group not in groups:
+            yield f"channel {channel.name}: no group {channel.group!r}; add [[group]] name = {channel.group!r}"
+        unknown = [c for c in channel.columns if c not in columns]
+        if unknown:
+            yield f"channel {channel.name}: no column {unknown[0]!r}; add [[column]] name = {unknown[0]!r}"
+    for group in table.groups:
+        if group.package and not any(c.group == group.name for c in table.channels):
+            yield f"group {group.name} has no channel"

@@ -1,0 +1,174 @@
+"""What an aircraft file may say, checked key by key, and the `Aircraft` it makes."""
+
+import math
+import tomllib
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+
+from estimation.aircraft import Aircraft, Engine, PriorDerivative, Servos, SimulatedFlight
+from estimation.aircraft.handbook import Shape, beliefs
+from estimation.errors import AircraftError
+
+
+def _plain_number(value: object) -> object:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ValueError("is not a number")
+    return value
+
+
+def _as_table(value: object) -> object:
+    return value if isinstance(value, Mapping) else {"value": value}
+
+
+Number = Annotated[float, BeforeValidator(_plain_number), Field(allow_inf_nan=False)]
+Positive = Annotated[Number, Field(gt=0.0)]
+NotNegative = Annotated[Number, Field(ge=0.0)]
+Place = tuple[Number, Number, Number]
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Geometry(_Table):
+    """Reference geometry [m, m2]."""
+
+    span: Positive | None = None
+    area: Positive | None = None
+    chord: Positive | None = None
+    root_chord: Positive | None = None
+    taper: NotNegative | None = None
+    cg_from_nose: Number | None = None
+
+
+class Mass(_Table):
+    """Mass [kg] and moments of inertia about the CG, body axes [kg m2]."""
+
+    mass: Positive | None = None
+    Ixx: Positive | None = None
+    Iyy: Positive | None = None
+    Izz: Positive | None = None
+    Ixz: Number = 0.0
+
+    @model_validator(mode="after")
+    def _possible(self) -> "Mass":
+        if self.Ixx is not None and self.Izz is not None and self.Ixz**2 >= self.Ixx * self.Izz:
+            raise ValueError(f"Ixz = {self.Ixz} is impossible: Ixz^2 must be less than Ixx Izz")
+        return self
+
+
+class Derivative(_Table):
+    """One belief."""
+
+    value: Number
+    std: Positive | None = None
+    source: Literal["wind tunnel", "engineering estimate", "flight", "computed", "handbook"] = "engineering estimate"
+
+
+class ServoTable(_Table):
+    """[servos] of a simulated aircraft."""
+
+    lag: Positive
+    rate: Positive
+    elevon_limit: Positive
+    rudder_limit: Positive
+
+
+class EngineTable(_Table):
+    """[engine] of a simulated aircraft."""
+
+    static_thrust: Positive
+    thrust_fall: NotNegative
+    lag: Positive
+
+
+class SimulationTable(_Table):
+    """[simulation]: how a simulated aircraft flies."""
+
+    speed: Positive
+    speed_range: tuple[Positive, Positive]
+    derivatives: dict[str, Number] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _within(self) -> "SimulationTable":
+        if not self.speed_range[0] <= self.speed <= self.speed_range[1]:
+            raise ValueError(f"speed = {self.speed:g} must lie within speed_range")
+        return self
+
+
+class AircraftFile(_Table):
+    """The whole file; only what is said is checked here, what is missing where it is needed."""
+
+    name: Annotated[str, Field(min_length=1)] | None = None
+    title: str = ""
+    geometry: Geometry = Geometry()
+    mass: Mass = Mass()
+    sensors: dict[str, Place] = Field(default_factory=dict)
+    shape: Shape | None = None
+    derivatives: dict[str, Annotated[Derivative, BeforeValidator(_as_table)]] = Field(default_factory=dict)
+    servos: ServoTable | None = None
+    engine: EngineTable | None = None
+    simulation: SimulationTable | None = None
+
+
+def read_file(text: str, where: str) -> AircraftFile:
+    """The checked content of an aircraft file. Raises AircraftError naming `where` and the key."""
+    try:
+        return AircraftFile.model_validate(tomllib.loads(text))
+    except tomllib.TOMLDecodeError as error:
+        raise AircraftError(f"{where}: not a TOML file: {error}") from error
+    except ValidationError as error:
+        raise AircraftError(f"{where}: {_sentence(error)}") from error
+
+
+def aircraft_from_text(text: str, where: str, name: str) -> Aircraft:
+    """The aircraft of a file's text. where: what errors call it; name: its name where the file says none.
+
+    Derivatives that the file does not state are those of `handbook.beliefs`, where it describes its shape.
+    """
+    file = read_file(text, where)
+    geometry, mass = file.geometry, file.mass
+    made = Aircraft(
+        name=file.name or name,
+        span=_or_nan(geometry.span),
+        area=_or_nan(geometry.area),
+        chord=_or_nan(geometry.chord),
+        mass=_or_nan(mass.mass),
+        Ixx=_or_nan(mass.Ixx),
+        Iyy=_or_nan(mass.Iyy),
+        Izz=_or_nan(mass.Izz),
+        Ixz=mass.Ixz,
+        sensors=dict(file.sensors),
+        title=file.title,
+        root_chord=geometry.root_chord,
+        taper=geometry.taper,
+        cg_from_nose=geometry.cg_from_nose,
+        servos=Servos(**file.servos.model_dump()) if file.servos else None,
+        engine=Engine(**file.engine.model_dump()) if file.engine else None,
+        simulation=SimulatedFlight(**file.simulation.model_dump()) if file.simulation else None,
+        text=text,
+    )
+    computed = beliefs(made, file.shape) if file.shape else {}
+    stated = {key: PriorDerivative(**value.model_dump()) for key, value in file.derivatives.items()}
+    return replace(made, derivatives={**computed, **stated})
+
+
+def _or_nan(value: float | None) -> float:
+    return math.nan if value is None else value
+
+
+def _sentence(error: ValidationError) -> str:
+    """The first mistake as key, value and what it must be."""
+    first: Any = error.errors(include_url=False)[0]
+    key = ".".join(map(str, first["loc"])) or "the file as a whole"
+    if first["type"] == "extra_forbidden":
+        return f"unknown key {key}; check its spelling or remove it (docs/aircraft.md has all keys)"
+    if first["type"] == "missing":
+        return f"{key} is missing"
+    shown = f" = {first['input']!r}" if isinstance(first["input"], str | int | float | list) else ""
+    message = str(first["msg"]).removeprefix("Value error, ").replace("Input should be", "must be")
+    message = message.replace("greater than 0", "greater than zero")
+    return f"{key}{shown} {message}" if message.startswith(("must be", "is not")) else f"{key}{shown}: {message}"

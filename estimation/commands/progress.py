@@ -1,0 +1,58 @@
+"""Progress of long work, drawn by rich: a bar with the time left on a terminal, plain lines in a log."""
+
+import sys
+from types import TracebackType
+from typing import TYPE_CHECKING, Self
+
+import click
+
+if TYPE_CHECKING:
+    from rich.progress import Progress as RichProgress
+
+STEPS_OF_A_LOG = 4
+"""A log gets a line at the start and at each quarter: enough to see that work goes on, not so many that they bury it."""
+
+
+class Progress:
+    """A context manager that is told how far the work is: `progress(0.3)`, or `progress("fitting", 0.3)`.
+
+    title: what is being done, where the calls do not say. Without a share of the whole, a call says what comes next, which a
+    log does not need: there it would only stand before an error's one line.
+    """
+
+    def __init__(self, title: str = "") -> None:
+        self._title = title
+        self._live = sys.stderr.isatty()
+        self._told = 0
+        self._bar = _bar() if self._live else None
+        self._task = self._bar.add_task(title, total=None) if self._bar is not None else None
+
+    def __enter__(self) -> Self:
+        if self._bar is not None:
+            self._bar.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+
+    def __call__(self, *told: str | float) -> None:
+        words = " ".join(t for t in told if isinstance(t, str)) or self._title
+        shares = [min(t, 1.0) for t in told if not isinstance(t, str)]
+        share = shares[0] if shares else None
+        if self._bar is not None and self._task is not None:
+            self._bar.update(self._task, description=words, completed=share, total=None if share is None else 1.0)
+        elif share is not None and int(STEPS_OF_A_LOG * share) >= self._told:
+            self._told = int(STEPS_OF_A_LOG * share) + 1
+            click.echo(f"{words}: {share:.0%}", err=True)
+
+
+def _bar() -> "RichProgress":
+    from rich.console import Console
+    from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
+    from rich.progress import Progress as RichProgress
+
+    columns = (TextColumn("{task.description:<45}"), BarColumn(), TextColumn("{task.percentage:>3.0f} %"))
+    return RichProgress(*columns, TimeRemainingColumn(), console=Console(stderr=True), transient=True)
