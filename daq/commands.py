@@ -32,11 +32,16 @@ def info(recording: Path, json_path: Path | None) -> None:
 
     result = info_mcap(recording)
     _write_json(json_path, result)
-    click.echo(f"{result['file']}: {result['kind']}, {result['source']}, aircraft {result['aircraft'] or 'not named'}")
-    click.echo(
-        f"  {result['scans']} scans in {result['duration_s']:.2f} s, {result['rate_hz']:.2f} Hz, "
-        f"numbers {result['first_scan']} to {result['last_scan']}, recorded by sideslip {result['software']}"
-    )
+    found = result.get("sessions", [result])
+    for part in found:
+        session = f", session {part.get('session') or 'unknown'}" if len(found) > 1 else ""
+        click.echo(
+            f"{part['file']}: {part['kind']}, {part['source']}, aircraft {part['aircraft'] or 'not named'}{session}"
+        )
+        click.echo(
+            f"  {part['scans']} scans in {part['duration_s']:.2f} s, {part['rate_hz']:.2f} Hz, "
+            f"numbers {part['first_scan']} to {part['last_scan']}, recorded by sideslip {part['software']}"
+        )
     if not result["sound"]:
         click.echo(f"  damaged or not closed in order: see 'sideslip verify {recording}'")
     for event in result.get("events", ()):
@@ -70,6 +75,7 @@ def verify(recording: Path, json_path: Path | None) -> None:
 def recover(recording: Path, out: Path, json_path: Path | None) -> None:
     """Save everything undamaged in a recording, FILE or directory, to a new and sound one.
 
+    Of several sessions in one FILE the first goes to OUT.mcap, the others to OUT_2.mcap and so on.
     Exit status as with 'sideslip verify': 1 when FILE is not sound, though all that can be saved is in the new recording.
     """
     from daq.contract.recordings.accounting import recover as salvage

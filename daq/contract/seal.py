@@ -14,26 +14,28 @@ from functools import cache
 SEAL_FIELD = "crc"
 SEAL_NUMBER = 15
 SEAL_SIZE = 5
-_TAG = bytes([SEAL_NUMBER << 3 | 5])
+SEAL_TAG = bytes([SEAL_NUMBER << 3 | 5])
+"""First byte of a seal."""
 
 
 @cache
-def _start(schema: str) -> int:
+def seal_start(schema: str) -> int:
+    """CRC-32 that the seal of a schema's messages starts from."""
     return zlib.crc32(schema.encode())
 
 
 def seal(schema: str, data: bytes) -> bytes:
     """The message bytes with their seal appended."""
-    return data + _TAG + struct.pack("<I", zlib.crc32(data, _start(schema)))
+    return data + SEAL_TAG + struct.pack("<I", zlib.crc32(data, seal_start(schema)))
 
 
 def has_seal(data: bytes | memoryview) -> bool:
     """Whether the bytes end like a sealed message."""
-    return len(data) >= SEAL_SIZE and data[-SEAL_SIZE] == _TAG[0]
+    return len(data) >= SEAL_SIZE and data[-SEAL_SIZE] == SEAL_TAG[0]
 
 
 def seal_holds(schema: str, data: bytes | memoryview) -> bool:
     """Whether the bytes are sealed, as a message of `schema`, and unaltered."""
     if not has_seal(data):
         return False
-    return zlib.crc32(data[:-SEAL_SIZE], _start(schema)) == int.from_bytes(data[-4:], "little")
+    return zlib.crc32(data[:-SEAL_SIZE], seal_start(schema)) == int.from_bytes(data[-4:], "little")

@@ -237,6 +237,15 @@ class FrameDecoder:
         self._damaged = 0
 
 
+def frame_at(buffer: bytes, at: int) -> Frame | None:
+    """The sound frame that begins at a byte, if one does: work and memory of one frame, whatever the bytes."""
+    if at >= len(buffer):
+        return None
+    find = {MAGIC: _frame_at, MAGIC_V1: _sik_frame_at}.get(buffer[at])
+    found = find(buffer, at, len(buffer), True) if find else None
+    return found if isinstance(found, Frame) else None
+
+
 def _frame_at(buffer: bytes, at: int, size: int, last: bool) -> Frame | int | None:
     """The frame that begins at `at`; None when bytes are wanting; else how many broken frames this looks like (0, 1)."""
     if size - at < HEADER_BYTES:
@@ -272,18 +281,6 @@ def _sik_frame_at(buffer: bytes, at: int, size: int, last: bool) -> Frame | int 
     if checksum != buffer[at + 15] | buffer[at + 16] << 8:
         return 1
     return Frame(buffer[at : at + _SIK_FRAME], RADIO_STATUS_ID, head[1], head[2], head[3], body)
-
-
-def frame_at(data: bytes, at: int) -> Frame | None:
-    """The sound frame that begins at a byte of whole data; None when none does."""
-    magic = data[at]
-    if magic == MAGIC:
-        found = _frame_at(data, at, len(data), True)
-    elif magic == MAGIC_V1:
-        found = _sik_frame_at(data, at, len(data), True)
-    else:
-        return None
-    return found if isinstance(found, Frame) else None
 
 
 class FrameEncoder:

@@ -26,6 +26,7 @@ from groundstation.calibration.schema import Bench, CalibrationSet, Instrument, 
 
 Array = NDArray[np.float64]
 
+_LATEST_UTC_NS = 4_102_444_800_000_000_000  # the year 2100; a recording that claims more does not know its date
 _FEWEST = 5  # scans in a dwell
 _QUANTISATION = 1 / np.sqrt(12)  # of one count, one sigma, when the noise does not carry the reading across counts
 
@@ -293,14 +294,14 @@ def _sentence(made: Instrument, fit: Fit) -> str:
 
 def _digest(recording: Recording) -> str:
     digest = hashlib.sha256()
-    for segment in recording.segments:
-        digest.update(segment.path.read_bytes())
+    for file in recording.files:
+        digest.update(file.read_bytes())
     return digest.hexdigest()
 
 
 def _date(recording: Recording, today: date | None) -> date:
     started = recording.info.started_utc_ns
-    if started:
+    if 0 < started <= _LATEST_UTC_NS:
         return datetime.fromtimestamp(started * 1e-9, UTC).date()
     if today is None:
         raise CalibrationError(f"{recording.path}: the recording carries no date; give one with --date")

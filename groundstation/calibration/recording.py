@@ -8,12 +8,14 @@ from daq.contract.channels import GROUP_NAMES
 from daq.contract.link.commands import parse_pitot_zero
 from daq.contract.ranges import count
 from daq.contract.recordings.accounting import verify_recording
-from daq.contract.recordings.reading import Recording, read_recording
+from daq.contract.recordings.reading import Recording, read_recordings, sound
 from daq.contract.recordings.recording import AIRCRAFT_ATTACHMENT
 from groundstation.calibration.apply import calibrate
 from groundstation.calibration.errors import CalibrationError
 from groundstation.calibration.schema import CalibrationSet, load_calibration
 from groundstation.flight import AIRCRAFT_FILE, Flight, Provenance
+
+_TOLD = 20  # damages of a recording told one by one in a flight's notes
 
 
 def calibrate_recording(
@@ -26,13 +28,37 @@ def calibrate_recording(
     """The flight in a raw recording (file, or directory of its segments).
 
     calibration: a set or directory that takes the place of the embedded one. salvage: use what is intact of a damaged
-    recording. Raises RecordingError or CalibrationError with one sentence.
+    recording. Of a file that holds several sessions the one with most scans is taken, and a note says so.
+    Raises RecordingError or CalibrationError with one sentence.
     """
     if Path(path).suffix.lower() == ".tlog":
         raise CalibrationError(
             f"{path}: a telemetry log, not a recording; 'sideslip ground CONFIG --replay {path}' makes recording and flight of it"
         )
-    recording = read_recording(path, salvage=salvage)
+    recording, notes = open_recording(path, salvage=salvage)
+    flight = calibrate_opened(recording, calibration, align=align)
+    return flight.with_notes(*notes)
+
+
+def open_recording(path: str | Path, *, salvage: bool = False) -> tuple[Recording, list[str]]:
+    """The recording at `path`, of several sessions in one file the one with most scans, and a note that says which.
+
+    Raises RecordingError when there is none or, unless `salvage`, when it is damaged.
+    """
+    found = read_recordings(path)
+    taken = max(found, key=lambda r: len(r.numbers))
+    others = ", ".join(f"{r.info.session} ({len(r.numbers)} scans)" for r in found if r is not taken)
+    notes = [
+        f"{len(found)} sessions in one file: {taken.info.session} ({len(taken.numbers)} scans) taken, {others} left out; "
+        f"'sideslip recover {path} -o OUT.mcap' writes each to a file of its own"
+    ]
+    return taken if salvage else sound(taken), notes if others else []
+
+
+def calibrate_opened(
+    recording: Recording, calibration: CalibrationSet | str | Path | None = None, *, align: bool | None = None
+) -> Flight:
+    """The flight in a raw recording that has been opened; see `calibrate_recording`."""
     chosen = _chosen(recording, calibration)
     flight = calibrate(
         recording.scans(),
@@ -61,7 +87,10 @@ def _undescribed(recording: Recording) -> list[str]:
 
 def _gaps(recording: Recording) -> list[str]:
     """What is damaged or missing in the recording, in words."""
-    notes = [f"{d.what} at byte {d.at_byte} of {path.name}: what is intact is used" for path, d in recording.damages]
+    damages = recording.damages
+    notes = [f"{d.what} at byte {d.at_byte} of {path.name}: what is intact is used" for path, d in damages[:_TOLD]]
+    if len(damages) > _TOLD:
+        notes.append(f"{len(damages) - _TOLD} more damaged places, see 'sideslip verify': what is intact is used")
     state = verify_recording(recording)
     if state.given_up:
         names = ", ".join(path.name for path in state.given_up)
@@ -81,12 +110,22 @@ def _zeroed(recording: Recording) -> dict[str, str]:
 
 def embedded_calibration(recording: Recording) -> CalibrationSet:
     """The calibration set a recording carries. Raises CalibrationError when it has none."""
-    texts = {name: data.decode("utf-8") for name, data in recording.info.calibration.items() if name.endswith(".toml")}
+    try:
+        texts = {n: data.decode("utf-8") for n, data in recording.info.calibration.items() if n.endswith(".toml")}
+    except UnicodeDecodeError as error:
+        raise CalibrationError(
+            f"{recording.path}: the calibration embedded in it is not text ({error.reason}); give one with --calibration DIR"
+        ) from error
     if not texts:
         raise CalibrationError(
             f"{recording.path}: no calibration is embedded in this recording; give one with --calibration DIR (or 'cdfp')"
         )
-    return CalibrationSet.from_texts("embedded", texts)
+    try:
+        return CalibrationSet.from_texts("embedded", texts)
+    except RecursionError as error:
+        raise CalibrationError(
+            f"{recording.path}: the calibration embedded in it is nested beyond reading; give one with --calibration DIR"
+        ) from error
 
 
 def _chosen(recording: Recording, calibration: CalibrationSet | str | Path | None) -> CalibrationSet:
@@ -98,8 +137,8 @@ def _chosen(recording: Recording, calibration: CalibrationSet | str | Path | Non
 def _provenance(recording: Recording) -> Provenance:
     info = recording.info
     digest = hashlib.sha256()
-    for segment in recording.segments:
-        digest.update(segment.path.read_bytes())
+    for file in recording.files:
+        digest.update(file.read_bytes())
     aircraft = info.attachments.get(AIRCRAFT_ATTACHMENT)
     return Provenance(
         source=info.source,

@@ -6,7 +6,9 @@ in order in that scan is NaN from here on.
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from itertools import islice
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,56 +54,82 @@ class ScanTable:
         )
 
 
+_UNKNOWN_ACCURACY_NS = 2**32  # 4 s: worse than any accuracy that is told
+_BLOCK = 4096  # scans turned into columns at a time: as objects they take ten times the room
+
+
 def scan_table(scans: Iterable[Scan]) -> ScanTable:
     """The table of `scans`, sorted by time; a scan number that comes again is dropped and counted.
 
     Raises CalibrationError when there is no scan.
     """
-    rows = list(scans)
-    if not rows:
+    rest = iter(scans)
+    blocks, offsets = [], []
+    while block := list(islice(rest, _BLOCK)):
+        blocks.append(_columns(block))
+        offsets.append(_utc_offset(block))
+    if not blocks:
         raise CalibrationError("no scans in this recording; nothing to calibrate")
+    number, time_ns = (np.concatenate([b[i] for b in blocks]) for i in ("number", "time_ns"))
     notes: list[str] = []
-    ordered = sorted(rows, key=lambda s: (s.time_monotonic_ns, s.number))
-    if any(a is not b for a, b in zip(rows, ordered, strict=True)):
+    order = np.lexsort((number, time_ns))
+    if np.any(order[1:] < order[:-1]):
         notes.append("scans were not in order of time: sorted")
-    kept: list[Scan] = []
-    seen: set[tuple[int, int]] = set()
-    for scan in ordered:
-        key = (scan.number, scan.time_monotonic_ns)
-        if key not in seen:
-            seen.add(key)
-            kept.append(scan)
-    if len(kept) < len(ordered):
-        notes.append(f"{len(ordered) - len(kept)} scans came more than once: the first of each kept")
-    return _columns(kept, notes)
+    again = np.diff(number[order]) == 0
+    again &= np.diff(time_ns[order]) == 0
+    kept = order[np.concatenate([[True], ~again])]
+    if kept.size < order.size:
+        notes.append(f"{order.size - kept.size} scans came more than once: the first of each kept")
+    in_place = kept.size == order.size and not notes
 
+    nothing = np.full(kept.size, np.nan)
+    nothing.flags.writeable = False
 
-def _columns(scans: list[Scan], notes: list[str]) -> ScanTable:
-    usable = {g: np.array([g not in s.groups or s.groups[g].state.usable for s in scans]) for g in GROUP_NAMES}
-    offset = {
-        g: np.array([s.groups[g].offset_us if g in s.groups else np.nan for s in scans], float) * 1e-6
-        for g in GROUP_NAMES
-    }
-    nan = float("nan")
-    raw = {}
-    for channel in CHANNELS:
-        name = channel.name
-        values = np.array([s.values.get(name, nan) for s in scans], float)
-        raw[name] = np.where(usable[channel.group], values, np.nan)
+    def column(name: str) -> NDArray[Any]:
+        """One column of all blocks; taken out of them, for two copies of the whole table are one too many."""
+        if not any(name in b for b in blocks):
+            return nothing  # one for all channels that nothing was read of
+        parts = [b.pop(name, np.full(b["number"].size, np.nan)) for b in blocks]
+        whole = np.concatenate(parts) if len(parts) > 1 else parts[0]
+        return whole if in_place else whole[kept]
+
     return ScanTable(
-        number=np.array([s.number for s in scans], np.int64),
-        time=np.array([s.time_monotonic_ns * 1e-9 for s in scans]),
-        raw=MappingProxyType(raw),
-        offset=MappingProxyType(offset),
-        usable=MappingProxyType(usable),
+        number=number if in_place else number[kept],
+        time=(time_ns if in_place else time_ns[kept]) * 1e-9,
+        raw=MappingProxyType({c.name: column(c.name) for c in CHANNELS}),
+        offset=MappingProxyType({g: column(f"{g} offset") for g in GROUP_NAMES}),
+        usable=MappingProxyType({g: column(f"{g} usable") for g in GROUP_NAMES}),
         notes=tuple(notes),
-        utc_offset=_utc_offset(scans),
+        utc_offset=min(filter(None, offsets), key=lambda known: known[1], default=None),
     )
 
 
 def _utc_offset(scans: list[Scan]) -> tuple[float, float] | None:
+    """UTC minus monotonic time and its accuracy [s], from the scan that knew it best; None where none knew it."""
     known = [s for s in scans if s.time_utc_ns > 0]
     if not known:
         return None
-    best = min(known, key=lambda s: s.utc_accuracy_ns or 2**32)  # 0: accuracy unknown
-    return (best.time_utc_ns - best.time_monotonic_ns) * 1e-9, best.utc_accuracy_ns * 1e-9
+    best = min(known, key=lambda s: s.utc_accuracy_ns or _UNKNOWN_ACCURACY_NS)
+    accuracy = best.utc_accuracy_ns or _UNKNOWN_ACCURACY_NS
+    return (best.time_utc_ns - best.time_monotonic_ns) * 1e-9, accuracy * 1e-9
+
+
+def _columns(scans: list[Scan]) -> dict[str, NDArray[Any]]:
+    """Some scans as columns; a channel or offset that none of them has is left out."""
+    found: dict[str, NDArray[Any]] = {
+        "number": np.array([s.number for s in scans], np.int64),
+        "time_ns": np.array([s.time_monotonic_ns for s in scans], np.uint64),
+    }
+    for g in GROUP_NAMES:
+        found[f"{g} usable"] = np.array([g not in s.groups or s.groups[g].state.usable for s in scans])
+        offsets = [s.groups[g].offset_us if g in s.groups else np.nan for s in scans]
+        if offsets.count(np.nan) < len(scans):  # the very same object: nothing was read
+            found[f"{g} offset"] = np.array(offsets, float) * 1e-6
+    nan = float("nan")
+    for channel in CHANNELS:
+        read = [s.values.get(channel.name, nan) for s in scans]
+        if read.count(nan) == len(scans):  # the very same object each time: nothing was read
+            continue
+        values = np.array(read, float)
+        found[channel.name] = np.where(found[f"{channel.group} usable"], values, np.nan)
+    return found

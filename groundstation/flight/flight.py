@@ -9,6 +9,7 @@ gaps split the flight into segments, each of it said in `notes`.
 import csv
 import hashlib
 import json
+from array import array
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -20,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.contract.channels import COLUMN_BY_NAME
+from daq.contract.recordings.claims import json_object, mapping, table_fits
 from groundstation.flight.errors import FlightError, MissingColumnError
 from groundstation.flight.notes import Note, NoteKind, as_note, from_meta, once, to_meta, unknown_columns
 
@@ -305,17 +307,20 @@ def _read_csv(path: Path) -> _Read:
             header = [h.strip() for h in next(rows, [])]
             if not header or all(_is_number(h) for h in header):
                 raise FlightError(f"{path}: the first line is not a header of column names (time,ax,ay,...)")
+            _check_size(path, 0, len(header))
             if len(set(header)) < len(header):
                 twice = next(h for h in header if header.count(h) > 1)
                 raise FlightError(f"{path}: column {twice} appears twice in the header")
-            table = list(_csv_rows(path, header, rows))
+            table = array("d")  # cells one after the other: as lists they take ten times the room
+            for row in _csv_rows(path, header, rows):
+                table.extend(row)
     except UnicodeDecodeError as error:
         raise FlightError(
             f"{path}: not a text file ({error.reason} at byte {error.start}); a CSV is expected"
         ) from error
     except csv.Error as error:
         raise FlightError(f"{path}: not a readable CSV ({error})") from error
-    values = np.array(table, float).reshape(-1, len(header))
+    values = np.frombuffer(table, float).reshape(-1, len(header))
     return {h: values[:, i] for i, h in enumerate(header) if h}, Provenance(), []
 
 
@@ -355,18 +360,32 @@ def _read_parquet(path: Path) -> _Read:
     import pyarrow.parquet as pq
 
     try:
-        table = pq.read_table(path)
-    except (pa.ArrowException, OSError) as error:
-        raise FlightError(f"{path}: not a readable Parquet file ({error})") from error
+        file = pq.ParquetFile(path)
+        _check_size(path, file.metadata.num_rows, file.metadata.num_columns)
+        table = file.read()
+    except (pa.ArrowException, OSError, ValueError) as error:
+        raise FlightError(f"{path}: not a readable Parquet file ({str(error)[:200]!r})") from error
     columns: dict[str, Array] = {}
     notes: list[Note | str] = []
-    for name in table.column_names:
+    for name, column in zip(table.column_names, table.columns, strict=True):
+        if name in columns:
+            raise FlightError(f"{path}: column {name} appears twice")
         try:
-            columns[name] = np.asarray(table[name].cast(pa.float64()).to_numpy(), float)
+            columns[name] = np.asarray(column.cast(pa.float64()).to_numpy(), float)
         except pa.ArrowException:
             notes.append(f"column {name} is not numeric: left out")
     meta = (table.schema.metadata or {}).get(METADATA_NAME.encode())
-    return columns, _provenance_from(json.loads(meta)) if meta else Provenance(), notes
+    about = json_object(meta) if meta else {}
+    if meta and not about:
+        notes.append("what the file says of its origin cannot be read: taken as not known")
+    return columns, _provenance_from(about) if about else Provenance(), notes
+
+
+def _check_size(path: Path, rows: int, columns: int) -> None:
+    if not table_fits(rows, columns, path.stat().st_size):
+        raise FlightError(
+            f"{path}: claims {rows} rows of {columns} columns, more than a flight in a file of its size; export fewer columns"
+        )
 
 
 def _write_parquet(flight: Flight, path: Path) -> None:
@@ -396,8 +415,8 @@ def _provenance_from(meta: Mapping[str, Any]) -> Provenance:
         source=str(meta.get("source", "imported")),
         aircraft=str(meta.get("aircraft", "")),
         software=str(meta.get("software", "")),
-        calibration=dict(meta.get("calibration", {})),
-        detail={**meta.get("detail", {}), "derived_from": meta.get("derived_from", {})},
+        calibration={k: str(v) for k, v in mapping(meta.get("calibration")).items()},
+        detail={**mapping(meta.get("detail")), "derived_from": mapping(meta.get("derived_from"))},
     )
 
 
@@ -478,61 +497,41 @@ class _Adder:
 
 
 def _read_mcap(path: Path) -> _Read:
-    import struct
+    from daq.contract.recordings.flight_rows import described, flight_rows
+    from daq.contract.recordings.reading import read_parts
+    from daq.contract.recordings.recording import RecordingError
 
-    from google.protobuf.message import DecodeError
-    from mcap.exceptions import McapError
-    from mcap.reader import make_reader
-    from zstandard import ZstdError
-
-    rows: list[Any] = []
-    names: list[str] = []
-    about: Mapping[str, str] = {}
     try:
-        with path.open("rb") as handle:
-            reader = make_reader(handle, validate_crcs=True)
-            about = next((m.metadata for m in reader.iter_metadata() if m.name == METADATA_NAME), {})
-            cls: Any = None
-            for schema, _, message in reader.iter_messages(topics=[FLIGHT_TOPIC], log_time_order=False):
-                if cls is None and schema is not None:
-                    names, cls = _class_from_schema(path, schema.data)
-                row = cls()
-                row.ParseFromString(message.data)
-                rows.append([getattr(row, n) if row.HasField(n) else np.nan for n in names])
-    except (McapError, DecodeError, ZstdError, struct.error, OSError, EOFError, ValueError, *_WRONG_BYTES) as error:
-        raise FlightError(
-            f"{path}: damaged or not an MCAP file ({type(error).__name__}: {error}); try 'sideslip recover' on the raw recording"
-        ) from error
-    if not rows:
+        flights = read_parts(path)
+    except RecordingError as error:
+        raise FlightError(f"{error}; damaged, or no flight at all") from error
+    flight = flights[0]
+    if any(s.entries for s in flights) or (
+        all(s.sound for s in flights) and not any(FLIGHT_TOPIC in s.kept for s in flights)
+    ):
         raise FlightError(
             f"{path}: no calibrated flight in this file; a raw recording must pass 'sideslip calibrate' first"
         )
-    values = np.array(rows, float)
-    if about.get("sha256") != _digest(about.get("json", ""), names, values):
+    for damage in (d for s in flights for d in s.damages):
+        raise FlightError(
+            f"{path}: damaged or not an MCAP file (byte {damage.at_byte}: {damage.what}); "
+            "try 'sideslip recover' on the raw recording"
+        )
+    if len(flights) > 1:
+        raise FlightError(f"{path}: {len(flights)} flights one behind the other in one file; calibrate each by itself")
+    table = flight_rows(flight)
+    meta, text, stated = described(flight)
+    if stated != _digest(text, table.names, table.values):
         raise FlightError(
             f"{path}: damaged: the values are not those that were written; calibrate the raw recording again"
         )
-    meta = json.loads(about["json"])
-    return {n: values[:, i] for i, n in enumerate(names)}, _provenance_from(meta), [*from_meta(meta)]
+    columns = {n: table.values[:, i] for i, n in enumerate(table.names)}
+    return columns, _provenance_from(meta), [*from_meta(meta)]
 
 
 def _digest(provenance: str, names: Sequence[str], table: Array) -> str:
     """SHA-256 over provenance, names and values: MCAP's checksums cover neither schemas nor metadata."""
     digest = hashlib.sha256(json.dumps([provenance, *names]).encode())
-    digest.update(np.ascontiguousarray(np.where(np.isnan(table), np.nan, table), "<f8").tobytes())
+    for rows in np.array_split(table, max(1, table.size // 1_000_000)):  # no copy of the whole table
+        digest.update(np.ascontiguousarray(np.where(np.isnan(rows), np.nan, rows), "<f8").tobytes())
     return digest.hexdigest()
-
-
-_WRONG_BYTES = (KeyError, TypeError, OverflowError, MemoryError)
-"""What protobuf and the MCAP reader raise on names, schemas and lengths that are not what was written."""
-
-
-def _class_from_schema(path: Path, data: bytes) -> tuple[list[str], Any]:
-    from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
-
-    files = descriptor_pb2.FileDescriptorSet.FromString(data)
-    pool = descriptor_pool.DescriptorPool()
-    for file in files.file:
-        pool.Add(file)  # type: ignore[no-untyped-call]
-    descriptor = pool.FindMessageTypeByName(FLIGHT_SCHEMA)
-    return [f.name for f in descriptor.fields], message_factory.GetMessageClass(descriptor)

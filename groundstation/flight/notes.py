@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Any
 
+from daq.contract.recordings import claims
+
 
 class NoteKind(Enum):
     """What a note states."""
@@ -71,10 +73,13 @@ def to_meta(notes: Iterable[Note]) -> dict[str, Any]:
 
 def from_meta(meta: Mapping[str, Any]) -> list[Note]:
     """Notes of a flight file. A kind that is not known here, of a newer file, is `OTHER`."""
-    notes = [Note(NoteKind.OTHER, str(text)) for text in meta.get("notes", [])]
+    notes = [Note(NoteKind.OTHER, text) for text in claims.texts(meta.get("notes"))]
     known = {k.value: k for k in NoteKind}
-    for fact in meta.get("facts", []):
-        index, columns = int(fact["note"]), tuple((str(a), str(b)) for a, b in fact["columns"])
-        if 0 <= index < len(notes):
-            notes[index] = Note(known.get(fact["kind"], NoteKind.OTHER), notes[index].text, columns)
+    facts = meta.get("facts")
+    for fact in map(claims.mapping, facts if isinstance(facts, list) else ()):
+        index = fact.get("note")
+        pairs = [claims.texts(pair) for pair in fact.get("columns") or () if isinstance(pair, list)]
+        if isinstance(index, int) and 0 <= index < len(notes):
+            columns = tuple((pair[0], pair[1]) for pair in pairs if len(pair) == 2)
+            notes[index] = Note(known.get(str(fact.get("kind")), NoteKind.OTHER), notes[index].text, columns)
     return notes

@@ -5,7 +5,6 @@ asked. Complete scans (backfilled) are written in the aircraft's own bytes. The 
 """
 
 import json
-import struct
 from collections.abc import Iterable
 from dataclasses import asdict
 from pathlib import Path
@@ -41,6 +40,8 @@ _LINK_FIELDS = (
     "txbuf_percent",
 )
 
+_LINK_ALWAYS = ("time_monotonic_s", "loss", "scan_rate_hz")
+
 
 class ReceivedWriter(RecordingWriter):
     """A recording with the link's quality added as JSON messages."""
@@ -64,20 +65,25 @@ def link_json(report: ev.LinkStatistics, aircraft_ns: int) -> bytes:
 
 
 def read_link(path: Path) -> list[dict[str, Any]]:
-    """Link reports of a received recording, as `link_json` made them; those before a damage. Empty for other files."""
-    from mcap.exceptions import McapError
-    from mcap.reader import NonSeekingReader
+    """Link reports of a received recording, as `link_json` made them; those that are intact. Empty for other files."""
+    from daq.contract.recordings.reading import read_parts
+    from daq.contract.recordings.recording import RecordingError
 
-    found: list[dict[str, Any]] = []
-    with path.open("rb") as stream:
-        try:
-            for _, _, message in NonSeekingReader(stream, validate_crcs=True).iter_messages(
-                topics=[LINK_TOPIC], log_time_order=False
-            ):
-                found.append(json.loads(message.data))
-        except (McapError, ValueError, struct.error):
-            return found
-    return found
+    try:
+        reports = [data for part in read_parts(path) for data in part.kept.get(LINK_TOPIC, ())]
+    except RecordingError:
+        return []
+    return [report for report in map(_link_report, reports) if report is not None]
+
+
+def _link_report(data: bytes) -> dict[str, Any] | None:
+    """A link report with all its fields; None for JSON that is none."""
+    try:
+        report = json.loads(data)
+        values = {name: None if report[name] is None else float(report[name]) for name in _LINK_FIELDS}
+    except (ValueError, KeyError, TypeError, OverflowError, RecursionError):
+        return None
+    return None if any(values[name] is None for name in _LINK_ALWAYS) else values
 
 
 class SessionRecorder:

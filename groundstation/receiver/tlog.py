@@ -23,9 +23,8 @@ JUNK_PAYLOAD_TYPE = 44100
 JUNK_CHUNK = 128
 _STAMP = struct.Struct(">Q")
 _STAMP_FROM, _STAMP_TO = 1_000_000, 4_102_444_800_000_000  # up to the year 2100
+_RECORD = re.compile(rb"\x00[\x00-\x0e].{6}(?=[\xfd\xfe])", re.DOTALL)  # a time before 2100, a frame's first byte
 _FLUSH_BYTES = 4096
-_RECORD = re.compile(rb"(?s)(?=\0[\0-\x0e].{6}[\xfd\xfe])")
-"""A time up to 2100 and a frame's first byte, as far as single bytes can say it."""
 
 
 class TlogError(UserError):
@@ -85,30 +84,20 @@ def read_tlog(path: str | Path) -> Iterator[tuple[int, bytes]]:
     except OSError as error:
         raise TlogError(f"{path}: telemetry log cannot be read ({error.strerror})") from error
     at, found = 0, 0
-    while 0 <= at < len(data) - 8:
-        frame = _frame_after(data, at)
+    while (record := _RECORD.search(data, at)) is not None:
+        at = record.start()
+        (stamp,) = _STAMP.unpack_from(data, at)
+        frame = frame_at(data, at + 8) if _STAMP_FROM <= stamp <= _STAMP_TO else None
         if frame is None:
-            at = _next_record(data, at + 1)
+            at += 1
             continue
         found += 1
-        (stamp,) = _STAMP.unpack_from(data, at)
         at += 8 + len(frame.raw)
         yield stamp * 1000, _unwrapped(frame)
     if not data:
         raise TlogError(f"{path}: the telemetry log is empty")
     if not found:
         raise TlogError(f"{path}: not a MAVLink telemetry log; no frame behind a timestamp in it")
-
-
-def _next_record(data: bytes, at: int) -> int:
-    """Where the next record may begin, from `at` on; -1 when nowhere."""
-    found = _RECORD.search(data, at)
-    return -1 if found is None else found.start()
-
-
-def _frame_after(data: bytes, at: int) -> Frame | None:
-    (stamp,) = _STAMP.unpack_from(data, at)
-    return frame_at(data, at + 8) if _STAMP_FROM <= stamp <= _STAMP_TO else None
 
 
 def _unwrapped(frame: Frame) -> bytes:
@@ -127,7 +116,8 @@ def info_tlog(path: str | Path) -> dict[str, Any]:
     aircraft: dict[int, AircraftDecoder] = {}
     samples: dict[str, int] = {}
     first_utc = last_utc = 0
-    span: list[int] = []
+    first: int | None = None
+    last: int | None = None
     for utc, data in read_tlog(path):
         first_utc, last_utc = first_utc or utc, utc
         for found in decoder.feed(data):
@@ -135,7 +125,9 @@ def info_tlog(path: str | Path) -> dict[str, Any]:
                 known = aircraft.setdefault(found.system, AircraftDecoder(found.system))
                 for event in known.take(found, utc, utc):
                     if isinstance(event, ScanReceived):
-                        span.append(event.scan.number)
+                        number = event.scan.number
+                        first = number if first is None else min(first, number)
+                        last = number if last is None else max(last, number)
                         for name in event.scan.values:
                             samples[name] = samples.get(name, 0) + 1
     books = [b for a in aircraft.values() for b in a.sessions]
@@ -149,8 +141,8 @@ def info_tlog(path: str | Path) -> dict[str, Any]:
         "duration_s": duration,
         "rate_hz": scans / duration if duration > 0 else 0.0,
         "scans": scans,
-        "first_scan": min(span, default=None),
-        "last_scan": max(span, default=None),
+        "first_scan": first,
+        "last_scan": last,
         "channels": [
             {"name": c.name, "unit": c.unit, "samples": samples[c.name]} for c in CHANNELS if c.name in samples
         ],

@@ -2,7 +2,7 @@
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from daq.contract.recordings.messages import LogLevel
 from groundstation.flight import Flight, read_flight
@@ -13,6 +13,9 @@ from groundstation.viewer.scene import LinkSample
 
 if TYPE_CHECKING:
     from daq.contract.recordings.reading import Recording
+
+_TOLD = 20  # damages on the status page
+_LATEST_S = 2**63 * 1e-9  # what rerun's nanoseconds can hold
 
 _LEVELS = {
     LogLevel.UNKNOWN: "INFO",
@@ -51,12 +54,11 @@ def is_raw(file: Path) -> bool:
 
 
 def _raw(file: Path, target: Path, layout: Layout, calibration: Path | None) -> Path:
-    from daq.contract.recordings.reading import read_recording
-    from groundstation.calibration.recording import calibrate_recording
+    from groundstation.calibration.recording import calibrate_opened, open_recording
 
-    flight = calibrate_recording(file, calibration, salvage=True)
+    recording, notes = open_recording(file, salvage=True)
+    flight = calibrate_opened(recording, calibration)
     states: dict[str, list[tuple[float, str]]] = {}
-    recording = read_recording(file, salvage=True)
     for scan in recording.scans():
         for group, status in scan.groups.items():
             history = states.setdefault(group, [])
@@ -72,7 +74,7 @@ def _raw(file: Path, target: Path, layout: Layout, calibration: Path | None) -> 
         states=states,
         events=sorted([*_events(flight), *said]),
         link=_link(file),
-        status=_status(recording, flight),
+        status=_status(recording, flight, notes),
     )
     return target
 
@@ -93,7 +95,7 @@ def _link(file: Path) -> list[tuple[float, LinkSample]]:
     ]
 
 
-def _status(recording: "Recording", flight: Flight) -> str:
+def _status(recording: "Recording", flight: Flight, notes: list[str]) -> str:
     """The status page: what this recording is, and how it went."""
     info = recording.info
     how = f"{info.source}, received by radio" if info.role == "received" else info.source
@@ -103,19 +105,32 @@ def _status(recording: "Recording", flight: Flight) -> str:
         f"- {len(recording.numbers)} scans, {flight.time[-1] - flight.time[0]:.1f} s, {how}",
         f"- software {info.software}",
     ]
-    if recording.statistics:
-        s = recording.statistics[-1]
+    lines += [f"- {note}" for note in notes]
+    s = recording.last_statistics
+    if s is not None:
         lines.append(f"- {s.written} scans written, {s.dropped} dropped, {s.lost} lost, {s.missed} slots missed")
-    lines += [f"- damaged: {p.name} byte {d.at_byte}: {d.what}" for p, d in recording.damages] or ["- no damage found"]
+    damages = recording.damages
+    lines += [f"- damaged: {p.name} byte {d.at_byte}: {d.what}" for p, d in damages[:_TOLD]] or ["- no damage found"]
+    lines += [f"- damaged in {len(damages) - _TOLD} more places"] if len(damages) > _TOLD else []
     return "\n".join(lines)
 
 
 def _events(flight: Flight) -> list[tuple[float, str, str]]:
-    """Event marks and manoeuvres that the flight carries."""
-    found = [
-        (float(e["time"]), f"event ({e['origin']}): {e['text']}", "INFO")
-        for e in flight.provenance.detail.get("events", [])
-    ]
-    for m in flight.provenance.detail.get("manoeuvres", []):
+    """Event marks and manoeuvres that the flight carries; what is none (a flight may come from anybody) is left out."""
+    found = []
+    for e in _listed(flight, "events", ("time", "origin", "text")):
+        found.append((float(e["time"]), f"event ({e['origin']}): {e['text']}", "INFO"))
+    for m in _listed(flight, "manoeuvres", ("start", "title")):
         found.append((float(m["start"]), f"manoeuvre: {m['title']}", "INFO"))
     return sorted(found)
+
+
+def _listed(flight: Flight, key: str, fields: tuple[str, ...]) -> list[dict[str, Any]]:
+    """The objects of a list in the flight's provenance that have all `fields`, the first of them a finite number."""
+    rows = flight.provenance.detail.get(key, [])
+    return [
+        row
+        for row in (rows if isinstance(rows, list) else [])
+        if isinstance(row, dict) and row.keys() >= set(fields)
+        if isinstance(row[fields[0]], int | float) and abs(row[fields[0]]) <= _LATEST_S
+    ]

@@ -1,9 +1,10 @@
-"""Two hundred damages of a simulated flight's recording: what `recover` saves. Run: python -m tests.studies.damaged_recordings
+"""Damages of a simulated flight's recording: what `recover` saves. Run: python -m tests.studies.damaged_recordings
 
 The oracle is the file itself: a scan is intact when its bytes, as recorded, are still somewhere in the damaged file.
 """
 
 import random
+import struct
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -34,7 +35,27 @@ def garble_sector(data: bytes, rng: random.Random) -> bytes:
     return data[:at] + rng.randbytes(len(data[at : at + 4096])) + data[at + 4096 :]
 
 
-DAMAGES: tuple[Callable[[bytes, random.Random], bytes], ...] = (cut, flip, zero_tail, garble_sector)
+def alter_code(data: bytes, rng: random.Random) -> bytes:
+    """The code of a chunk becomes that of another record."""
+    found, at = [], 8
+    while at < len(data) - 8:
+        opcode, length = struct.unpack_from("<BQ", data, at)
+        found += [at] if opcode == 6 else []
+        at += 9 + length
+    at = rng.choice(found)
+    return data[:at] + bytes([rng.choice((1, 2, 3, 4, 5, *range(7, 16)))]) + data[at + 1 :]
+
+
+def reverse_sectors(data: bytes, rng: random.Random) -> bytes:
+    size = rng.choice((512, 4096))
+    skip = rng.randrange(size)
+    parts = [data[:skip], *(data[at : at + size] for at in range(skip, len(data), size))]
+    return b"".join(reversed(parts))
+
+
+DAMAGES: tuple[Callable[[bytes, random.Random], bytes], ...] = (
+    cut, flip, zero_tail, garble_sector, alter_code, reverse_sectors
+)  # fmt: skip
 
 
 def main(files_each: int = 50) -> None:

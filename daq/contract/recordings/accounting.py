@@ -3,6 +3,7 @@
 The books: scan numbers run from the first to the last slot the logger used. Each number is present, or the logger
 itself said that it is absent (dropped, lost, or missed), or it lies in a damaged stretch or after the last flush.
 `slots = scans + sum of missing` always closes; a missing number that nobody accounts for makes the verdict "not ok".
+Several sessions in one file are accounted for one by one.
 """
 
 import hashlib
@@ -13,14 +14,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from daq.contract.channels import CHANNELS, COLUMNS
 from daq.contract.ranges import Range, count, ranges, shown, subtract
-from daq.contract.recordings.messages import Statistics, message_class
-from daq.contract.recordings.reading import Recording, Segment, join, read_segments
-from daq.contract.recordings.recording import Entry, RecordingError, RecordingInfo, RecordingWriter
-from daq.contract.recordings.salvage import Damage, Walk
+from daq.contract.recordings.messages import Statistics
+from daq.contract.recordings.reading import Recording, Segment, by_session, join, read_segments
+from daq.contract.recordings.recording import RecordingError, RecordingInfo, RecordingWriter
+from daq.contract.recordings.salvage import Damage
+from daq.contract.recordings.summary import info_mcap
 
-_FLIGHT_TOPIC, _FLIGHT_METADATA = "/flight", "sideslip.flight"
+__all__ = ["Recovery", "Verification", "info_mcap", "recover", "verify", "verify_recording", "verify_segments"]
+
 _LOST_TO_DAMAGE = "lost_to_damage"
 
 
@@ -31,7 +33,8 @@ class Verification:
     scans: present and proven. written, dropped, lost, missed: as the logger counted them, or as they follow from the
     numbers where its last count is older than the last scan. missing: absent numbers. unexplained: the part of
     `missing` that the logger did not report as absent itself. given_up: segments that the logger left after a write
-    error and continued in another file; their torn ends are no damage of the recording.
+    error and continued in another file; their torn ends are no damage of the recording. sessions: of a file that holds
+    several, what was found of each by name; the numbers are then sums, and the ranges those of one session after the other.
     """
 
     ok: bool
@@ -47,6 +50,7 @@ class Verification:
     closed: bool
     text: str
     given_up: tuple[Path, ...] = ()
+    sessions: tuple[tuple[str, "Verification"], ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """The JSON object of `verify --json`."""
@@ -68,6 +72,7 @@ class Verification:
             "closed": self.closed,
             "given_up": [str(p) for p in self.given_up],
             "text": self.text,
+            **({"sessions": [{"session": n, **v.to_dict()} for n, v in self.sessions]} if self.sessions else {}),
         }
 
 
@@ -77,23 +82,61 @@ def verify(path: str | Path) -> Verification:
     Raises RecordingError when there is no recording to check.
     """
     path = Path(path)
-    segments = read_segments(path)
+    return verify_segments(path, read_segments(path))
+
+
+def verify_segments(path: Path, segments: list[Segment]) -> Verification:
+    """`verify` of segments that have been walked through already."""
+    if path.is_dir() or len(segments) == 1:
+        groups = [segments]
+    else:
+        groups = list(by_session(segments).values())
+    found = [_verify_group(path, g) for g in groups]
+    if len(found) == 1:
+        return found[0][1]
+    return _together(found)
+
+
+def _verify_group(path: Path, segments: list[Segment]) -> tuple[str, Verification]:
     if all(s.info is None and not s.entries and (s.foreign or s.metadata) for s in segments):
-        return _verify_foreign(segments)
-    return verify_recording(join(path, segments))
+        return "no recording", _verify_foreign(segments)
+    recording = join(path, segments)
+    return recording.info.session, verify_recording(recording)
+
+
+def _together(found: Sequence[tuple[str, Verification]]) -> Verification:
+    """The sessions of one file: sums, and each for itself."""
+    parts = [v for _, v in found]
+    said = "; ".join(f"session {name}: {v.text}" for name, v in found)
+    return Verification(
+        ok=all(v.ok for v in parts),
+        scans=sum(v.scans for v in parts),
+        slots=sum(v.slots for v in parts),
+        written=sum(v.written for v in parts),
+        dropped=sum(v.dropped for v in parts),
+        lost=sum(v.lost for v in parts),
+        missed=sum(v.missed for v in parts),
+        missing=tuple(r for v in parts for r in v.missing),
+        unexplained=tuple(r for v in parts for r in v.unexplained),
+        damages=tuple(d for v in parts for d in v.damages),
+        closed=all(v.closed for v in parts),
+        text=f"{len(found)} sessions in one file; {said}",
+        given_up=tuple(p for v in parts for p in v.given_up),
+        sessions=tuple(found),
+    )
 
 
 def verify_recording(recording: Recording) -> Verification:
     """Check a recording that has been walked through."""
     numbers = recording.numbers
-    books = recording.statistics[-1] if recording.statistics else None
+    books = recording.last_statistics
     whole_session = _is_whole(recording)
     first, end = _span(numbers, books, whole_session)
-    missing = ranges(sorted(set(range(first, end)) - set(numbers)))
+    missing = subtract([(first, end - 1)], ranges(numbers))
     not_told = subtract(missing, books.absent if books else ())
-    unexplained = subtract(not_told, json.loads(recording.info.details.get(_LOST_TO_DAMAGE, "[]")))
+    unexplained = subtract(not_told, _lost_before(recording.info.details.get(_LOST_TO_DAMAGE, "[]")))
     given_up, damages = recording.given_up, recording.damages
-    closed = all(s.closed for s in recording.segments if s not in given_up)
+    closed = all(s.closed or any(s is g for g in given_up) for s in recording.segments)
     gaps_expected = recording.info.role == "received"
     ok = closed and not damages and bool(numbers) and (gaps_expected or not unexplained)
     dropped, lost, missed = _counts(books, count(missing) - count(not_told))
@@ -122,8 +165,17 @@ def verify_recording(recording: Recording) -> Verification:
 
 def _is_whole(recording: Recording) -> bool:
     """Whether all segments from the first to the one with the last books are here."""
-    present = [s.info.segment for s in recording.segments if s.info]
-    return bool(present) and sorted(present) == list(range(max(present) + 1))
+    present = {s.info.segment for s in recording.segments if s.info}
+    return bool(present) and min(present) == 0 and max(present) == len(present) - 1
+
+
+def _lost_before(text: str) -> list[Range]:
+    """Numbers that an earlier recovery could not save, as its recording states them; none where it states nothing usable."""
+    try:
+        stated = json.loads(text)
+        return [(int(first), int(last)) for first, last in stated]
+    except (ValueError, TypeError, OverflowError, RecursionError):
+        return []
 
 
 def _span(numbers: Sequence[int], books: Statistics | None, whole_session: bool) -> Range:
@@ -198,22 +250,28 @@ def _verify_foreign(segments: Sequence[Segment]) -> Verification:
 
 @dataclass(frozen=True)
 class Recovery:
-    """What `recover` saved and where the original was damaged."""
+    """What `recover` saved and where the original was damaged. sessions: name, file and scans of each session saved."""
 
     path: Path
     recovered: int
     verification: Verification  # of the damaged original
+    sessions: tuple[tuple[str, Path, int], ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """The JSON object of `recover --json`."""
         fields = self.verification.to_dict()
-        text = f"{self.recovered} scans recovered to {self.path}; original {self.verification.text}"
-        return {**fields, "recovered": self.recovered, "out": str(self.path), "text": text}
+        to = self.path if len(self.sessions) < 2 else ", ".join(f"{p} (session {s}, {n})" for s, p, n in self.sessions)
+        text = f"{self.recovered} scans recovered to {to}; original {self.verification.text}"
+        found: dict[str, Any] = {**fields, "recovered": self.recovered, "out": str(self.path), "text": text}
+        if len(self.sessions) > 1:
+            found["outs"] = [{"session": s, "out": str(p), "recovered": n} for s, p, n in self.sessions]
+        return found
 
 
 def recover(path: str | Path, out: str | Path) -> Recovery:
     """Write everything in a recording that is surely right to a new, sound recording.
 
+    Of a file that holds several sessions the first is written to `out`, the others beside it as OUT_2.mcap and so on.
     Raises RecordingError when nothing can be saved, or when `out` exists or is not a .mcap name.
     """
     path, out = Path(path), Path(out)
@@ -222,11 +280,31 @@ def recover(path: str | Path, out: str | Path) -> Recovery:
     if out.exists():
         raise RecordingError(f"{out}: exists already; name a new file")
     segments = read_segments(path)
-    recording = join(path, segments)
-    verification = verify_recording(recording)
-    if not recording.entries:
+    recordings = _with_messages(path, segments)
+    outs = [out, *(out.with_stem(f"{out.stem}_{i}") for i in range(2, len(recordings) + 1))]
+    for other in outs[1:]:
+        if other.exists():
+            raise RecordingError(
+                f"{other}: exists already, and {path} holds {len(recordings)} sessions; name another OUT"
+            )
+    for recording, target in zip(recordings, outs, strict=True):
+        _write_recovered(recording, target)
+    saved = tuple((r.info.session, o, len(r.numbers)) for r, o in zip(recordings, outs, strict=True))
+    return Recovery(out, sum(n for *_, n in saved), verify_segments(path, segments), saved)
+
+
+def _with_messages(path: Path, segments: list[Segment]) -> list[Recording]:
+    """The recordings in a file or directory that hold a message."""
+    groups = [segments] if path.is_dir() or len(segments) == 1 else list(by_session(segments).values())
+    raw = [g for g in groups if any(s.entries for s in g)]
+    if not raw:
+        join(path, segments)  # says so where it is no raw recording at all
         raise RecordingError(f"{path}: not a single message in it is intact; there is nothing to recover")
-    info = _recovered_info(recording, segments, verification)
+    return [join(path, g) for g in raw]
+
+
+def _write_recovered(recording: Recording, out: Path) -> None:
+    info = _recovered_info(recording, verify_recording(recording))
     out.parent.mkdir(parents=True, exist_ok=True)
     partial = out.with_suffix(".mcap.part")
     with partial.open("wb") as stream:
@@ -239,94 +317,10 @@ def recover(path: str | Path, out: str | Path) -> Recovery:
         stream.flush()
         os.fsync(stream.fileno())
     partial.replace(out)
-    return Recovery(out, len(recording.numbers), verification)
 
 
-def _recovered_info(recording: Recording, segments: Sequence[Segment], verification: Verification) -> RecordingInfo:
-    origin = "; ".join(f"{s.path.name} sha256 {hashlib.sha256(s.path.read_bytes()).hexdigest()}" for s in segments)
+def _recovered_info(recording: Recording, verification: Verification) -> RecordingInfo:
+    origin = "; ".join(f"{p.name} sha256 {hashlib.sha256(p.read_bytes()).hexdigest()}" for p in recording.files)
     lost = json.dumps([list(r) for r in verification.unexplained])
     details = {**recording.info.details, "recovered_from": origin, _LOST_TO_DAMAGE: lost}
     return replace(recording.info, details=details)
-
-
-# -------------------------------------------------------------------------------------------------- what is in a file
-
-
-def info_mcap(path: str | Path) -> dict[str, Any]:
-    """The JSON object of `info --json` for a raw recording or a calibrated flight in MCAP, damaged or not.
-
-    Raises RecordingError when the file is neither.
-    """
-    path = Path(path)
-    segments = read_segments(path)
-    if any(s.info is not None or s.entries for s in segments):
-        return _raw_info(path, join(path, segments))
-    if any(_FLIGHT_TOPIC in s.foreign for s in segments):
-        return _flight_info(path, segments[0])
-    if any(m.name == _FLIGHT_METADATA for s in segments for m in s.metadata):
-        raise RecordingError(f"{path}: a calibrated flight, damaged so that none of it can be read; calibrate it again")
-    topics = sorted({t for s in segments for t in s.foreign})
-    raise RecordingError(f"{path}: an MCAP file of another program (topics: {', '.join(topics) or 'none'})")
-
-
-def _raw_info(path: Path, recording: Recording) -> dict[str, Any]:
-    samples = dict.fromkeys((c.name for c in CHANNELS), 0)
-    times: list[int] = []
-    for scan in recording.scans():
-        times.append(scan.time_monotonic_ns)
-        for name in scan.values:
-            samples[name] += 1
-    numbers = recording.numbers
-    duration = (times[-1] - times[0]) * 1e-9 if len(times) > 1 else 0.0
-    info = recording.info
-    return {
-        "file": str(path),
-        "kind": "raw",
-        "source": info.source,
-        "role": info.role,
-        "aircraft": info.aircraft,
-        "session": info.session,
-        "segments": len(recording.segments),
-        "duration_s": duration,
-        "rate_hz": (len(times) - 1) / duration if duration else 0.0,
-        "scans": len(numbers),
-        "first_scan": numbers[0] if numbers else None,
-        "last_scan": numbers[-1] if numbers else None,
-        "channels": [{"name": c.name, "unit": c.unit, "samples": samples[c.name]} for c in CHANNELS],
-        "events": [{"time": e.time_monotonic_ns * 1e-9, "origin": e.origin, "text": e.text} for e in recording.events],
-        "calibration": sorted(info.calibration),
-        "details": dict(info.details),
-        "sound": all(s.sound for s in recording.segments),
-        "software": info.software,
-    }
-
-
-def _flight_info(path: Path, segment: Segment) -> dict[str, Any]:
-    """Summary of a calibrated flight, its columns read with the schema in the file."""
-    walk = Walk(segment.path.read_bytes())
-    data = [item.data for item in walk if isinstance(item, Entry) and item.topic == _FLIGHT_TOPIC]
-    described = next((m.fields.get("json", "{}") for m in segment.metadata if m.name == _FLIGHT_METADATA), "{}")
-    provenance = json.loads(described)
-    row_class = message_class(*walk.schemas[walk.channel_schema[_FLIGHT_TOPIC]])
-    rows = [row_class.FromString(d) for d in data]
-    names = [f.name for f in row_class.DESCRIPTOR.fields if f.name not in ("time", "segment")]
-    duration = rows[-1].time - rows[0].time if rows else 0.0
-    units = {c.name: c.unit for c in COLUMNS}
-    return {
-        "file": str(path),
-        "kind": "flight",
-        "source": provenance.get("source", "imported"),
-        "aircraft": provenance.get("aircraft", ""),
-        "duration_s": duration,
-        "rate_hz": (len(rows) - 1) / duration if duration else 0.0,
-        "scans": len(rows),
-        "first_scan": 0 if rows else None,
-        "last_scan": len(rows) - 1 if rows else None,
-        "channels": [
-            {"name": n, "unit": units.get(n, ""), "samples": sum(1 for r in rows if r.HasField(n))} for n in names
-        ],
-        "notes": provenance.get("notes", []),
-        "calibration": sorted(provenance.get("calibration", {})),
-        "sound": segment.sound,
-        "software": provenance.get("software", ""),
-    }

@@ -1,90 +1,105 @@
-"""Messages in damaged bytes: found by their seals, whatever became of the records around them."""
+"""Messages in damaged bytes: found by their seals, whatever became of the records around them.
+
+Time goes with the bytes, whatever they are: beginnings and ends are matched all at once (`recordings.sealed`), and what could be
+repeated without end (long messages, compressed parts) is paid for from the file's `Effort`.
+"""
 
 import re
+import struct
 from collections.abc import Iterator
 
-import zstandard
-
 from daq.contract.errors import UserError
-from daq.contract.recordings.mcap_records import MAX_CHUNK
+from daq.contract.recordings.expand import Bad, Effort, expand_torn
 from daq.contract.recordings.recording import SCHEMA_OF_TOPIC, Entry, entry_of
-from daq.contract.seal import SEAL_SIZE, seal_holds
+from daq.contract.seal import SEAL_SIZE, SEAL_TAG, seal_holds
 
-_MAX_HEADLESS = 1 << 12  # longer messages are found by their record heads only
-_MESSAGE_HEAD = 9 + 22  # record head, channel, sequence, two times
+_RECORD_HEAD = struct.Struct("<BQ")
+_MESSAGE = 5
+_MESSAGE_HEAD = _RECORD_HEAD.size + 22  # channel, sequence, two times
+_DECLARATIONS = 1 << 16  # schemas and channels stand at the beginning of a chunk
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 _ZSTD_MARK = b"\x04\x00\x00\x00zstd"
-_MAYBE_MESSAGE = re.compile(rb"\x05(?=..\x00{6})", re.DOTALL)
-_MAYBE_CONTENT = re.compile(rb"[\x08\x0a]")  # tag of field 1, a number or a timestamp: all our messages begin so
-_SEAL_TAG = re.compile(rb"\x7d")
+_LONG_MESSAGE = re.compile(rb"\x05(?=..\x00{6})", re.DOTALL)
 
 
-def salvage_region(region: bytes) -> Iterator[Entry]:
+def salvage_region(region: bytes, effort: Effort) -> Iterator[Entry]:
     """Messages whose seals hold within a damaged stretch, its compressed parts included."""
-    yield from find_sealed(region)
+    yield from find_sealed(region, effort)
+    behind = 0
     for match in re.finditer(re.escape(_ZSTD_MAGIC), region):
-        yield from find_sealed(decompress_torn(region[match.start() :]))
+        if match.start() < behind:
+            continue  # within a frame that was whole
+        content, taken = expand_torn(memoryview(region)[match.start() :], effort)
+        behind = match.start() + taken
+        yield from _in_content(content, effort)
     for match in re.finditer(re.escape(_ZSTD_MARK), region):
         frame = match.end() + 8
-        if region[frame : frame + 4] != _ZSTD_MAGIC:
-            yield from find_sealed(decompress_torn(_ZSTD_MAGIC + region[frame + 4 :]))
+        if region[frame : frame + 4] != _ZSTD_MAGIC and len(region) > frame + 4:
+            piece = region[frame + 4 : frame + 4 + int.from_bytes(region[match.end() : frame], "little")]
+            yield from _in_content(expand_torn(_ZSTD_MAGIC + piece, effort)[0], effort)
 
 
-def find_sealed(region: bytes) -> Iterator[Entry]:
-    """Messages with intact content in a stretch of damaged bytes.
-
-    First by their record heads, which say where they end; then, in the gaps between those found, by content alone.
-    """
-    done = 0
-    for match in _MAYBE_MESSAGE.finditer(region):
-        at = match.start()
-        if at < done:
-            continue
-        end = at + 9 + int.from_bytes(region[at + 1 : at + 9], "little")
-        entry = _sealed_entry(region[at + _MESSAGE_HEAD : end]) if end <= len(region) else None
-        if entry is None:
-            continue
-        yield from _headless(region[done:at])
-        yield entry
-        done = end
-    yield from _headless(region[done:])
-
-
-def _headless(gap: bytes) -> Iterator[Entry]:
-    """Messages whose record head is damaged but whose content is not: from a first field to a seal that holds."""
-    done = 0
-    for match in _MAYBE_CONTENT.finditer(gap):
-        start = match.start()
-        if start < done:
-            continue
-        limit = min(len(gap), start + _MAX_HEADLESS)
-        for tail in _SEAL_TAG.finditer(gap, start, limit):
-            entry = _sealed_entry(gap[start : tail.start() + SEAL_SIZE])
-            if entry is not None:
-                yield entry
-                done = tail.start() + SEAL_SIZE
+def _in_content(content: bytes, effort: Effort) -> Iterator[Entry]:
+    """Messages in the content of a torn chunk: record by record as far as it is sound, by their seals from there on."""
+    at = 0
+    while at + _MESSAGE_HEAD <= len(content):
+        opcode, length = _RECORD_HEAD.unpack_from(content, at)
+        begin, end = at + _MESSAGE_HEAD, at + _RECORD_HEAD.size + length
+        if end > len(content):
+            break
+        if opcode == _MESSAGE:
+            data = content[begin:end]
+            topic = next((t for t, schema in SCHEMA_OF_TOPIC.items() if seal_holds(schema, data)), None)
+            if topic is None:
                 break
+            effort.record()
+            yield from _entry(topic, data)
+        elif at > _DECLARATIONS:
+            break
+        at = end
+    try:
+        effort.search(len(content) - at)
+    except Bad:
+        return
+    yield from find_sealed(content[at:], effort)
 
 
-def _sealed_entry(data: bytes) -> Entry | None:
-    for topic, schema in SCHEMA_OF_TOPIC.items():
-        if seal_holds(schema, data):
-            try:
-                return entry_of(topic, data)
-            except UserError:
-                return None
-    return None
+def find_sealed(region: bytes, effort: Effort) -> Iterator[Entry]:
+    """Messages with intact content in a stretch of bytes: those of usual length by their seals alone, long ones by their
+    record heads too, which say where they end."""
+    from daq.contract.recordings.sealed import sealed_stretches  # needs numpy, which a sound recording does without
+
+    if SEAL_TAG not in region:
+        return
+    for begin, end, topic in sealed_stretches(region, SCHEMA_OF_TOPIC):
+        effort.record()
+        yield from _entry(topic, region[begin:end])
+    yield from _find_long(region, effort)
 
 
-def decompress_torn(data: bytes) -> bytes:
-    """As much of a zstd frame as can be decompressed."""
-    decoder = zstandard.ZstdDecompressor().decompressobj()
-    out = bytearray()
-    for at in range(0, len(data), 64):
+def _find_long(region: bytes, effort: Effort) -> Iterator[Entry]:
+    from daq.contract.recordings.sealed import REACH
+
+    done = 0
+    for match in _LONG_MESSAGE.finditer(region):
+        at = match.start()
+        begin, end = at + _MESSAGE_HEAD, at + _RECORD_HEAD.size + region[at + 1] + 256 * region[at + 2]
+        if at < done or end - begin <= REACH or end > len(region) or region[end - SEAL_SIZE] != SEAL_TAG[0]:
+            continue
         try:
-            out += decoder.decompress(data[at : at + 64])
-        except zstandard.ZstdError:
-            break
-        if decoder.eof or len(out) > MAX_CHUNK:
-            break
-    return bytes(out)
+            effort.check((end - begin) * len(SCHEMA_OF_TOPIC))
+        except Bad:
+            return
+        content = region[begin:end]
+        for topic in (t for t, schema in SCHEMA_OF_TOPIC.items() if seal_holds(schema, content)):
+            effort.record()
+            yield from _entry(topic, content)
+            done = end
+
+
+def _entry(topic: str, content: bytes) -> Iterator[Entry]:
+    """The message around sealed content; nothing for content that was sealed but is none (nobody but a forger does that)."""
+    try:
+        yield entry_of(topic, content)
+    except UserError:
+        return

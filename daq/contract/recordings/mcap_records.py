@@ -3,19 +3,25 @@
 Layout: MCAP specification, https://mcap.dev/spec. Every function here raises `Bad` for bytes that fail a check.
 """
 
+import struct
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-import zstandard
-
+from daq.contract.recordings.expand import MAX_CHUNK, Bad, Effort, expand
 from daq.contract.recordings.recording import DETAIL_NAME, INFO_NAME, metadata_digest
 
 MAGIC = b"\x89MCAP0\r\n"
 HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX = range(1, 9)
 ATTACHMENT, ATTACHMENT_INDEX, STATISTICS, METADATA, METADATA_INDEX, SUMMARY_OFFSET, DATA_END = range(9, 16)
 
-MAX_CHUNK = 1 << 28  # uncompressed; larger is taken for damage
+SUMMARY_ONLY = (CHUNK_INDEX, ATTACHMENT_INDEX, STATISTICS, METADATA_INDEX, SUMMARY_OFFSET)
+"""Records that stand behind the end of the data; anywhere before, the code is not what was written."""
+
+RECORD_HEAD = 9  # code and length
+_CHUNK_FIXED = struct.Struct("<QQQII")  # first and last time, size, checksum, length of the compression's name
+CHUNK_HEAD = _CHUNK_FIXED.size + 8
+"""Fields of a chunk around its compression's name and stored bytes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,10 +38,6 @@ class Metadata:
 
     name: str
     fields: Mapping[str, str]
-
-
-class Bad(Exception):
-    """The record at hand is not what was written."""
 
 
 @dataclass(slots=True)
@@ -84,16 +86,29 @@ class Cursor:
             raise Bad("its length does not fit its content")
 
 
-def chunk_content(body: memoryview) -> bytes | memoryview:
+def chunk_plausible(body: memoryview) -> bool:
+    """Whether the lengths within a chunk fit each other and its checksum is stated: cheap, before anything is computed."""
+    if len(body) < CHUNK_HEAD:
+        return False
+    _, _, size, stated, name = _CHUNK_FIXED.unpack_from(body)
+    if not stated or name not in (0, 3, 4) or len(body) < CHUNK_HEAD + name:
+        return False
+    stored = len(body) - CHUNK_HEAD - name
+    if int.from_bytes(body[_CHUNK_FIXED.size + name : CHUNK_HEAD + name], "little") != stored:
+        return False
+    return size <= MAX_CHUNK if name else size == stored
+
+
+def chunk_content(body: memoryview, effort: Effort) -> bytes | memoryview:
+    """The records in a chunk, proven by its checksum (where the writer gave one)."""
     cursor = Cursor(body)
     cursor.take(16)
     size, stated = cursor.number(8), cursor.number(4)
     compression = cursor.text()
     stored = cursor.take(cursor.number(8))
     cursor.finish()
-    if size > MAX_CHUNK:
-        raise Bad("its size was altered")
-    content = _decompress(compression, stored, size)
+    effort.check(len(stored))
+    content = expand(compression, stored, size, effort) if compression else stored
     if len(content) != size:
         raise Bad("its size does not match")
     if stated and zlib.crc32(content) != stated:
@@ -101,43 +116,25 @@ def chunk_content(body: memoryview) -> bytes | memoryview:
     return content
 
 
-def _decompress(compression: str, stored: memoryview, size: int) -> bytes | memoryview:
-    if compression == "":
-        return stored
-    if compression == "zstd":
-        try:
-            return zstandard.ZstdDecompressor().decompress(bytes(stored), max_output_size=size)
-        except zstandard.ZstdError as error:
-            raise Bad(f"cannot be decompressed ({error})") from error
-    if compression == "lz4":
-        return _decompress_lz4(bytes(stored))
-    raise Bad(f"unknown compression {compression!r}")
-
-
-def _decompress_lz4(stored: bytes) -> bytes:
-    import lz4.frame
-
-    try:
-        return bytes(lz4.frame.decompress(stored))
-    except RuntimeError as error:
-        raise Bad(f"cannot be decompressed ({error})") from error
-
-
-def read_attachment(body: memoryview) -> Attachment:
+def read_attachment(body: memoryview, effort: Effort) -> Attachment:
+    """A file, proven by its checksum (where the writer gave one)."""
     cursor = Cursor(body)
     cursor.take(16)
     name = cursor.text()
     cursor.text()
-    data = bytes(cursor.take(cursor.number(8)))
+    data = cursor.take(cursor.number(8))
     covered = body[: cursor.at]
     stated = cursor.number(4)
     cursor.finish()
+    effort.check(len(covered))
     if stated and stated != zlib.crc32(covered):
         raise Bad("checksum does not match")
-    return Attachment(name, data)
+    return Attachment(name, bytes(data))
 
 
-def read_metadata(body: memoryview) -> Metadata:
+def read_metadata(body: memoryview, effort: Effort) -> Metadata:
+    """Names and values, ours proven by their digest."""
+    effort.check(len(body))
     cursor = Cursor(body)
     name = cursor.text()
     fields = cursor.texts()
@@ -148,20 +145,38 @@ def read_metadata(body: memoryview) -> Metadata:
 
 
 def check_structure(record: Record) -> None:
-    """Records that only index others: their content is not used, their shape must fit."""
+    """Records that only index others: their content is not used, every length in them must fit."""
     cursor = Cursor(record.body)
     if record.opcode == MESSAGE_INDEX:
         cursor.take(2)
-        cursor.take(cursor.number(4))
+        _rows(cursor, 16)
     elif record.opcode == CHUNK_INDEX:
         cursor.take(32)
-        cursor.take(cursor.number(4))
+        _rows(cursor, 10)
         cursor.take(8)
         cursor.text()
         cursor.take(16)
     elif record.opcode == HEADER:
         cursor.text()
         cursor.text()
-    else:
-        return
+    elif record.opcode == ATTACHMENT_INDEX:
+        cursor.take(40)
+        cursor.text()
+        cursor.text()
+    elif record.opcode == STATISTICS:
+        cursor.take(42)
+        _rows(cursor, 10)
+    elif record.opcode == METADATA_INDEX:
+        cursor.take(16)
+        cursor.text()
+    elif record.opcode == SUMMARY_OFFSET:
+        cursor.take(17)
     cursor.finish()
+
+
+def _rows(cursor: Cursor, width: int) -> None:
+    """A list whose elements are `width` bytes each."""
+    size = cursor.number(4)
+    if size % width:
+        raise Bad("its inner lengths do not fit")
+    cursor.take(size)

@@ -1,12 +1,14 @@
 """Read raw recordings: one segment, or a directory with all segments of a session.
 
 `read_recording` wants sound data and says where it is not; with `salvage=True` it returns all that is surely right,
-together with the list of damages.
+together with the list of damages. A file may hold several recordings, one behind the other: each part is a segment of
+its own, and sessions are never mixed.
 """
 
 import json
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +24,7 @@ from daq.contract.recordings.messages import (
     Statistics,
 )
 from daq.contract.recordings.recording import (
+    CHANNELS_ATTACHMENT,
     DECODERS,
     DETAIL_NAME,
     INFO_ATTACHMENT,
@@ -33,8 +36,13 @@ from daq.contract.recordings.recording import (
     info_from_metadata,
     metadata_digest,
 )
-from daq.contract.recordings.salvage import Closed, Damage, Walk
+from daq.contract.recordings.salvage import Began, Closed, Damage, Item, Walk
 from daq.contract.scan import SCAN_TOPIC, Scan, decode_scan
+
+FLIGHT_TOPIC, FLIGHT_METADATA = "/flight", "sideslip.flight"
+LINK_TOPIC = "/link"
+_KEPT = (FLIGHT_TOPIC, LINK_TOPIC)
+"""Topics that are none of a raw recording's, yet ours: calibrated flights, and the link's quality in received recordings."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +57,16 @@ class Segment:
     damages: tuple[Damage, ...]
     closed: bool
     metadata: tuple[Metadata, ...] = ()
+    at_byte: int = 0  # where in the file it begins: not 0 for a second recording in one file
+    kept: Mapping[str, tuple[bytes, ...]] = field(
+        default_factory=dict
+    )  # messages of flights and of link quality by topic
+    schemas: Mapping[str, tuple[str, bytes]] = field(default_factory=dict)  # name and definition by topic, for `kept`
+
+    @property
+    def empty(self) -> bool:
+        """Whether nothing but damage is in it."""
+        return not (self.entries or self.metadata or self.foreign or self.info)
 
     @property
     def sound(self) -> bool:
@@ -69,10 +87,10 @@ class Recording:
         """The scans in order of their number, decoded one by one."""
         return (decode_scan(e.data) for e in self.entries if e.topic == SCAN_TOPIC)
 
-    @property
+    @cached_property
     def numbers(self) -> list[int]:
         """Numbers of the scans present, rising."""
-        return [e.sequence for e in self.entries if e.topic == SCAN_TOPIC]
+        return sorted(e.sequence for e in self.entries if e.topic == SCAN_TOPIC)
 
     @property
     def events(self) -> tuple[Event, ...]:
@@ -89,6 +107,11 @@ class Recording:
         """Accounting and timing reports in order of time."""
         return tuple(self._decoded(STATISTICS_TOPIC))
 
+    @cached_property
+    def last_statistics(self) -> Statistics | None:
+        """The last accounting report; None without any."""
+        return _last_statistics(self.entries)
+
     @property
     def health(self) -> tuple[Health, ...]:
         """Sensor health reports in order of time."""
@@ -100,69 +123,164 @@ class Recording:
 
         Their torn ends are accounted for: no damage of the recording.
         """
-        books = self.statistics
-        if not books:
+        books = self.last_statistics
+        if books is None:
             return ()
-        numbers = {int(k.removeprefix("abandoned_")) for k in books[-1].extra if k.startswith("abandoned_")}
-        return tuple(s for s in self.segments if s.info is not None and s.info.segment in numbers and not s.closed)
+        numbers = {k.removeprefix("abandoned_") for k in books.extra if k.startswith("abandoned_")}
+        return tuple(s for s in self.segments if s.info is not None and str(s.info.segment) in numbers and not s.closed)
 
     @property
     def damages(self) -> tuple[tuple[Path, Damage], ...]:
         """Damages of all segments but those given up, and the file of each."""
-        given_up = self.given_up
-        return tuple((s.path, d) for s in self.segments if s not in given_up for d in s.damages)
+        given_up = {id(s) for s in self.given_up}
+        return tuple((s.path, d) for s in self.segments if id(s) not in given_up for d in s.damages)
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """The files it was read from, each once."""
+        return tuple(dict.fromkeys(s.path for s in self.segments))
 
     def _decoded(self, topic: str) -> Iterator[Any]:
         return (DECODERS[topic](e.data) for e in self.entries if e.topic == topic)
 
 
-def read_segment(path: Path) -> Segment:
-    """Walk through one file. Raises RecordingError when it cannot be opened or is not an MCAP file at all."""
+def read_parts(path: Path) -> list[Segment]:
+    """Walk through one file: a segment for each recording in it, one as a rule.
+
+    Raises RecordingError when the file cannot be opened or is not an MCAP file at all.
+    """
     try:
         data = path.read_bytes()
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read ({error.strerror or error})") from error
     if not data:
         raise RecordingError(f"{path}: the file is empty")
-    entries: list[Entry] = []
-    damages: list[Damage] = []
-    attachments: dict[str, bytes] = {}
-    metadata: list[Metadata] = []
-    foreign: dict[str, int] = {}
-    closed = False
-    for item in Walk(data):
+    parts = [_Part(path, 0)]
+    walk = Walk(data)
+    for item in walk:
+        if isinstance(item, Began):
+            parts[-1].schemas = _schemas(walk)
+            parts.append(_Part(path, item.at_byte))
+        else:
+            parts[-1].take(item)
+    parts[-1].schemas = _schemas(walk)
+    found: list[Segment] = []
+    for part, end in zip(parts, [*(p.at_byte for p in parts[1:]), len(data)], strict=True):
+        segment = part.segment(end - part.at_byte)
+        if segment.empty and found:  # stray bytes behind a recording: a damage of it
+            stray = tuple(d for d in segment.damages if d.length)
+            found[-1] = replace(found[-1], size=found[-1].size + segment.size, damages=(*found[-1].damages, *stray))
+        elif found and found[-1].empty:
+            found[-1] = replace(segment, at_byte=found[-1].at_byte, damages=(*found[-1].damages, *segment.damages))
+        else:
+            found.append(segment)
+    if all(s.empty for s in found) and not data.startswith(b"\x89MCAP"):
+        raise RecordingError(f"{path}: not an MCAP file, and nothing of ours in it")
+    return found
+
+
+def _schemas(walk: Walk) -> dict[str, tuple[str, bytes]]:
+    ids = ((topic, walk.channel_schema.get(topic)) for topic in _KEPT)
+    return {topic: walk.schemas[i] for topic, i in ids if i is not None and i in walk.schemas}
+
+
+def read_segment(path: Path) -> Segment:
+    """Walk through one file that holds one recording; the parts of a session in one file are put together.
+
+    Raises RecordingError when the file cannot be opened, is not an MCAP file at all, or holds several sessions.
+    """
+    first, *others = parts = read_parts(path)
+    if not others:
+        return first
+    if len(by_session(parts)) > 1:
+        raise RecordingError(_several(path, parts))
+    return replace(
+        first,
+        size=sum(s.size for s in parts),
+        info=next((s.info for s in parts if s.info), None),
+        entries=tuple(e for s in parts for e in s.entries),
+        foreign={k: sum(s.foreign.get(k, 0) for s in parts) for s in parts for k in s.foreign},
+        damages=tuple(d for s in parts for d in s.damages),
+        closed=all(s.closed for s in parts),
+        metadata=tuple(m for s in parts for m in s.metadata),
+        kept={k: tuple(d for s in parts for d in s.kept.get(k, ())) for k in _KEPT},
+    )
+
+
+@dataclass
+class _Part:
+    """A recording while it is being read."""
+
+    path: Path
+    at_byte: int
+    entries: list[Entry] = field(default_factory=list)
+    damages: list[Damage] = field(default_factory=list)
+    attachments: dict[str, bytes] = field(default_factory=dict)
+    metadata: list[Metadata] = field(default_factory=list)
+    foreign: dict[str, int] = field(default_factory=dict)
+    kept: dict[str, list[bytes]] = field(default_factory=dict)
+    schemas: dict[str, tuple[str, bytes]] = field(default_factory=dict)
+    closed: bool = False
+
+    def take(self, item: Item) -> None:
         match item:
             case Entry():
                 if item.topic in SCHEMA_OF_TOPIC:
-                    entries.append(item)
+                    self.entries.append(item)
                 else:
-                    foreign[item.topic] = foreign.get(item.topic, 0) + 1
+                    self.foreign[item.topic] = self.foreign.get(item.topic, 0) + 1
+                    if item.topic in _KEPT:
+                        self.kept.setdefault(item.topic, []).append(item.data)
             case Attachment():
-                attachments.setdefault(item.name, item.data)
+                self.attachments.setdefault(item.name, item.data)
             case Metadata():
-                metadata.append(item)
+                if (
+                    item.name.startswith("sideslip.") or not self.metadata
+                ):  # another program may have any number of them
+                    self.metadata.append(item)
             case Damage():
-                damages.append(item)
+                self.damages.append(item)
             case Closed():
-                closed = True
-    if not (entries or attachments or metadata or foreign) and not data.startswith(b"\x89MCAP"):
-        raise RecordingError(f"{path}: not an MCAP file, and nothing of ours in it")
-    info = _identity(metadata, attachments)
-    return Segment(path, len(data), info, tuple(entries), foreign, tuple(damages), closed, tuple(metadata))
+                self.closed = True
+
+    def segment(self, size: int) -> Segment:
+        info = _identity(self.metadata, self.attachments)
+        metadata = self.metadata or ([Metadata("attachment", {})] if self.attachments else [])
+        return Segment(
+            self.path, size, info, tuple(self.entries), self.foreign, tuple(self.damages), self.closed, tuple(metadata),
+            self.at_byte, {k: tuple(v) for k, v in self.kept.items()}, self.schemas,
+        )  # fmt: skip
 
 
 def _identity(metadata: Iterable[Metadata], attachments: Mapping[str, bytes]) -> RecordingInfo | None:
     """Identity from the metadata, or from its copy among the attachments when the metadata is damaged."""
     fields: Mapping[str, str] | None = next((i.fields for i in metadata if i.name == INFO_NAME), None)
     if fields is None and INFO_ATTACHMENT in attachments:
-        copy = json.loads(attachments[INFO_ATTACHMENT])
-        fields = copy if copy.get("sha256") == metadata_digest(copy) else None
+        fields = _copy_of_identity(attachments[INFO_ATTACHMENT])
     if fields is None:
         return None
+    try:
+        info = info_from_metadata(fields)
+    except (KeyError, ValueError):
+        return None  # a digest that holds over fields that are none of ours: another program's, or a forger's
     details = {k: v for i in metadata if i.name == DETAIL_NAME for k, v in i.fields.items() if k != "sha256"}
-    info = info_from_metadata(fields)
-    own = {k: v for k, v in attachments.items() if k not in (INFO_ATTACHMENT, "channels.json")}
+    own = {k: v for k, v in attachments.items() if k not in (INFO_ATTACHMENT, CHANNELS_ATTACHMENT)}
     return replace(info, details={**info.details, **details}, attachments=own)
+
+
+def _copy_of_identity(data: bytes) -> Mapping[str, str] | None:
+    try:
+        copy = json.loads(data)
+    except (ValueError, RecursionError):
+        return None
+    if not isinstance(copy, dict) or not all(isinstance(v, str) for v in copy.values()):
+        return None
+    return copy if copy.get("sha256") == metadata_digest(copy) else None
+
+
+def _last_statistics(entries: Iterable[Entry]) -> Statistics | None:
+    last = max((e for e in entries if e.topic == STATISTICS_TOPIC), key=lambda e: e.log_time_ns, default=None)
+    return DECODERS[STATISTICS_TOPIC](last.data) if last else None
 
 
 def segment_paths(path: Path) -> list[Path]:
@@ -178,8 +296,73 @@ def segment_paths(path: Path) -> list[Path]:
 
 
 def read_segments(path: str | Path) -> list[Segment]:
-    """Walk through a file or all files of a directory, sound or not."""
-    return [read_segment(p) for p in segment_paths(Path(path))]
+    """Walk through a file or all files of a directory, sound or not; a file gives a segment for each recording in it."""
+    return [s for p in segment_paths(Path(path)) for s in read_parts(p)]
+
+
+# ------------------------------------------------------------------------------------------------------- sessions
+
+
+def by_session(segments: Iterable[Segment]) -> dict[str, list[Segment]]:
+    """Segments by session, in order of appearance.
+
+    A part that has lost its identity tells its session by its accounting, or is counted to the only session whose scan
+    numbers and times it continues without contradiction; else it stands for itself.
+    """
+    known: dict[str, list[Segment]] = {}
+    lost: list[Segment] = []
+    for segment in segments:
+        session = _session_told(segment)
+        if session is None:
+            lost.append(segment)
+        else:
+            known.setdefault(session, []).append(segment)
+    for segment in lost:
+        homes = [k for k, group in known.items() if _continues(group, segment)]
+        alone = f"{segment.path.stem}@{segment.at_byte}" if segment.at_byte else segment.path.stem
+        known.setdefault(homes[0] if len(homes) == 1 else alone, []).append(segment)
+    return known
+
+
+def _session_told(segment: Segment) -> str | None:
+    if segment.info is not None:
+        return segment.info.session
+    books = _last_statistics(segment.entries)
+    return books.session or None if books else None
+
+
+def _continues(group: list[Segment], segment: Segment) -> bool:
+    """Whether the scans of all these segments can be one session: a number stands for one scan, and time rises with it."""
+    scans: dict[int, Entry] = {}
+    for entry in (e for s in (*group, segment) for e in s.entries if e.topic == SCAN_TOPIC):
+        if scans.setdefault(entry.sequence, entry).data != entry.data:
+            return False
+    times = [scans[n].log_time_ns for n in sorted(scans)]
+    return all(a < b for a, b in zip(times, times[1:], strict=False))
+
+
+def read_recordings(path: str | Path) -> list[Recording]:
+    """The recording of each session in a file, sound or not, in order of appearance; of a directory, the only one.
+
+    Raises RecordingError when there is none, or the files of a directory belong to different sessions.
+    """
+    path = Path(path)
+    segments = read_segments(path)
+    if path.is_dir():
+        return [join(path, segments)]
+    return [join(path, group) for group in by_session(segments).values()]
+
+
+def _several(path: Path, segments: list[Segment]) -> str:
+    names = ", ".join(f"{k} ({sum(e.topic == SCAN_TOPIC for s in g for e in s.entries)} scans)"
+                      for k, g in list(by_session(segments).items())[:5])  # fmt: skip
+    return (
+        f"{path}: recordings of {len(by_session(segments))} sessions in one file: {names}; "
+        f"'sideslip recover {path} -o OUT.mcap' writes each to a file of its own"
+    )
+
+
+# ------------------------------------------------------------------------------------------------------ recordings
 
 
 def join(path: Path, segments: list[Segment]) -> Recording:
@@ -228,13 +411,19 @@ def unique(entries: Iterable[Entry]) -> tuple[Entry, ...]:
 def read_recording(path: str | Path, *, salvage: bool = False) -> Recording:
     """Read a raw recording, a file or a directory of segments.
 
-    Raises RecordingError for anything that is no raw recording and, unless `salvage`, for a damaged one, saying where. A
+    Raises RecordingError for anything that is no raw recording, for a file with several sessions in it and, unless
+    `salvage`, for a damaged one, saying where. A
     file that the logger gave up and continued in the next one does not count as damaged.
     """
     path = Path(path)
-    recording = join(path, read_segments(path))
-    if salvage:
-        return recording
+    recordings = read_recordings(path)
+    if len(recordings) > 1:
+        raise RecordingError(_several(path, [s for r in recordings for s in r.segments]))
+    return recordings[0] if salvage else sound(recordings[0])
+
+
+def sound(recording: Recording) -> Recording:
+    """The recording, unless it is damaged: then RecordingError with the first damage and what to do."""
     for damaged, first in recording.damages:
         raise RecordingError(
             f"{damaged}: damaged at byte {first.at_byte} ({first.what}); "

@@ -22,7 +22,7 @@ from mcap.writer import CompressionType, Writer
 from daq.contract.channels import CHANNELS, COLUMNS, GROUPS
 from daq.contract.errors import UserError
 from daq.contract.recordings import messages as m
-from daq.contract.scan import SCAN_TOPIC, SCHEMA_NAME, Scan, decode_scan, encode_scan, file_descriptor_set
+from daq.contract.scan import SCAN_TOPIC, SCHEMA_NAME, Scan, encode_scan, file_descriptor_set, scan_stamp
 
 INFO_NAME = "sideslip.recording"
 """Name of the metadata record, and stem of the attachment, with the recording's identity."""
@@ -34,6 +34,11 @@ AIRCRAFT_ATTACHMENT = "aircraft.toml"
 CALIBRATION_PREFIX = "calibration/"
 DETAIL_NAME = "sideslip.detail"
 """Name of metadata records that add to the identity while recording (a sensor found late and its factory data)."""
+
+_LONGEST_NAME = 256
+"""Letters of a session's, aircraft's or program's name: file systems allow 255."""
+_MOST_SEGMENTS = 2**32 - 1  # what the accounting can count
+_LATEST_NS = 2**64 - 1  # what a message's times can hold
 
 SCHEMA_OF_TOPIC: Mapping[str, str] = {
     SCAN_TOPIC: SCHEMA_NAME,
@@ -141,7 +146,14 @@ def info_to_metadata(info: RecordingInfo) -> dict[str, str]:
 
 
 def info_from_metadata(fields: Mapping[str, str]) -> RecordingInfo:
-    """Identity from metadata whose digest has been checked; attachments are added by the reader."""
+    """Identity from metadata whose digest has been checked; attachments are added by the reader.
+
+    Raises KeyError or ValueError for fields that are not those of a recording: anybody can make a digest.
+    """
+    if any(len(fields[k]) > _LONGEST_NAME for k in ("session", "source", "aircraft", "role", "software")):
+        raise ValueError("a name in the identity is too long for a sentence")
+    if not 0 <= int(fields["started_utc_ns"]) <= _LATEST_NS or not 0 <= int(fields["segment"]) <= _MOST_SEGMENTS:
+        raise ValueError("the identity's numbers are none of a recording")
     return RecordingInfo(
         session=fields["session"],
         source=fields["source"],
@@ -183,9 +195,12 @@ def message_entry(message: m.Message, sequence: int = 0) -> Entry:
 def entry_of(topic: str, data: bytes) -> Entry:
     """The message around sealed bytes of a known topic, its times and number taken from the content."""
     if topic == SCAN_TOPIC:
-        return scan_entry(decode_scan(data), data)
+        number, monotonic, utc = scan_stamp(data)
+        return Entry(topic, monotonic, utc or monotonic, number, data)
     content = DECODERS[topic](data)
     utc = content.time_utc_ns or content.time_monotonic_ns
+    if not 0 <= utc <= _LATEST_NS:  # a log line carries seconds of any sign and size
+        utc = content.time_monotonic_ns
     return Entry(topic, content.time_monotonic_ns, utc, getattr(content, "number", 0), data)
 
 

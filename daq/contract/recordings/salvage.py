@@ -2,15 +2,17 @@
 
 Stock readers stop at the first damage or pass altered values on. This walk trusts a record only when its own checksum
 or structure proves it, names every damaged stretch, looks inside that stretch for messages whose seal holds, and goes
-on at the next record that can be trusted. Record layout: MCAP specification, https://mcap.dev/spec.
+on at the next record that can be trusted. A file may hold several recordings one behind the other (`cat a b`, the image
+of a rescue tool): each begins with `Began`. Record layout: MCAP specification, https://mcap.dev/spec.
+
+Time and memory go with the size of the file, whatever its bytes (`daq.contract.recordings.expand.Effort`).
 """
 
-import re
 import struct
-import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
+from daq.contract.recordings.expand import Effort, Exhausted, crc_matches
 from daq.contract.recordings.fragment_scan import salvage_region
 from daq.contract.recordings.mcap_records import (
     ATTACHMENT,
@@ -24,7 +26,9 @@ from daq.contract.recordings.mcap_records import (
     MESSAGE,
     MESSAGE_INDEX,
     METADATA,
+    RECORD_HEAD,
     SCHEMA,
+    SUMMARY_ONLY,
     Attachment,
     Bad,
     Cursor,
@@ -32,13 +36,24 @@ from daq.contract.recordings.mcap_records import (
     Record,
     check_structure,
     chunk_content,
+    chunk_plausible,
     read_attachment,
     read_metadata,
 )
 from daq.contract.recordings.recording import DETAIL_NAME, INFO_NAME, SCHEMA_OF_TOPIC, Entry
+from daq.contract.recordings.trust import begins, next_candidate
 from daq.contract.seal import seal_holds
 
-_MAYBE_RECORD = re.compile(rb"[\x01-\x0f](?=.{5}\x00{3})", re.DOTALL)
+MAX_DAMAGES = 1000
+"""Damaged places told one by one. Behind the last of them a file is no longer walked but searched as one stretch: whole
+messages and compressed chunks are found there all the same."""
+MAX_PARTS = 1000
+"""Recordings in one file that are told apart; a session has a segment each minute or so, a card some hundred files."""
+_PROVEN = (CHUNK, ATTACHMENT, MESSAGE, METADATA)
+_BATCH = 1 << 20  # damaged bytes searched at once: a search has a cost of its own, a file may have many short stretches
+_HEAD_SPAN = 64  # a record's head and what of its fields tells that a record may begin there
+_APART = bytes(8)  # between two stretches searched together
+_NAMES = {CHUNK: "chunk", METADATA: "metadata", ATTACHMENT: "attachment", DATA_END: "end of data"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,99 +72,169 @@ class Closed:
     at_byte: int
 
 
-Item = Entry | Attachment | Metadata | Damage | Closed
+@dataclass(frozen=True, slots=True)
+class Began:
+    """Another recording begins in the same file; what follows belongs to it."""
+
+    at_byte: int
+
+
+Item = Entry | Attachment | Metadata | Damage | Closed | Began
+
+
+@dataclass(slots=True)
+class _Part:
+    """What is known of the recording at hand, one of several in a file."""
+
+    at: int  # its first byte
+    topics: dict[int, str] = field(default_factory=dict)
+    schemas: dict[int, tuple[str, bytes]] = field(default_factory=dict)
+    channel_schema: dict[str, int] = field(default_factory=dict)
+    damaged: bool = False
+    data_ended: bool = False
+    closed: bool = False
+    session: str | None = None
 
 
 class Walk:
-    """One pass over the bytes of a file: iterate it. Afterwards `schemas` and `channel_schema` hold what was declared."""
+    """One pass over the bytes of a file: iterate it. `schemas` and `channel_schema` hold what the recording at hand declared."""
 
     def __init__(self, data: bytes) -> None:
         self._data = memoryview(data)
         self._raw = data
-        self._topics: dict[int, str] = {}
-        self._seen_damage = False
-        self._ended = False
-        self.schemas: dict[int, tuple[str, bytes]] = {}
-        self.channel_schema: dict[str, int] = {}
+        self._effort = Effort.for_size(len(data))
+        self._part = _Part(0)
+        self._damages = 0
+        self._parts = 0
+        self._waiting: list[bytes] = []
+        self._waiting_bytes = 0
+        self._unproven: Record | None = None  # the record before, where nothing but its own lengths vouches for it
+        self._content: tuple[int, bytes | memoryview] = (-1, b"")  # of the chunk expanded last
+
+    @property
+    def schemas(self) -> dict[int, tuple[str, bytes]]:
+        """Name and definition of each schema declared in the recording at hand, by its number."""
+        return self._part.schemas
+
+    @property
+    def channel_schema(self) -> dict[str, int]:
+        """Number of the schema of each topic declared in the recording at hand."""
+        return self._part.channel_schema
 
     def __iter__(self) -> Iterator[Item]:
-        at = 0
-        if self._raw.startswith(MAGIC):
-            at = len(MAGIC)
-        else:
-            yield self._damage(0, min(len(MAGIC), len(self._raw)), "the file does not begin like an MCAP file")
-            at = self._next_trusted(0)
-            yield from salvage_region(self._raw[:at])
-        while at < len(self._raw):
-            if self._ended:
-                return
-            try:
-                record = self._record(at)
-                items = list(self._items(record))
-            except Bad as error:
-                resume = self._resume(at)
-                yield self._damage(at, resume - at, f"{self._name(at)}: {error}")
-                yield from salvage_region(self._raw[at:resume])
-                at = resume
-                continue
-            yield from items
-            at = record.end
-        if self._ended:
-            return
-        yield self._damage(at, 0, "the file ends without an end mark: it was cut off or never closed")
+        at = len(MAGIC) if self._ends(0) else 0
+        lost_head = at == 0
+        try:
+            while at < len(self._raw):
+                if begins(self._raw, at):
+                    yield from self._begin(at)
+                    at += len(MAGIC)
+                elif lost_head or self._part.closed or self._given_up:
+                    lost_head = False
+                    start, at = at, len(self._raw) if self._given_up else self._next_trusted(at)
+                    yield from self._stray(start, at)
+                else:
+                    items, at = self._step(at)
+                    yield from items
+            yield from self._searched()
+        except Exhausted:
+            yield self._damage(
+                at, len(self._raw) - at, "more records than a file of its size can hold: the rest left out"
+            )
+        if not self._part.closed:
+            yield self._damage(at, 0, "the file ends without an end mark: it was cut off or never closed")
 
     # ------------------------------------------------------------------------------------------ records
 
+    def _step(self, at: int) -> tuple[list[Item], int]:
+        """What stands at a byte, and where to go on."""
+        try:
+            record = self._record(at)
+            items = list(self._items(record))
+        except Bad as error:
+            return self._recover(at, error)
+        self._unproven = None if record.opcode in _PROVEN else record
+        end = record.end
+        if record.opcode == FOOTER and (self._ends(end) or len(self._raw) - end < len(MAGIC)):
+            end = min(end + len(MAGIC), len(self._raw))
+        return items, end
+
+    def _stray(self, at: int, end: int) -> Iterator[Item]:
+        """Bytes where a file should begin, up to the next record that can be trusted, and with it a part of its own."""
+        if not at:
+            yield from self._lost(0, end, "the file does not begin like an MCAP file", shown=min(end, len(MAGIC)))
+            return
+        yield from self._begin(at)
+        what = f"{MAX_DAMAGES} damaged places before it" if self._given_up else "bytes behind the end mark"
+        yield from self._lost(at, end, what)
+
+    @property
+    def _given_up(self) -> bool:
+        return self._damages >= MAX_DAMAGES
+
     def _record(self, at: int) -> Record:
-        if at + 9 > len(self._raw):
+        if at + RECORD_HEAD > len(self._raw):
             raise Bad("cut off")
+        self._effort.record()
         opcode, length = struct.unpack_from("<BQ", self._raw, at)
         if not HEADER <= opcode <= DATA_END:
             raise Bad(f"no record has the code {opcode}")
-        if at + 9 + length > len(self._raw):
+        if at + RECORD_HEAD + length > len(self._raw):
             raise Bad("cut off, or its length altered")
-        return Record(at, opcode, self._data[at + 9 : at + 9 + length])
+        return Record(at, opcode, self._data[at + RECORD_HEAD : at + RECORD_HEAD + length])
 
     def _items(self, record: Record) -> Iterator[Item]:
         if record.opcode == CHUNK:
             yield from self._chunk(record)
-        elif record.opcode == MESSAGE:
+            return
+        self._effort.check(len(record.body))
+        if record.opcode == MESSAGE:
             yield self._message(record.body)
         elif record.opcode in (SCHEMA, CHANNEL):
             self._declare(record)
         elif record.opcode == ATTACHMENT:
-            yield read_attachment(record.body)
+            yield read_attachment(record.body, self._effort)
         elif record.opcode == METADATA:
-            yield read_metadata(record.body)
+            yield from self._metadata(record)
         elif record.opcode == DATA_END:
             yield from self._data_end(record)
         elif record.opcode == FOOTER:
             yield from self._footer(record)
         else:
             check_structure(record)
+            if record.opcode in SUMMARY_ONLY and not self._part.data_ended:
+                self._part.data_ended = True
+                if not self._part.damaged:
+                    yield self._damage(record.at, 0, "the end of the data is not marked")
 
     def _chunk(self, record: Record) -> Iterator[Entry]:
-        content = memoryview(chunk_content(record.body))
+        content = memoryview(self._expanded(record))
         at = 0
         while at < len(content):
-            if at + 9 > len(content):
+            if at + RECORD_HEAD > len(content):
                 raise Bad("its content breaks off")
+            self._effort.record()
             opcode, length = struct.unpack_from("<BQ", content, at)
-            if at + 9 + length > len(content):
+            if at + RECORD_HEAD + length > len(content):
                 raise Bad("its content breaks off")
-            inner = Record(at, opcode, content[at + 9 : at + 9 + length])
+            inner = Record(at, opcode, content[at + RECORD_HEAD : at + RECORD_HEAD + length])
             if opcode == MESSAGE:
                 yield self._message(inner.body)
             elif opcode in (SCHEMA, CHANNEL):
                 self._declare(inner)
             at = inner.end
 
+    def _expanded(self, record: Record) -> bytes | memoryview:
+        if self._content[0] != record.at:
+            self._content = (record.at, chunk_content(record.body, self._effort))
+        return self._content[1]
+
     def _message(self, body: memoryview) -> Entry:
         if len(body) < 22:
             raise Bad("shorter than a message can be")
         channel, sequence, log_time, publish_time = struct.unpack_from("<HIQQ", body)
         data = bytes(body[22:])
-        topic = self._topics.get(channel)
+        topic = self._part.topics.get(channel)
         if topic is None or topic in SCHEMA_OF_TOPIC:
             sealed_as = [t for t in ([topic] if topic else SCHEMA_OF_TOPIC) if seal_holds(SCHEMA_OF_TOPIC[t], data)]
             if not sealed_as:
@@ -163,82 +248,174 @@ class Walk:
         if record.opcode == SCHEMA:
             name = cursor.text()
             cursor.text()
-            self.schemas.setdefault(number, (name, bytes(cursor.take(cursor.number(4)))))
+            content = cursor.take(cursor.number(4))
             cursor.finish()
+            if number not in self._part.schemas:
+                self._part.schemas[number] = (name, bytes(content))
             return
         schema_id = cursor.number(2)
         topic = cursor.text()
         cursor.text()
         cursor.texts()
         cursor.finish()
-        self._topics.setdefault(number, topic)
-        self.channel_schema.setdefault(topic, schema_id)
+        if number not in self._part.topics:
+            self._part.topics[number] = topic
+            self._part.channel_schema.setdefault(topic, schema_id)
 
-    def _data_end(self, record: Record) -> Iterator[Damage]:
+    def _metadata(self, record: Record) -> Iterator[Item]:
+        found = read_metadata(record.body, self._effort)
+        if found.name == INFO_NAME:
+            session = found.fields.get("session")
+            if self._part.session not in (None, session):
+                yield from self._begin(record.at)
+            self._part.session = session
+        yield found
+
+    def _data_end(self, record: Record) -> Iterator[Item]:
         cursor = Cursor(record.body)
         stated = cursor.number(4)
         cursor.finish()
-        if stated and not self._seen_damage and stated != zlib.crc32(self._data[: record.at]):
-            yield self._damage(0, 0, "a byte outside the chunks was altered (checksum of the data section)")
+        if self._part.data_ended:
+            raise Bad("the data has ended before")
+        covered = self._data[self._part.at : record.at]
+        if stated and not self._part.damaged and not crc_matches(stated, covered, self._effort):
+            yield self._damage(self._part.at, 0, "a byte outside the chunks was altered (checksum of the data section)")
+        self._part.data_ended = True
 
     def _footer(self, record: Record) -> Iterator[Item]:
         cursor = Cursor(record.body)
         start, _, stated = cursor.number(8), cursor.number(8), cursor.number(4)
         cursor.finish()
-        if start and not len(MAGIC) <= start <= record.at:
+        if self._part.closed:
+            raise Bad("the file has ended before")
+        begin = self._part.at + start if start else record.at
+        if not self._part.at <= begin <= record.at:
             raise Bad("it points outside the file")
-        covered = self._data[start or record.at : record.end - 4]
-        if stated and stated != zlib.crc32(covered):
-            yield self._damage(start, record.at - start, "index at the end: checksum does not match")
-        if not self._at_end_mark(record.end):
-            yield self._damage(record.end, len(self._raw) - record.end, "the end mark is damaged or followed by more")
-        self._ended = True
+        covered = self._data[begin : record.end - 4]
+        if stated and not crc_matches(stated, covered, self._effort):
+            yield self._damage(begin, record.at - begin, "index at the end: checksum does not match")
+        if not self._ends(record.end):
+            yield self._damage(record.end, min(len(MAGIC), len(self._raw) - record.end), "the end mark is damaged")
+        self._part.closed = True
         yield Closed(record.at)
 
-    def _at_end_mark(self, at: int) -> bool:
-        return len(self._raw) - at == len(MAGIC) and self._raw.endswith(MAGIC)
+    # ------------------------------------------------------------------------------------------ several recordings
+
+    def _begin(self, at: int) -> Iterator[Item]:
+        """Another recording begins, unless it is the first of the file."""
+        yield from self._searched()
+        if at:
+            if not self._part.closed:
+                yield self._damage(at, 0, "cut off or never closed: another recording begins here")
+            yield Began(at)
+            self._parts += 1
+            if self._parts > MAX_PARTS:
+                self._damages = MAX_DAMAGES
+        self._part = _Part(at, damaged=not begins(self._raw, at))
 
     # ------------------------------------------------------------------------------------------ damaged stretches
 
     def _damage(self, at: int, length: int, what: str) -> Damage:
-        self._seen_damage = True
+        self._part.damaged = True
+        self._damages += 1
         return Damage(at, length, what)
 
-    def _name(self, at: int) -> str:
-        names = {CHUNK: "chunk", METADATA: "metadata", ATTACHMENT: "attachment", DATA_END: "end of data"}
-        return names.get(self._raw[at], "record")
+    def _lost(
+        self, at: int, end: int, what: str, *, shown: int | None = None, search_from: int | None = None
+    ) -> Iterator[Item]:
+        """A damaged stretch, to be searched for messages."""
+        yield self._damage(at, end - at if shown is None else shown, what)
+        region = self._raw[at if search_from is None else search_from : end]
+        self._waiting.append(region)
+        self._waiting_bytes += len(region)
+        if self._waiting_bytes >= _BATCH:
+            yield from self._searched()
+
+    def _searched(self) -> Iterator[Entry]:
+        """Messages in the damaged stretches that wait."""
+        region = _APART.join(self._waiting)
+        self._waiting, self._waiting_bytes = [], 0
+        yield from salvage_region(region, self._effort)
+
+    def _recover(self, at: int, error: Bad) -> tuple[list[Item], int]:
+        """A record that is not what was written: a chunk under a wrong code, or a stretch to be searched."""
+        name = _NAMES.get(self._raw[at], "record")
+        if self._raw[at] != CHUNK:
+            try:
+                record = self._record_whatever_code(at)
+                entries = list(self._chunk(record))
+            except Bad:
+                pass
+            else:
+                return [self._damage(at, 1, f"{name}: {error}; it is a chunk, and whole"), *entries], record.end
+        before, self._unproven = self._unproven, None
+        found = self._swallowed(before, at) if before else None
+        if before and found is not None:
+            return list(self._lost(before.at, found, "record: it runs over others")), found
+        resume = self._resume(at)
+        begin = before.at if before else at  # what it took for its own may be the beginning of a message
+        return list(self._lost(at, resume, f"{name}: {error}", search_from=begin)), resume
+
+    def _swallowed(self, before: Record, at: int) -> int | None:
+        """A record that can be trusted within the one before the bad one, whose own lengths alone vouch for it; None without.
+
+        A record cut off in its middle with others behind it (`cat torn whole`) takes their first bytes for its own.
+        """
+        try:
+            self._effort.check(len(before.body))
+        except Bad:
+            return None
+        found = next_candidate(self._raw, before.at + 1, at + _HEAD_SPAN)
+        while found < at and not self._trusted(found):
+            found = next_candidate(self._raw, found + 1, at + _HEAD_SPAN)
+        return found if found < at else None
+
+    def _record_whatever_code(self, at: int) -> Record:
+        if at + RECORD_HEAD > len(self._raw):
+            raise Bad("cut off")
+        body = self._data[at + RECORD_HEAD : at + RECORD_HEAD + struct.unpack_from("<Q", self._raw, at + 1)[0]]
+        if not chunk_plausible(body):
+            raise Bad("no chunk")
+        return Record(at, CHUNK, body)
 
     def _resume(self, at: int) -> int:
         """Start of the next record to be trusted after a bad one."""
-        if at + 9 <= len(self._raw):
-            stated = at + 9 + int.from_bytes(self._raw[at + 1 : at + 9], "little")
+        if at + RECORD_HEAD <= len(self._raw):
+            stated = at + RECORD_HEAD + int.from_bytes(self._raw[at + 1 : at + RECORD_HEAD], "little")
             if stated < len(self._raw) and self._trusted(stated):
                 return stated
         return self._next_trusted(at + 1)
 
     def _next_trusted(self, at: int) -> int:
-        for match in _MAYBE_RECORD.finditer(self._raw, at):
-            if self._trusted(match.start()):
-                return match.start()
-        return len(self._raw)
+        found = next_candidate(self._raw, at)
+        while found < len(self._raw) and not self._trusted(found):
+            found = next_candidate(self._raw, found + 1)
+        return found
 
     def _trusted(self, at: int) -> bool:
         """Whether checks prove that a record begins here; kinds too short to prove anything are not trusted."""
+        if begins(self._raw, at):
+            return True
         try:
             record = self._record(at)
             if record.opcode == CHUNK:
-                chunk_content(record.body)
+                if not chunk_plausible(record.body):
+                    return False
+                self._expanded(record)
             elif record.opcode == ATTACHMENT:
-                read_attachment(record.body)
+                read_attachment(record.body, self._effort)
             elif record.opcode == METADATA:
-                return read_metadata(record.body).name in (INFO_NAME, DETAIL_NAME)
+                return read_metadata(record.body, self._effort).name in (INFO_NAME, DETAIL_NAME)
             elif record.opcode in (MESSAGE_INDEX, CHUNK_INDEX):
                 check_structure(record)
                 return len(record.body) > 6
             elif record.opcode == DATA_END:
                 return len(record.body) == 4 and record.end < len(self._raw)
             else:
-                return record.opcode == FOOTER and len(record.body) == 20 and self._at_end_mark(record.end)
+                return record.opcode == FOOTER and len(record.body) == 20 and self._ends(record.end)
         except Bad:
             return False
         return True
+
+    def _ends(self, at: int) -> bool:
+        return self._raw[at : at + len(MAGIC)] == MAGIC
