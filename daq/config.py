@@ -5,13 +5,13 @@ and turns every mistake into one sentence that names the key.
 """
 
 import hashlib
-import tomllib
 from pathlib import Path
 from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from daq.contract.errors import UserError
+from daq.contract.input_files import parse_toml, read_text
 from daq.recorder.config import RecorderConfig
 from daq.sensors.config import SensorsConfig
 from daq.telemetry.config import DownlinkConfig
@@ -24,7 +24,7 @@ class ConfigError(UserError):
 class Section(BaseModel):
     """Base of all configuration sections: unknown keys are mistakes, values do not change after reading."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 _FINISHING_NS = 1_000_000  # to finish one scan on a slow computer
@@ -99,21 +99,13 @@ def load_config(path: str | Path) -> tuple[LoggerConfig, str]:
     and limit.
     """
     path = Path(path)
-    try:
-        text = path.read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise ConfigError(f"{path}: no such configuration file") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: cannot be read as a text file ({error})") from error
+    text = read_text(path, "configuration file", ConfigError)
     return parse_config(text, path), text
 
 
 def parse_config(text: str, origin: Path) -> LoggerConfig:
     """Check the text of a configuration; `origin` names it in errors and anchors relative paths."""
-    try:
-        table = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(f"{origin}: not valid TOML: {error}") from error
+    table = parse_toml(text, str(origin), ConfigError)
     try:
         config = LoggerConfig.model_validate(table)
     except ValidationError as error:

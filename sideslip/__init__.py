@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from sideslip.chain import Flown, fly_scenario
-    from sideslip.cli import main, software_version
+    from sideslip.cli import software_version
+    from sideslip.entry import main
 
 _HOMES = {
     "Flown": "sideslip.chain",
     "fly_scenario": "sideslip.chain",
-    "main": "sideslip.cli",
+    "main": "sideslip.entry",
     "software_version": "sideslip.cli",
 }
 __all__ = ["Flown", "fly_scenario", "main", "software_version"]

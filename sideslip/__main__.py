@@ -1,5 +1,5 @@
 """`python -m sideslip`."""
 
-from sideslip.cli import main
+from sideslip.entry import main
 
 main()

@@ -4,14 +4,22 @@ Exit status: 0 done; 1 done, but the answer is a failed check; 2 unusable input,
 130 interrupted, after files are closed.
 """
 
+import contextlib
 import importlib
+import io
+import os
 import sys
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint, PackageNotFoundError, entry_points, version
+from typing import TYPE_CHECKING, TextIO, cast
 
 import click
 
 from daq.contract.errors import UserError
+from daq.contract.plain_words import VisibleStream, one_line
+
+if TYPE_CHECKING:
+    from daq.contract.interrupts import Interrupts
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +54,9 @@ VERBS: dict[str, Verb] = {
     ),
     "gap": Verb("estimation.commands.gap", "gap", "Find, name and close the gap between model and flight."),
 }
+
+
+INTERRUPTED = "sideslip: interrupted; files are closed"
 
 
 class VerbTable(click.Group):
@@ -115,29 +126,53 @@ def cli() -> None:
     """Airborne data acquisition and aircraft identification."""
 
 
-def main(argv: list[str] | None = None) -> None:
-    """Entry point; turns errors a person can act on into one line and an exit status."""
+def run(argv: list[str] | None, interrupts: "Interrupts | None") -> None:
+    """Run a command line; turns errors a person can act on into one line and an exit status. interrupts: what Ctrl-C does."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # a file name need not be text
+            stream.reconfigure(errors="backslashreplace")
+    if interrupts is not None:
+        interrupts.raise_in_work()
+    visible_out, visible_err = cast("TextIO", VisibleStream(sys.stdout)), cast("TextIO", VisibleStream(sys.stderr))
+    with contextlib.redirect_stdout(visible_out), contextlib.redirect_stderr(visible_err):
+        status = _status(argv)
+    if interrupts is not None:
+        interrupts.leave_at_once()  # all is closed; what is left is the interpreter's own end
+        if interrupts.seen and not status:  # it came during the last import of all, and the work was done meanwhile
+            click.echo(INTERRUPTED, err=True)
+            status = 130
+    sys.exit(status)
+
+
+def _status(argv: list[str] | None) -> int:
     # One process edge: everything below raises, only here is it turned into an exit status.
     try:
         status = cli.main(args=argv, prog_name="sideslip", standalone_mode=False)
+        sys.stdout.flush()
     except click.ClickException as error:
-        error.show()
-        sys.exit(2)
+        context = error.ctx if isinstance(error, click.UsageError) else None
+        hint = f"; see '{context.command_path} --help'" if context else ""
+        return _said(error.format_message().rstrip(".") + hint)
     except UserError as error:
-        click.echo(f"sideslip: {error}", err=True)
-        sys.exit(2)
+        return _said(str(error))
     except ModuleNotFoundError as error:
-        click.echo(f"sideslip: {MissingPackageError((argv or sys.argv[1:] or ['?'])[0], error.name or '?')}", err=True)
-        sys.exit(2)
+        return _said(str(MissingPackageError((argv or sys.argv[1:] or ["?"])[0], error.name or "?")))
     except (KeyboardInterrupt, click.Abort):
-        click.echo("sideslip: interrupted; files are closed", err=True)
-        sys.exit(130)
+        click.echo(INTERRUPTED, err=True)
+        return 130
     except BrokenPipeError:
-        sys.exit(0)
+        with contextlib.suppress(OSError):  # what is still to be written at the end has no reader either
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
     except OSError as error:
         if error.filename is None:  # not about a file that somebody named: a mistake of ours, to be seen whole
             raise
         where = error.filename2 or error.filename
-        click.echo(f"sideslip: {where}: cannot be read or written ({error.strerror}); choose another place", err=True)
-        sys.exit(2)
-    sys.exit(status if isinstance(status, int) else 0)
+        return _said(f"{where}: cannot be read or written ({error.strerror}); choose another place")
+    return status if isinstance(status, int) else 0
+
+
+def _said(sentence: str) -> int:
+    """One line on standard error, whatever names are in it."""
+    click.echo(f"sideslip: {one_line(sentence)}", err=True)
+    return 2

@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field
 class RecorderConfig(BaseModel):
     """Limits of the recorder. The defaults lose at most the last second and ride out a stall of a minute."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     directories: Annotated[tuple[Path, ...], Field(min_length=1)] = (Path("recordings"),)  # tried in order
     flush_s: Annotated[float, Field(gt=0, le=60)] = 0.5  # a chunk is closed, checksummed and handed to the system

@@ -36,7 +36,7 @@ class DownlinkConfig(BaseModel):
     `tcp:HOST:PORT` or `tcpin:HOST:PORT`.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     port: str = ""
     rate_hz: Annotated[float, Field(ge=MIN_RATE_HZ, le=100)] = 11.5

@@ -85,8 +85,10 @@ def load_key(path: str | Path) -> bytes:
             data = b""
     if len(data) != KEY_BYTES:
         raise SigningError(f"{path}: not a signing key; it must hold 32 bytes or 64 hexadecimal digits")
-    if not any(data):
-        raise SigningError(f"{path}: a key of nothing but zeros is no secret; make one: 'head -c 32 /dev/urandom'")
+    if len(set(data)) == 1:
+        raise SigningError(
+            f"{path}: every byte of this signing key is the same, which anybody can guess; make one: 'head -c 32 /dev/urandom'"
+        )
     return data
 
 

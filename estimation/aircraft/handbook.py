@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 if TYPE_CHECKING:
-    from estimation.aircraft import Aircraft, PriorDerivative
+    from estimation.aircraft.aircraft import Aircraft, PriorDerivative
 
 Array = NDArray[np.float64]
 
@@ -88,7 +88,7 @@ def beliefs(aircraft: "Aircraft", shape: Shape) -> "dict[str, PriorDerivative]":
 
     What no surface makes (an elevator without a tail) is left out.
     """
-    from estimation.aircraft import PriorDerivative
+    from estimation.aircraft.aircraft import PriorDerivative
 
     aircraft.need(("S", "b", "c", "m"), "[shape]")
     values = {**_longitudinal(aircraft, shape), **_lateral(aircraft, shape)}

@@ -3,7 +3,9 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from estimation.aircraft import Aircraft, built_in_aircraft, load_aircraft
+from estimation.aircraft.aircraft import Aircraft
+from estimation.aircraft.library import built_in_aircraft, load_aircraft
+from estimation.aircraft.schema import aircraft_from_text
 from estimation.errors import AircraftError
 from groundstation.flight import AIRCRAFT_FILE, Flight
 
@@ -31,7 +33,6 @@ def aircraft_of(flights: Sequence[Flight], given: str | Path | None = None) -> A
         raise AircraftError(
             f"the flights carry different files of aircraft {names[0]}; choose one with --aircraft FILE"
         )
-    from estimation.aircraft.schema import aircraft_from_text
 
     return aircraft_from_text(carried[0], f"aircraft carried by {flights[0].name}", names[0])
 

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
-from estimation.aircraft import Aircraft, Engine, PriorDerivative, Servos, SimulatedFlight
+from estimation.aircraft.aircraft import Aircraft, Engine, PriorDerivative, Servos, SimulatedFlight
 from estimation.aircraft.handbook import Shape, beliefs
 from estimation.errors import AircraftError
 

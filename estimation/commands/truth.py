@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from daq.contract.input_files import read_text
 from estimation.errors import EstimationError
 
 
@@ -15,10 +16,8 @@ def read_truth(path: Path, flights: Sequence[str]) -> dict[str, float]:
     Raises EstimationError for a file that cannot be read, or that has no truth or different ones for these flights.
     """
     try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise EstimationError(f"{path}: cannot be read ({error.strerror})") from None
-    except ValueError:
+        data = json.loads(read_text(path, error=EstimationError))
+    except (ValueError, RecursionError):
         raise EstimationError(f'{path}: not JSON; write derivatives by name, like {{"Cl_p": -0.495}}') from None
     found = [_of_flight(data, name) for name in flights]
     known = next((f for f in found if f), None)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from estimation.gap.result import GapResult, View
+from estimation.report.names import literal
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -57,7 +58,7 @@ def _times(axis: "Axes", stages: list[View], colours: list[str]) -> None:
     starts = [i for i, n in enumerate(names) if i == 0 or names[i - 1] != n]
     for i in starts[1:]:
         axis.axvline(i - 0.5, color="#cfd8e0", lw=0.8)
-    axis.set_xticks(starts, [names[i] for i in starts], fontsize=7)
+    axis.set_xticks(starts, [literal(names[i]) for i in starts], fontsize=7)
     axis.set_yscale("log")
     axis.set_title("over time (windows of 2 s, flight after flight)", fontsize=9)
 

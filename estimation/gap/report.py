@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from jinja2 import Environment
 
+from daq.contract.plain_words import printed
 from estimation.gap.places import places, png
 from estimation.gap.result import GapResult, Histories
 
@@ -29,7 +30,7 @@ def write_gap_report(result: GapResult, folder: Path) -> Path:
         """C_nβ and the like with their subscripts lowered."""
         return Markup(re.sub(r"_([^\s_()|*+−=,;/]+)", r"<sub>\1</sub>", str(Markup.escape(equation))))
 
-    page = Environment(autoescape=True).from_string(PAGE.read_text(encoding="utf-8")).render(
+    page = Environment(autoescape=True, finalize=printed).from_string(PAGE.read_text(encoding="utf-8")).render(
         r=result, title=TITLES[result.verdict.value], gap=gap, typeset=typeset, gate=result.details["kinematic_gate"],
         pictures=[(f"{h.flight}{' (held out)' if h.holdout else ''}", _history(h, result.outputs)) for h in result.histories],
         bars=_bars(result), places=places(result) if result.views else "", cannot=result.details["cannot_tell"],

@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
+from daq.contract.plain_words import file_name, one_line
 from estimation.errors import ModelError
 from estimation.models import plain
 from estimation.models.consistency import check_model
@@ -200,8 +201,8 @@ class Model(ModelParts):
             if key not in data:
                 raise ModelError(f"key {key!r} is missing")
         return cls(
-            name=str(data["name"]),
-            title=str(data.get("title", "")),
+            name=file_name(str(data["name"])),
+            title=one_line(str(data.get("title", ""))),
             description=str(data.get("description", "")),
             states=tuple(plain.signal("states", d) for d in plain.listed(data, "states")),
             inputs=tuple(plain.signal("inputs", d) for d in plain.listed(data, "inputs")),

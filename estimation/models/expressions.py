@@ -7,6 +7,7 @@ model file from a stranger can do nothing but arithmetic.
 
 import ast
 import re
+import warnings
 from collections.abc import Callable, Mapping
 from functools import lru_cache
 from typing import Any
@@ -23,6 +24,7 @@ FUNCTIONS: Mapping[str, int] = {
 NUMBERS: Mapping[str, float] = {"pi": 3.141592653589793}
 LARGEST = 1e100  # of a number in an equation
 LONGEST = 4000  # characters in one expression; longer text is no equation of motion
+DEEPEST = 200  # operations within operations; what reads the tree later takes some frames a level of Python's thousand
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*\Z")
 _BINARY = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Pow: "**"}
@@ -55,8 +57,11 @@ def parse(expression: str) -> ast.expr:
     if len(expression) > LONGEST:
         raise ModelError(f"expression of {len(expression)} characters: the limit is {LONGEST}; use intermediate lines")
     try:
-        tree = ast.parse(expression.replace("^", "**").strip(), mode="eval").body
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of Python's parser about what is refused here anyway
+            tree = ast.parse(expression.replace("^", "**").strip(), mode="eval").body
         _check(tree, expression)
+        _check_depth(tree, expression)
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         raise ModelError(f"expression {_short(expression)}: cannot be read ({error})") from error
     return tree
@@ -95,6 +100,8 @@ def _check(node: ast.AST, text: str) -> None:
             if not abs(value) <= LARGEST:
                 raise ModelError(f"expression {_short(text)}: {value} is no number to calculate with")
             return
+        case ast.Name(id=name) if name in FUNCTIONS:
+            raise ModelError(f"expression {_short(text)}: {name} is a function; write it with its arguments")
         case ast.Name():
             return
         case ast.UnaryOp(op=ast.USub() | ast.UAdd(), operand=operand):
@@ -108,6 +115,17 @@ def _check(node: ast.AST, text: str) -> None:
             raise ModelError(f"expression {_short(text)}: no function {name!r}; known are {', '.join(FUNCTIONS)}")
         case _:
             raise ModelError(f"expression {_short(text)}: only arithmetic is allowed, not {type(node).__name__}")
+
+
+def _check_depth(tree: ast.AST, text: str) -> None:
+    level: list[ast.AST] = [tree]
+    for _ in range(DEEPEST):
+        level = [inner for node in level for inner in ast.iter_child_nodes(node)]
+        if not level:
+            return
+    raise ModelError(
+        f"expression {_short(text)}: more than {DEEPEST} operations within one another; use intermediate lines"
+    )
 
 
 def _check_call(name: str, arguments: list[ast.expr], text: str) -> None:
@@ -146,6 +164,23 @@ def _value(node: ast.AST, symbols: Mapping[str, Any], functions: Mapping[str, Ca
 
 
 def _arithmetic(operator: str, a: Any, b: Any) -> Any:
+    if isinstance(a, float) and isinstance(b, float):
+        return _of_numbers(operator, a, b)
+    return _of_symbols(operator, a, b)
+
+
+def _of_numbers(operator: str, a: float, b: float) -> float:
+    """The same of two plain numbers, which Python's own arithmetic refuses in three ways."""
+    try:
+        value = _of_symbols(operator, a, b)
+    except (OverflowError, ZeroDivisionError):
+        value = None
+    if not isinstance(value, float):  # a complex root of a negative number
+        raise ModelError(f"{a:g} {operator} {b:g} in an equation: that is no number to calculate with")
+    return value
+
+
+def _of_symbols(operator: str, a: Any, b: Any) -> Any:
     match operator:
         case "+":
             return a + b

@@ -1,11 +1,11 @@
 """Get a model: by built-in name, from a TOML file of equations, or from a class of one's own; write one to TOML."""
 
 import math
-import tomllib
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from daq.contract.input_files import read_toml
 from daq.contract.outputs import write_text
 from estimation.aircraft import Aircraft, built_in_aircraft, load_aircraft
 from estimation.errors import ModelError
@@ -69,13 +69,9 @@ def asks_for_aircraft(which: str) -> bool:
 def read_model(path: str | Path) -> Model:
     """A model from a TOML file, parsed and never evaluated; ModelError names file and key."""
     path = Path(path)
-    if not path.is_file():
-        raise ModelError(f"model {path}: no such file")
+    data = read_toml(path, "file", ModelError)
     try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
         return Model.from_dict({"name": path.stem, **data})
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ModelError(f"{path}: not a TOML file: {error}") from error
     except (ModelError, TypeError, ValueError) as error:
         raise ModelError(f"{path}: {error}") from error
 

@@ -51,7 +51,14 @@ def signal(key: str, data: object) -> Signal:
             if not isinstance(value, kind):
                 wanted = "true or false" if kind is bool else "text" if kind is str else "text or a number"
                 raise ModelError(f"{key} {data.get('name')!r}: {name} = {value!r} must be {wanted}")
-    return item(Signal, key, data)  # type: ignore[no-any-return]
+    return item(Signal, key, _floats(data))  # type: ignore[no-any-return]
+
+
+def _floats(data: object) -> object:
+    """A table with whole numbers as the floats they stand for: the digest of a model must not hang on a decimal point."""
+    if not isinstance(data, Mapping):
+        return data
+    return {k: float(v) if isinstance(v, int) and not isinstance(v, bool) else v for k, v in data.items()}
 
 
 _KINDS: Mapping[str, Any] = {"control": bool, "servo": bool, "optional": bool, "start": (str, int, float)}
@@ -91,7 +98,7 @@ def parameter(data: object) -> Parameter:
                 number(value, f"parameter {data.get('name')!r}: {key}")
             if key in flags and not isinstance(value, bool):
                 raise ModelError(f"parameter {data.get('name')!r}: {key} = {value!r} must be true or false")
-    made: Parameter = item(Parameter, "parameters", data)
+    made: Parameter = item(Parameter, "parameters", _floats(data))
     stated = data.get("role") if isinstance(data, Mapping) else None
     return replace(made, role=usual_role(made.name) if stated is None else _role(made.name, stated))
 

@@ -11,7 +11,7 @@ from estimation.report import published
 from estimation.report.compatibility_tables import fit_of
 from estimation.report.figures import MEASURED, Picture, broken_at_gaps, picture, styled
 from estimation.report.html import write_page
-from estimation.report.names import face, html, tex
+from estimation.report.names import face, html, literal, tex
 from estimation.report.provenance import provenance_table
 from estimation.report.tables import CANNOT_TELL, Table, number, significant, write_all
 
@@ -125,7 +125,7 @@ def motion_figures(flights: Sequence[ReconstructedFlight]) -> list[Picture]:
                     again = broken_at_gaps(flight.time, factor * flight.reconstructed[:, row])
                     axis.plot(flight.time, again, color=RECONSTRUCTED, lw=0.9, label="reconstructed")
                     axis.set_ylabel(f"${tex(name)}$ [{unit}]")
-                axes[0][column].set_title(flight.name)
+                axes[0][column].set_title(literal(flight.name))
                 axes[-1][column].set_xlabel("time [s]")
             axes[0][0].legend(loc="upper right", ncols=2)
             figure.align_ylabels()

@@ -8,6 +8,7 @@ import numpy as np
 from estimation.compatibility.result import Compatibility, Factor, ReconstructedFlight
 from estimation.models.kinematic import STANDARD_FACTORS
 from estimation.report import published
+from estimation.report.names import literal
 
 _SHOWN = {"rad": ("deg", np.degrees(1.0)), "V": ("m/s", 1.0)}
 _TITLES = {
@@ -96,7 +97,7 @@ def write_figure(flights: Sequence[ReconstructedFlight], path: Path) -> None:
                 axis.plot(flight.time, shown, color=colour, linewidth=width, label=label)
             axis.set_ylabel(_TITLES[name])
             axis.grid(alpha=0.25)
-        axes[0][column].set_title(flight.name)
+        axes[0][column].set_title(literal(flight.name))
         axes[-1][column].set_xlabel("time [s]")
     axes[0][0].legend(loc="upper right", fontsize="small", ncols=2)
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -10,7 +10,7 @@ from estimation.models.base import ParameterRole
 from estimation.report import published
 from estimation.report.estimate_tables import is_published
 from estimation.report.figures import MEASURED, Picture, broken_at_gaps, look, picture, styled
-from estimation.report.names import axis_label, face, tex
+from estimation.report.names import axis_label, face, literal, tex
 from estimation.signals.goodness_of_fit import autocorrelation
 
 if TYPE_CHECKING:
@@ -77,7 +77,9 @@ def _scatter_panel(axis: Any, session: "Session", name: str) -> None:
                           fmt=look(m).marker, color=PUBLISHED, mfc="none", ms=3.4, lw=0.8, label=f"published {m}")  # fmt: skip
         labels += [f.removeprefix("UFP_") for f in published.published_flights()]
     axis.set_title(f"${tex(name)}$")
-    axis.set_xticks(range(len(labels)), labels, rotation=0 if len(labels) <= 4 else 60, fontsize=7)
+    axis.set_xticks(
+        range(len(labels)), [literal(label) for label in labels], rotation=0 if len(labels) <= 4 else 60, fontsize=7
+    )
     axis.set_xlim(-0.6, len(labels) - 0.4)
     axis.grid(axis="x", visible=False)
 
@@ -98,7 +100,9 @@ def history_figure(f: "FlightEstimates", of_paper: bool) -> Picture:
         for signal, style in zip(controls, ("-", "--", ":"), strict=False):
             factor, unit = face(signal.name, signal.unit)
             values = broken_at_gaps(f.flight.time, factor * f.flight[signal.source])
-            axes[-1].plot(f.flight.time, values, style, color="0.25", lw=0.9, label=signal.description or signal.name)
+            axes[-1].plot(
+                f.flight.time, values, style, color="0.25", lw=0.9, label=literal(signal.description or signal.name)
+            )
             axes[-1].set_ylabel(f"controls [{unit}]" if unit else "controls")
         if controls:
             axes[-1].legend(loc="upper right", ncols=3)
@@ -190,7 +194,7 @@ def proof_figure(proofs: Sequence[tuple[str, "Proof"]], refitted: str, of_paper:
         axes = figure.subplots(rows, len(proofs), squeeze=False, sharex="col")
         for j, (whose, proof) in enumerate(proofs):
             _channels(axes[:, j], proof.result.model, proof, {"predicted": proof.predicted})
-            axes[0][j].set_title(f"{proof.name} predicted by {whose}")
+            axes[0][j].set_title(literal(f"{proof.name} predicted by {whose}"))
             axes[-1][j].set_xlabel("time [s]")
         figure.align_ylabels()
     points = sum(2 * p.time.size * rows for _, p in proofs)

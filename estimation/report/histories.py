@@ -56,6 +56,8 @@ def write_beside(flight: "Flight", result: "Result", folder: Path) -> Path:
 def _draw(model: "Model", columns: Sequence[tuple[str, Array, Array, dict[str, Array]]], path: Path) -> None:
     from matplotlib.figure import Figure
 
+    from estimation.report.names import literal
+
     rows = len(model.outputs)
     figure = Figure(figsize=(4.5 * len(columns) + 1.5, 1.7 * rows + 0.8), layout="constrained")
     axes: Any = figure.subplots(rows, len(columns), sharex="col", squeeze=False)
@@ -68,8 +70,8 @@ def _draw(model: "Model", columns: Sequence[tuple[str, Array, Array, dict[str, A
                 axis.plot(time, outputs[:, i] * factor, linewidth=1.1, label=label)
             axis.grid(alpha=0.3)
             if j == 0:
-                axis.set_ylabel(f"{signal.name} [{unit}]")
-        axes[0][j].set_title(name, fontsize=10)
+                axis.set_ylabel(literal(f"{signal.name} [{unit}]"))
+        axes[0][j].set_title(literal(name), fontsize=10)
         axes[-1][j].set_xlabel("time [s]")
     axes[0][0].legend(fontsize=8)
     path.parent.mkdir(parents=True, exist_ok=True)

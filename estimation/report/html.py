@@ -7,6 +7,7 @@ from typing import Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
+from daq.contract.plain_words import printed
 from estimation.report.names import html as symbol
 from estimation.report.tables import significant
 
@@ -16,7 +17,12 @@ HERE = Path(__file__).parent
 def render(template: str, **context: Any) -> str:
     """A page from a template of this folder (`*.html.j2`), which extends `base.html.j2`."""
     environment = Environment(
-        loader=FileSystemLoader(HERE), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+        loader=FileSystemLoader(HERE),
+        autoescape=True,
+        undefined=StrictUndefined,
+        finalize=printed,
+        trim_blocks=True,
+        lstrip_blocks=True,
     )
     environment.filters["symbol"] = symbol
     environment.filters["significant"] = significant

@@ -60,7 +60,12 @@ def _by_html(by: str) -> Markup:
 
 def axis_label(name: str, unit: str) -> str:
     """Label of a figure's axis: the symbol, and its unit where it has one."""
-    return f"${tex(name)}$ [{unit}]" if unit else f"${tex(name)}$"
+    return f"${tex(name)}$ [{literal(unit)}]" if unit else f"${tex(name)}$"
+
+
+def literal(text: str) -> str:
+    """Text of a figure as it stands: a dollar begins no formula."""
+    return text.replace("$", r"\$")
 
 
 def face(name: str, unit: str) -> tuple[float, str]:

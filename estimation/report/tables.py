@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from daq.contract.plain_words import visible
 from estimation.report.names import tex
 
 CANNOT_TELL = "cannot tell"
@@ -29,7 +30,7 @@ class Table:
         with (folder / f"{self.name}.csv").open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)
             writer.writerow(self._flat_head())
-            writer.writerows(self.rows)
+            writer.writerows([[_no_formula(visible(cell)) for cell in row] for row in self.rows])
         (folder / f"{self.name}.tex").write_text(self.latex(), encoding="utf-8")
 
     def _flat_head(self) -> list[str]:
@@ -49,6 +50,12 @@ class Table:
         return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", r"\end{table}", ""])
 
 
+def _no_formula(cell: str) -> str:
+    """A cell that a spreadsheet takes for text or a number, never for a formula: one that begins like a formula gets a mark."""
+    signed = cell[:1] in ("+", "-") and cell[1:].replace(".", "", 1).replace("e-", "", 1).isdigit()
+    return f"'{cell}" if cell[:1] in ("=", "+", "-", "@") and not signed and cell != "-" else cell
+
+
 _ESCAPES = {c: f"\\{c}" for c in "&%$#_{}"} | {
     "\\": r"\textbackslash{}", "±": r"$\pm$", "²": "$^2$", "−": "$-$", "–": "--",
     "Δ": r"$\Delta$", "·": r"$\cdot$", "~": r"$\sim$",
@@ -57,7 +64,7 @@ _ESCAPES = {c: f"\\{c}" for c in "&%$#_{}"} | {
 
 
 def _plain(text: str) -> str:
-    return "".join(_ESCAPES.get(c, c) for c in text)
+    return "".join(_ESCAPES.get(c, c) for c in visible(text))
 
 
 def number(value: float | None, digits: int = 4) -> str:

@@ -4,13 +4,14 @@ The tables flown here are [flight], [wind], [derivatives], [[manoeuvre]], [[hidd
 [sensors], [[faults]], [radio] and [logger] belong to instruments, bus, radio and logger, and are passed through as they stand.
 """
 
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
+from daq.contract.input_files import read_toml
+from daq.contract.plain_words import file_name
 from estimation.aircraft import load_aircraft
 from firmware_sim.errors import ScenarioError
 from firmware_sim.physics.aerodynamics import simulation_of
@@ -21,7 +22,7 @@ BUILT_IN_FOLDER = Path(__file__).parents[1] / "scenarios"
 
 
 class _Table(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 class FlightTable(_Table):
@@ -123,6 +124,13 @@ class Scenario(_Table):
     radio: Mapping[str, Any] = Field(default_factory=dict)
     logger: Mapping[str, Any] = Field(default_factory=dict)
 
+    @field_validator("name")
+    @classmethod
+    def _names_a_folder(cls, name: str) -> str:
+        if name != file_name(name):
+            raise ValueError("give a short name without slash and control characters: the flight's folder is called so")
+        return name
+
     @field_validator("hidden")
     @classmethod
     def _known_effects(cls, hidden: tuple[HiddenTable, ...]) -> tuple[HiddenTable, ...]:
@@ -217,9 +225,6 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
         raise ScenarioError(
             f"scenario {text!r}: no such file and no built-in of that name (built in: {known}, hidden_NAME)"
         )
-    try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ScenarioError(f"scenario {path}: not a TOML file: {error}") from error
+    data = read_toml(path, "file", ScenarioError)
     data.setdefault("name", path.stem)
     return scenario_from(data, str(path))

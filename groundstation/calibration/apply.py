@@ -102,7 +102,10 @@ class Calibrator:
     def _read_curve(self, item: Instrument, curve: Curve, channel: str, table: ScanTable, out: Readings) -> None:
         reading = self.physical(table, channel)
         if item.ratiometric is not None:
-            reading = reading * (item.ratiometric.reference / self.sensor_supply(table))
+            with np.errstate(
+                over="ignore", divide="ignore", invalid="ignore"
+            ):  # of a supply that reads next to nothing
+                reading = reading * (item.ratiometric.reference / self.sensor_supply(table))
         value = curves.evaluate(curve, reading)
         if item.supply_sensitivity is not None:
             shift = item.supply_sensitivity

@@ -6,6 +6,7 @@ same sample calibrated within a whole recording are the same to the last bit.
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import ValidationError
 
 from groundstation.calibration.errors import CalibrationError
 from groundstation.calibration.schema import Curve
@@ -105,16 +106,21 @@ def fit_polynomial(
     normal = np.linalg.inv((design * weight[:, None]).T @ (design * weight[:, None]))
     rescale = np.array([scale**-k for k in range(degree + 1)])
     covariance = inflation * normal * np.outer(rescale, rescale)
-    return Curve(
-        kind="polynomial",
-        input_unit=input_unit,
-        output_unit=output_unit,
-        centre=centre,
-        coefficients=tuple((solution * rescale).tolist()),
-        valid=(float(x.min() - MARGIN * np.ptp(x)), float(x.max() + MARGIN * np.ptp(x))),
-        residual_rms=float(np.sqrt(np.mean(residual**2))),
-        covariance=tuple(tuple(row) for row in covariance.tolist()),
-    )
+    try:
+        return Curve(
+            kind="polynomial",
+            input_unit=input_unit,
+            output_unit=output_unit,
+            centre=centre,
+            coefficients=tuple((solution * rescale).tolist()),
+            valid=(float(x.min() - MARGIN * np.ptp(x)), float(x.max() + MARGIN * np.ptp(x))),
+            residual_rms=float(np.sqrt(np.mean(residual**2))),
+            covariance=tuple(tuple(row) for row in covariance.tolist()),
+        )
+    except ValidationError as error:
+        raise CalibrationError(
+            f"the points give no usable curve ({error.errors()[0]['loc'][0]} out of range); check readings and references"
+        ) from error
 
 
 def _interpolate(grid: Array, out: Array, x: Array) -> Array:

@@ -14,19 +14,18 @@ stop = 5.0
 reference = -0.35                  # output unit; [x, y, z] in body axes for vectors; m/s with reference_unit = "m/s"
 """
 
-import tomllib
 from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from daq.contract.input_files import parse_toml, read_text
 from groundstation.calibration.errors import CalibrationError
-
-Vector = tuple[float, float, float]
+from groundstation.calibration.schema import Finite, Vector
 
 
 class _Table(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
 class Dwell(_Table):
@@ -34,7 +33,7 @@ class Dwell(_Table):
 
     start: float
     stop: float
-    reference: float | Vector | None = None
+    reference: Finite | Vector | None = None
 
     @model_validator(mode="after")
     def _forward(self) -> "Dwell":
@@ -81,19 +80,13 @@ class Plan(_Table):
 
 def load_plan(path: str | Path) -> Plan:
     """Read a bench plan. Raises CalibrationError naming file and key."""
-    try:
-        text = Path(path).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise CalibrationError(f"{path}: cannot read the bench plan ({error})") from error
-    return parse_plan(text, str(path))
+    return parse_plan(read_text(Path(path), "file", CalibrationError), str(path))
 
 
 def parse_plan(text: str, where: str) -> Plan:
     """A bench plan from its text. Raises CalibrationError naming `where` and the key."""
     try:
-        return Plan.model_validate(tomllib.loads(text))
-    except tomllib.TOMLDecodeError as error:
-        raise CalibrationError(f"{where}: not valid TOML: {error}") from error
+        return Plan.model_validate(parse_toml(text, where, CalibrationError))
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(k) for k in first["loc"])

@@ -5,7 +5,6 @@ from the file alone, and a later, better set can take its place (`--calibration 
 """
 
 import hashlib
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import date
@@ -16,18 +15,20 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from daq.contract.channels import CHANNEL_BY_NAME
+from daq.contract.input_files import parse_toml, read_text
 from groundstation.calibration.errors import CalibrationError
 
 FORMAT = 1
 NOMINAL_DIRECTORY = Path(__file__).parent / "files"
 
-Vector = tuple[float, float, float]
+Finite = Annotated[float, Field(ge=-1e15, le=1e15, allow_inf_nan=False)]
+"""A number of a calibration. Its bound keeps a polynomial of degree five over 24-bit counts (1e36) far from the largest float."""
+Vector = tuple[Finite, Finite, Finite]
 Matrix = tuple[Vector, Vector, Vector]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
 class _Table(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
 class Curve(_Table):
@@ -284,10 +285,7 @@ def load_calibration(directory: str | Path = "cdfp") -> CalibrationSet:
                 f"{directory}: no such directory of calibration files (built in: {', '.join(built_in_sets())})"
             )
         path = built_in
-    try:
-        texts = {file.name: file.read_text(encoding="utf-8") for file in sorted(path.glob("*.toml"))}
-    except (OSError, UnicodeDecodeError) as error:
-        raise CalibrationError(f"{path}: cannot read the calibration files ({error})") from error
+    texts = {file.name: read_text(file, "file", CalibrationError) for file in sorted(path.glob("*.toml"))}
     return CalibrationSet.from_texts(path.name, texts)
 
 
@@ -298,9 +296,7 @@ def built_in_sets() -> tuple[str, ...]:
 
 def _parse(where: str, text: str) -> Instrument:
     try:
-        return Instrument.model_validate(tomllib.loads(text))
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise CalibrationError(f"{where}: not valid TOML: {error}") from error
+        return Instrument.model_validate(parse_toml(text, where, CalibrationError))
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(k) for k in first["loc"])

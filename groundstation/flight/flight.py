@@ -9,7 +9,6 @@ gaps split the flight into segments, each of it said in `notes`.
 import csv
 import hashlib
 import json
-from array import array
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -21,9 +20,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.contract.channels import COLUMN_BY_NAME
-from daq.contract.recordings.claims import json_object, mapping, table_fits
+from daq.contract.input_files import check_file
+from daq.contract.plain_words import listed, one_line, plain_name
+from daq.contract.recordings.claims import json_object, mapping
+from groundstation.flight.credible_columns import credible_values, field_names, plain_names
+from groundstation.flight.csv_columns import read_csv
 from groundstation.flight.errors import FlightError, MissingColumnError
 from groundstation.flight.notes import Note, NoteKind, as_note, from_meta, once, to_meta, unknown_columns
+from groundstation.flight.parquet_columns import read_parquet
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -33,6 +37,9 @@ Array = NDArray[np.float64]
 
 GAP_FACTOR = 4.5
 """A step in time longer than this many median sample intervals is a gap: never integrated across."""
+
+LATEST = 9e9
+"""Latest time [s] of a sample, either way: what 64 bits of nanoseconds hold, 285 years."""
 
 FLIGHT_TOPIC = "/flight"
 FLIGHT_SCHEMA = "sideslip.FlightSample"
@@ -92,6 +99,7 @@ class Flight:
         for key, values in arrays.items():
             if values.shape != time.shape:
                 raise FlightError(f"{name}: column {key} has {values.size} samples, time has {time.size}")
+        name = plain_name(name)
         labels = np.zeros(time.size, np.int64) if segment is None else np.asarray(segment).astype(np.int64)
         keep, order = _order(name, time)
         time, labels = time[keep], labels[keep]
@@ -210,9 +218,13 @@ def _plain(provenance: Provenance) -> Provenance:
 def _order(name: str, time: Array) -> tuple[NDArray[np.int64], list[str]]:
     """Indices that make time strictly increasing, and what had to be done for it."""
     notes: list[str] = []
-    finite = np.flatnonzero(np.isfinite(time))
-    if finite.size < time.size:
-        notes.append(f"{time.size - finite.size} rows without a time dropped")
+    with np.errstate(invalid="ignore"):
+        finite = np.flatnonzero(np.abs(time) < LATEST)
+    endless = int(np.sum(np.abs(time[np.isfinite(time)]) >= LATEST))
+    if endless:
+        notes.append(f"{endless} rows with a time beyond 285 years dropped; is time in seconds?")
+    if finite.size + endless < time.size:
+        notes.append(f"{time.size - finite.size - endless} rows without a time dropped")
     steps = np.diff(time[finite])
     order = finite
     if np.any(steps < 0):
@@ -225,7 +237,10 @@ def _order(name: str, time: Array) -> tuple[NDArray[np.int64], list[str]]:
         notes.append(f"{int(repeated.sum())} repeated instants (first at t = {at:g} s): the first row of each kept")
     order = order[~repeated]
     if order.size < 2:
-        raise FlightError(f"{name}: only {order.size} usable samples; a flight needs at least two rows with a time")
+        hint = " in seconds (there are times beyond 285 years)" if endless else ""
+        raise FlightError(
+            f"{name}: only {order.size} usable samples; a flight needs at least two rows with a time{hint}"
+        )
     return order, notes
 
 
@@ -257,11 +272,10 @@ def read_flight(path: str | Path, *, gap_factor: float = GAP_FACTOR) -> Flight:
         raise FlightError(
             f"{path}: not a flight file; give .mcap, .csv or .parquet, or convert it with 'sideslip import'"
         )
-    if not path.is_file():
-        raise FlightError(f"{path}: no such file")
+    check_file(path, error=FlightError)
     columns, provenance, notes = readers[path.suffix.lower()](path)
     if "time" not in columns:
-        raise FlightError(f"{path}: no column 'time' [s]; found {', '.join(columns) or 'nothing'}")
+        raise FlightError(f"{path}: no column 'time' [s]; found {listed(columns) or 'nothing'}")
     time = columns.pop("time")
     segment = columns.pop("segment", None)
     if segment is not None and not (np.all(np.isfinite(segment)) and np.all(segment == np.round(segment))):
@@ -270,11 +284,9 @@ def read_flight(path: str | Path, *, gap_factor: float = GAP_FACTOR) -> Flight:
         )
     if segment is not None and np.any(np.abs(segment) > 2**31):
         raise FlightError(f"{path}: column segment holds {np.max(np.abs(segment)):g}; number segments from 0")
-    for name, values in columns.items():
-        endless = int(np.isinf(values).sum())
-        if endless:
-            columns[name] = np.where(np.isinf(values), np.nan, values)
-            notes.append(f"column {name}: {endless} infinite values taken as not measured")
+    columns = plain_names(columns)
+    columns, beyond = credible_values(columns)
+    notes += beyond
     unknown = [c for c in columns if c not in COLUMN_BY_NAME]
     if unknown:
         notes.append(unknown_columns({c: c for c in unknown}))
@@ -301,48 +313,7 @@ _Read = tuple[dict[str, Array], Provenance, list[Note | str]]
 
 
 def _read_csv(path: Path) -> _Read:
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as handle:
-            rows = csv.reader(handle)
-            header = [h.strip() for h in next(rows, [])]
-            if not header or all(_is_number(h) for h in header):
-                raise FlightError(f"{path}: the first line is not a header of column names (time,ax,ay,...)")
-            _check_size(path, 0, len(header))
-            if len(set(header)) < len(header):
-                twice = next(h for h in header if header.count(h) > 1)
-                raise FlightError(f"{path}: column {twice} appears twice in the header")
-            table = array("d")  # cells one after the other: as lists they take ten times the room
-            for row in _csv_rows(path, header, rows):
-                table.extend(row)
-    except UnicodeDecodeError as error:
-        raise FlightError(
-            f"{path}: not a text file ({error.reason} at byte {error.start}); a CSV is expected"
-        ) from error
-    except csv.Error as error:
-        raise FlightError(f"{path}: not a readable CSV ({error})") from error
-    values = np.frombuffer(table, float).reshape(-1, len(header))
-    return {h: values[:, i] for i, h in enumerate(header) if h}, Provenance(), []
-
-
-def _csv_rows(path: Path, header: list[str], rows: Iterator[list[str]]) -> Iterator[list[float]]:
-    for number, row in enumerate(rows, start=2):
-        if not any(cell.strip() for cell in row):
-            continue
-        if len(row) != len(header):
-            raise FlightError(f"{path}: line {number} has {len(row)} cells, the header has {len(header)}")
-        try:
-            yield [float(cell) if cell.strip() else np.nan for cell in row]
-        except ValueError:
-            bad = next(i for i, cell in enumerate(row) if cell.strip() and not _is_number(cell))
-            raise FlightError(f"{path}: line {number}, column {header[bad]}: {row[bad]!r} is not a number") from None
-
-
-def _is_number(cell: str) -> bool:
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return True
+    return read_csv(path, FlightError), Provenance(), []
 
 
 def _write_csv(flight: Flight, path: Path) -> None:
@@ -356,36 +327,17 @@ def _write_csv(flight: Flight, path: Path) -> None:
 
 
 def _read_parquet(path: Path) -> _Read:
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    try:
-        file = pq.ParquetFile(path)
-        _check_size(path, file.metadata.num_rows, file.metadata.num_columns)
-        table = file.read()
-    except (pa.ArrowException, OSError, ValueError) as error:
-        raise FlightError(f"{path}: not a readable Parquet file ({str(error)[:200]!r})") from error
-    columns: dict[str, Array] = {}
-    notes: list[Note | str] = []
-    for name, column in zip(table.column_names, table.columns, strict=True):
-        if name in columns:
-            raise FlightError(f"{path}: column {name} appears twice")
-        try:
-            columns[name] = np.asarray(column.cast(pa.float64()).to_numpy(), float)
-        except pa.ArrowException:
-            notes.append(f"column {name} is not numeric: left out")
-    meta = (table.schema.metadata or {}).get(METADATA_NAME.encode())
+    found = read_parquet(path, FlightError)
+    notes: list[Note | str] = [
+        f"column {plain_name(name)} is not numeric: left out" for name in (*found.words, *found.dates)
+    ]
+    if len(notes) > 30:
+        notes = [*notes[:30], f"{len(notes) - 30} more columns are not numeric: left out"]
+    meta = found.footer.get(METADATA_NAME.encode())
     about = json_object(meta) if meta else {}
     if meta and not about:
         notes.append("what the file says of its origin cannot be read: taken as not known")
-    return columns, _provenance_from(about) if about else Provenance(), notes
-
-
-def _check_size(path: Path, rows: int, columns: int) -> None:
-    if not table_fits(rows, columns, path.stat().st_size):
-        raise FlightError(
-            f"{path}: claims {rows} rows of {columns} columns, more than a flight in a file of its size; export fewer columns"
-        )
+    return found.numeric, _provenance_from(about) if about else Provenance(), notes
 
 
 def _write_parquet(flight: Flight, path: Path) -> None:
@@ -412,9 +364,9 @@ def _provenance_to(flight: Flight) -> dict[str, Any]:
 
 def _provenance_from(meta: Mapping[str, Any]) -> Provenance:
     return Provenance(
-        source=str(meta.get("source", "imported")),
-        aircraft=str(meta.get("aircraft", "")),
-        software=str(meta.get("software", "")),
+        source=one_line(str(meta.get("source", "imported")), 40),
+        aircraft=plain_name(str(meta.get("aircraft", ""))),
+        software=plain_name(str(meta.get("software", ""))),
         calibration={k: str(v) for k, v in mapping(meta.get("calibration")).items()},
         detail={**mapping(meta.get("detail")), "derived_from": mapping(meta.get("derived_from"))},
     )
@@ -458,10 +410,7 @@ def open_flight_writer(
     """
     from mcap.writer import CompressionType, Writer
 
-    bad = [c for c in flight.columns if not (c.isascii() and c.isidentifier())]
-    if bad:
-        raise FlightError(f"{path}: column name {bad[0]!r} cannot be a field of an MCAP flight; rename it or write CSV")
-    names = ["time", *flight.columns, "segment"]
+    names = field_names(["time", *flight.columns, "segment"])
     cls, schema = _message_class(names)
     table = np.column_stack([flight.time, *flight.columns.values(), flight.segment])
     with path.open("wb") as handle:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Any
 
+from daq.contract.plain_words import one_line
 from daq.contract.recordings import claims
 
 
@@ -73,7 +74,7 @@ def to_meta(notes: Iterable[Note]) -> dict[str, Any]:
 
 def from_meta(meta: Mapping[str, Any]) -> list[Note]:
     """Notes of a flight file. A kind that is not known here, of a newer file, is `OTHER`."""
-    notes = [Note(NoteKind.OTHER, text) for text in claims.texts(meta.get("notes"))]
+    notes = [Note(NoteKind.OTHER, one_line(text)) for text in claims.texts(meta.get("notes"))]
     known = {k.value: k for k in NoteKind}
     facts = meta.get("facts")
     for fact in map(claims.mapping, facts if isinstance(facts, list) else ()):

@@ -53,7 +53,10 @@ def suspicions(time: Array, columns: Columns) -> list[Suspicion]:
         _time(time), _gravity(present), _angles(present), _rates(present), _others(present), _attitude_rate(time, present),
         _pressure_speed(present), _ground_speed(present), _sideways(time, present),
     )  # fmt: skip
-    return [suspicion for check in checks for suspicion in check]
+    with np.errstate(
+        over="ignore", divide="ignore", invalid="ignore"
+    ):  # of absurd values, which the checks themselves find
+        return [suspicion for check in checks for suspicion in check]
 
 
 def _median(values: Array) -> float:

@@ -5,6 +5,7 @@ FMTU: units, among them '#' for the field that tells instances apart). Every mes
 that are no message are stepped over. Time is TimeUS since boot.
 """
 
+import re
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -12,11 +13,13 @@ from pathlib import Path
 
 import numpy as np
 
+from daq.contract.input_files import read_bytes
 from groundstation.importers.errors import ImportDataError
-from groundstation.importers.series import Log, Series
+from groundstation.importers.series import Array, Log, Series
 
 _HEAD = b"\xa3\x95"
 _FMT, _FMT_SIZE = 128, 89
+_DESCRIPTION = struct.Struct("<BB4s16s64s")
 
 # Field letter -> struct code and factor; letters without a factor here are text or arrays and are left out.
 _LETTERS: dict[str, tuple[str, float | None]] = {
@@ -24,38 +27,64 @@ _LETTERS: dict[str, tuple[str, float | None]] = {
     "f": ("f", 1), "d": ("d", 1), "g": ("e", 1), "M": ("B", 1), "c": ("h", 0.01), "C": ("H", 0.01), "e": ("i", 0.01),
     "E": ("I", 0.01), "L": ("i", 1e-7), "n": ("4s", None), "N": ("16s", None), "Z": ("64s", None), "a": ("64s", None),
 }  # fmt: skip
+_NUMPY = {
+    "b": "i1",
+    "B": "u1",
+    "h": "i2",
+    "H": "u2",
+    "i": "i4",
+    "I": "u4",
+    "q": "i8",
+    "Q": "u8",
+    "f": "f4",
+    "d": "f8",
+    "e": "f2",
+}
+"""Struct code -> what numpy calls it."""
+
+
+MOST_INSTANCES = 256
+"""Of one sensor: ArduPilot numbers them in one byte."""
 
 
 @dataclass
 class _Message:
-    """One message type: its layout, and the rows read so far."""
+    """One message type: its layout, and the bodies read so far, one after the other."""
 
     name: str
     size: int
     layout: struct.Struct
     fields: tuple[str, ...]
-    factors: tuple[float | None, ...]
-    rows: list[tuple[float, ...]]
+    letters: str
+    bodies: bytearray
     instance: int | None = None
+
+    @property
+    def timed(self) -> bool:
+        """Whether the message carries the time at which it was logged."""
+        return bool(self.fields) and self.fields[0] == "TimeUS" and _LETTERS[self.letters[0]][1] is not None
+
+    def column(self, index: int) -> Array:
+        """All values of one field (N,), in its unit. A field of text is none."""
+        code, factor = _LETTERS[self.letters[index]]
+        offset = struct.calcsize("<" + "".join(_LETTERS[c][0] for c in self.letters[:index]))
+        kind = np.dtype(
+            {"names": ["x"], "formats": [f"<{_NUMPY[code]}"], "offsets": [offset], "itemsize": self.layout.size}
+        )
+        with np.errstate(invalid="ignore"):  # a signalling NaN of a damaged message
+            return np.frombuffer(self.bodies, kind)["x"].astype(float) * (factor or 1.0)
+
+    def numeric(self, index: int) -> bool:
+        """Whether a field is a number."""
+        return _LETTERS[self.letters[index]][1] is not None
 
 
 def read_dataflash(path: Path) -> Log:
     """All numeric fields of all timed messages. Raises ImportDataError when the file is not a dataflash log."""
-    data = path.read_bytes()
+    data = read_bytes(path, error=ImportDataError)
     if not data.startswith(_HEAD):
         raise ImportDataError(f"{path}: not an ArduPilot dataflash log (it does not begin with a message head)")
-    messages: dict[int, _Message] = {}
-    skipped = 0
-    at = 0
-    while at + 3 <= len(data):
-        size = _size(data, at, messages)
-        if size == 0:
-            following = data.find(_HEAD, at + 1)
-            skipped += (following if following > 0 else len(data)) - at
-            at = following if following > 0 else len(data)
-            continue
-        _take(data, at, size, messages)
-        at += size
+    messages, skipped = _gathered(data)
     series = dict(_series(messages))
     if not series:
         raise ImportDataError(f"{path}: no timed messages in this dataflash log")
@@ -63,6 +92,35 @@ def read_dataflash(path: Path) -> Log:
         _velocity(name.rsplit(".", 1)[0], series)
     notes = (f"{skipped} bytes of the log are damaged and left out",) if skipped else ()
     return Log("dataflash", series, notes=notes)
+
+
+def _gathered(data: bytes) -> tuple[dict[int, _Message], int]:
+    """The messages by type, and how many bytes belong to none.
+
+    Behind damage the next head of a type that is described is searched as a pattern, so that any bytes are passed over in
+    time in proportion to their number.
+    """
+    messages: dict[int, _Message] = {}
+    heads = _heads(messages)
+    skipped = at = 0
+    while at + 3 <= len(data):
+        size = _size(data, at, messages)
+        if size:
+            if _take(data, at, size, messages):
+                heads = _heads(messages)
+            at += size
+            continue
+        found = heads.search(data, at + 1)
+        following = found.start() if found else len(data)
+        skipped += following - at
+        at = following
+    return messages, skipped + len(data) - min(at, len(data))
+
+
+def _heads(messages: dict[int, _Message]) -> "re.Pattern[bytes]":
+    """What any message of a known type begins with."""
+    kinds = b"".join(re.escape(bytes([kind])) for kind in (_FMT, *messages))
+    return re.compile(re.escape(_HEAD) + b"[" + kinds + b"]")
 
 
 def _size(data: bytes, at: int, messages: dict[int, _Message]) -> int:
@@ -74,21 +132,23 @@ def _size(data: bytes, at: int, messages: dict[int, _Message]) -> int:
     return size if at + size <= len(data) else 0
 
 
-def _take(data: bytes, at: int, size: int, messages: dict[int, _Message]) -> None:
-    kind, body = data[at + 2], data[at + 3 : at + size]
+def _take(data: bytes, at: int, size: int, messages: dict[int, _Message]) -> bool:
+    """Keep the message at `at`; whether it described a new type."""
+    kind = data[at + 2]
     if kind == _FMT:
-        described, length, name, letters, labels = struct.unpack("<BB4s16s64s", body)
-        if described != _FMT and described not in messages:
-            made = _described(_text(name), length, _text(letters), _text(labels))
-            if made is not None:
-                messages[described] = made
-        return
+        described, length, name, letters, labels = _DESCRIPTION.unpack_from(data, at + 3)
+        if described == _FMT or described in messages:
+            return False
+        made = _described(_text(name), length, _text(letters), _text(labels))
+        if made is not None:
+            messages[described] = made
+        return made is not None
     message = messages[kind]
-    values = message.layout.unpack(body)
     if message.name == "FMTU":
-        _units(dict(zip(message.fields, values, strict=True)), messages)
-    elif message.fields and message.fields[0] == "TimeUS":
-        message.rows.append(values)
+        _units(dict(zip(message.fields, message.layout.unpack_from(data, at + 3), strict=True)), messages)
+    elif message.timed:
+        message.bodies += data[at + 3 : at + size]
+    return False
 
 
 def _described(name: str, length: int, letters: str, labels: str) -> _Message | None:
@@ -97,9 +157,9 @@ def _described(name: str, length: int, letters: str, labels: str) -> _Message | 
     if len(fields) != len(letters) or any(c not in _LETTERS for c in letters):
         return None
     layout = struct.Struct("<" + "".join(_LETTERS[c][0] for c in letters))
-    if layout.size + 3 != length:
+    if layout.size + 3 != length or not fields:
         return None
-    return _Message(name, length, layout, fields, tuple(_LETTERS[c][1] for c in letters), [])
+    return _Message(name, length, layout, fields, letters, bytearray())
 
 
 def _units(values: dict[str, object], messages: dict[int, _Message]) -> None:
@@ -113,21 +173,35 @@ def _text(raw: bytes) -> str:
 
 
 def _series(messages: dict[int, _Message]) -> Iterator[tuple[str, Series]]:
-    for message in messages.values():
-        if not message.rows:
+    named: set[str] = set()
+    for kind, message in messages.items():
+        if not message.bodies:
             continue
-        numeric = [i for i, f in enumerate(message.factors) if f is not None]
-        table = np.array([[row[i] for i in numeric] for row in message.rows], float)
-        table *= [message.factors[i] for i in numeric]
-        column = {i: k for k, i in enumerate(numeric)}
-        # logs older than FMTU tell instances by a field named I
-        instance = message.instance if message.instance is not None else _index(message.fields, "I")
-        which = table[:, column[instance]] if instance in column else np.zeros(len(table))
-        for number in np.unique(which):
-            rows = table[which == number]
-            prefix = message.name if number == which.min() else f"{message.name}[{number:g}]"
-            for i in numeric[1:]:
-                yield f"{prefix}.{message.fields[i]}", Series(rows[:, 0] * 1e-6, rows[:, column[i]])
+        label = f"{message.name}({kind})" if message.name in named else message.name  # two types of one name are damage
+        named.add(message.name)
+        time = message.column(0) * 1e-6
+        instance = _instance_field(message)
+        which = np.zeros(time.size) if instance is None else message.column(instance)
+        numbers = np.unique(which)
+        rows = {number: np.flatnonzero(which == number) for number in numbers}
+        times = {number: time[rows[number]] for number in numbers}
+        for i in range(1, len(message.fields)):
+            if not message.numeric(i):
+                continue
+            values = message.column(i)
+            for number in numbers:
+                prefix = label if number == numbers[0] else f"{label}[{number:g}]"
+                yield f"{prefix}.{message.fields[i]}", Series(times[number], values[rows[number]])
+
+
+def _instance_field(message: _Message) -> int | None:
+    """The field that tells instances apart; None where there is none, or it holds more numbers than there are sensors."""
+    # logs older than FMTU tell instances by a field named I
+    index = message.instance if message.instance is not None else _index(message.fields, "I")
+    if index is None or not 0 < index < len(message.fields) or not message.numeric(index):
+        return None
+    numbers = np.unique(message.column(index))
+    return index if numbers.size <= MOST_INSTANCES and np.isfinite(numbers).all() else None
 
 
 def _index(fields: tuple[str, ...], name: str) -> int | None:

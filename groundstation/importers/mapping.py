@@ -11,21 +11,23 @@ delta_a = { terms = [{ column = "ElevonL", factor = -0.5 }, { column = "ElevonR"
 V = [{ column = "TAS", unit = "knots" }, { column = "IAS", unit = "knots" }]   # the first that exists
 """
 
-import tomllib
 from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
 from daq.contract.channels import COLUMN_BY_NAME
+from daq.contract.input_files import read_toml
 from groundstation.importers.errors import ImportDataError
 from groundstation.importers.units import conversion
 
 MAPS = Path(__file__).parent / "maps"
+MOST_LINES_ABOVE = 1_000_000
+"""Lines before the first row of numbers; no file of 16 MiB has as many that say something."""
 
 
 class _Table(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
 class Term(_Table):
@@ -85,17 +87,17 @@ class FileFormat(_Table):
     """How a text table is written, where it cannot be guessed. names: of the columns, for a file without a header line."""
 
     names: tuple[str, ...] = ()
-    delimiter: str | None = None
+    delimiter: Annotated[str, Field(pattern=r"^[^\"\r\n]$")] | None = None
     decimal: Literal[".", ","] | None = None
-    header_line: Annotated[int, Field(ge=1)] | None = None
-    skip_after_header: Annotated[int, Field(ge=0)] = 0
+    header_line: Annotated[int, Field(ge=1, le=MOST_LINES_ABOVE)] | None = None
+    skip_after_header: Annotated[int, Field(ge=0, le=MOST_LINES_ABOVE)] = 0
 
 
 def _listed(value: object) -> object:
     return value if isinstance(value, (list, tuple)) else [value]
 
 
-Sources = Annotated[tuple[Source, ...], BeforeValidator(_listed)]
+Sources = Annotated[tuple[Source, ...], BeforeValidator(_listed), Field(min_length=1)]
 
 
 class Map(_Table):
@@ -142,14 +144,9 @@ class Map(_Table):
 def load_map(path: str | Path) -> Map:
     """Read a mapping file. Raises ImportDataError naming file and key."""
     path = Path(path)
+    table = read_toml(path, "file", ImportDataError)
     try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ImportDataError(f"{path}: cannot read the mapping file ({error})") from error
-    try:
-        return Map.model_validate(tomllib.loads(text))
-    except tomllib.TOMLDecodeError as error:
-        raise ImportDataError(f"{path}: not valid TOML: {error}") from error
+        return Map.model_validate(table)
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(k) for k in first["loc"] if not isinstance(k, int))

@@ -12,7 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.contract.channels import COLUMN_BY_NAME
+from daq.contract.input_files import check_file
+from daq.contract.plain_words import LONGEST_NAME, listed, plain_name
 from groundstation.flight import Flight, Provenance
+from groundstation.flight.credible_columns import credible_values
 from groundstation.flight.notes import Note, unknown_columns
 from groundstation.flight.plausibility import suspicions
 from groundstation.importers.errors import ImportDataError
@@ -46,20 +49,24 @@ def import_data(
     a hint, or become notes with `accept_implausible`.
     """
     path = Path(path)
-    if not path.is_file():
-        raise ImportDataError(f"{path}: no such file")
+    check_file(path, error=ImportDataError)
     given = load_map(mapping) if isinstance(mapping, (str, Path)) else mapping
     log, chosen = _read(path, given)
-    if not log.common:
+    rate = rate_hz or chosen.rate_hz
+    if not log.common or rate is not None:
         series, dropped = credible(log.series)
         said = (f"{dropped} samples with a time far from all others left out",) if dropped else ()
         log = replace(log, series=series, notes=(*log.notes, *said))
-    rate = rate_hz or chosen.rate_hz
     time = _time_base(path, log, chosen, rate)
-    columns, used, notes = _columns(log, chosen, time)
+    if np.isfinite(time).sum() < 2:
+        raise ImportDataError(f"{path}: fewer than two samples with a time in it")
+    with np.errstate(over="ignore", invalid="ignore"):  # what is beyond any measurement is left out just below
+        columns, used, notes = _columns(log, chosen, time)
+    columns, beyond = credible_values(columns)
+    notes += beyond
     if not columns:
         raise ImportDataError(
-            f"{path}: nothing in it is known as a flight column; found {', '.join(list(log.series)[:12])}; "
+            f"{path}: nothing in it is known as a flight column; found {listed(log.series, 12)}; "
             "write a mapping file (--map)"
         )
     notes = [*log.notes, *notes]
@@ -73,7 +80,7 @@ def import_data(
         source="imported",
         path=str(path),
         sha256=hashlib.sha256(path.read_bytes()).hexdigest(),
-        aircraft=chosen.aircraft,
+        aircraft=plain_name(chosen.aircraft),
         detail={
             "format": log.kind,
             "mapping": {name: _spoken(source) for name, source in used.items()},
@@ -121,7 +128,7 @@ def _read_with_package(path: Path, given: Map | None) -> tuple[Log, Map]:
 def _read_table(path: Path, given: Map | None) -> tuple[Log, Map]:
     from groundstation.importers.tables import header_map, read_table, table_log
 
-    table = read_table(path, given.file if given else FileFormat())
+    table = read_table(path, given.file if given else FileFormat(), given.time if given else None)
     guessed, notes = header_map(table, given.columns if given else ())
     chosen = given.over(guessed) if given else guessed
     log = table_log(path, table, chosen.time)
@@ -153,7 +160,7 @@ def _time_base(path: Path, log: Log, chosen: Map, rate: float | None) -> Array:
     series = {n: s for n, s in log.series.items() if n in wanted and s.time.size >= 2}
     if not series:
         raise ImportDataError(
-            f"{path}: none of the expected messages is in this log; it has {', '.join(_topics(log)) or 'nothing'}; "
+            f"{path}: none of the expected messages is in this log; it has {listed(_topics(log), 15) or 'nothing'}; "
             "name columns in a mapping file (--map)"
         )
     fastest = max(native_rate(s) for s in series.values())
@@ -161,7 +168,7 @@ def _time_base(path: Path, log: Log, chosen: Map, rate: float | None) -> Array:
 
 
 def _topics(log: Log) -> list[str]:
-    return sorted({name.split(".")[0] for name in log.series})[:15]
+    return sorted({name.split(".")[0] for name in log.series})
 
 
 def _columns(log: Log, chosen: Map, time: Array) -> tuple[dict[str, Array], dict[str, Source], list[Note | str]]:
@@ -175,7 +182,7 @@ def _columns(log: Log, chosen: Map, time: Array) -> tuple[dict[str, Array], dict
             continue
         columns[name] = _value(log, source, name, time)
         used[name] = source
-    notes: list[Note | str] = [f"not in the file, so not measured: {', '.join(absent)}"] if absent else []
+    notes: list[Note | str] = [f"not in the file, so not measured: {listed(absent, 60)}"] if absent else []
     taken = {t.column for s in used.values() for t in s.parts} | {chosen.segment or RECORD, RECORD}
     if log.common:
         left = {n: _plain_name(n, set(columns)) for n in log.series if n not in taken}
@@ -188,17 +195,20 @@ def _columns(log: Log, chosen: Map, time: Array) -> tuple[dict[str, Array], dict
         if left:
             notes.append(unknown_columns({to: n for n, to in left.items()}))
         if log.text_columns:
-            notes.append(f"columns that are not numbers, left out: {', '.join(log.text_columns)}")
+            notes.append(f"columns that are not numbers, left out: {listed(log.text_columns)}")
     return columns, used, notes
 
 
 def _plain_name(name: str, taken: set[str]) -> str:
     """A column name of letters, digits and underscores, as the flight format needs it; not one that is taken."""
     ascii_name = unicodedata.normalize("NFKD", name).encode("ascii", "ignore").decode()
-    plain = re.sub(r"\W+", "_", ascii_name).strip("_") or "column"
+    plain = re.sub(r"\W+", "_", ascii_name[:LONGEST_NAME]).strip("_") or "column"
     plain = f"_{plain}" if plain[0].isdigit() else plain
-    while plain in taken or plain in ("time", "segment") or (plain != name and plain in COLUMN_BY_NAME):
+    if plain in ("time", "segment") or (plain != name and plain in COLUMN_BY_NAME):
         plain += "_other"
+    first, number = plain, 1
+    while plain in taken:
+        plain, number = f"{first}_{number}", number + 1
     taken.add(plain)
     return plain
 

@@ -13,6 +13,12 @@ Array = NDArray[np.float64]
 LONGEST_GRID = 4_000_000
 """Most samples of a common time base: eleven hours at 100 Hz."""
 
+SHORT_GRID = 100_000
+"""Samples of a common time base that cost nothing, however empty: half an hour at 50 Hz."""
+
+EMPTIEST = 10
+"""Times as many samples in a common time base as were recorded: more come from damaged stamps, not from pauses."""
+
 LONGEST_STEP = 3.5
 """A step longer than this many median intervals of a series is a gap in it: nothing is interpolated across."""
 
@@ -42,7 +48,8 @@ class Log:
 
 def credible(series: Mapping[str, Series]) -> tuple[dict[str, Series], int]:
     """The series without samples whose time is far from all others (damaged stamps), and how many were left out."""
-    times = np.concatenate([s.time for s in series.values()]) if series else np.zeros(0)
+    clocks = {id(s.time): s.time for s in series.values()}  # fields of one message share their time
+    times = np.concatenate(list(clocks.values())) if clocks else np.zeros(0)
     times = times[np.isfinite(times)]
     if not times.size:
         return dict(series), 0
@@ -58,11 +65,24 @@ def credible(series: Mapping[str, Series]) -> tuple[dict[str, Series], int]:
 
 def grid(series: Mapping[str, Series], rate_hz: float) -> Array:
     """Even time base from the earliest start to the latest end. Raises ImportDataError when that is too long."""
-    start = min(float(np.min(s.time)) for s in series.values())
-    stop = max(float(np.max(s.time)) for s in series.values())
+    if not rate_hz > 0:
+        raise ImportDataError(
+            "all samples have one and the same time; name another time column, or the rate: [time] rate_hz = 50"
+        )
+    start = min(float(np.min(s.time, initial=np.inf, where=np.isfinite(s.time))) for s in series.values())
+    stop = max(float(np.max(s.time, initial=-np.inf, where=np.isfinite(s.time))) for s in series.values())
+    if not start <= stop:
+        raise ImportDataError("no sample has a time; name another time column")
     if (stop - start) * rate_hz > LONGEST_GRID:
         raise ImportDataError(
             f"{stop - start:.4g} s at {rate_hz:g} Hz are more than {LONGEST_GRID} samples; check the time unit or lower --rate"
+        )
+    recorded = max(s.time.size for s in series.values())
+    expected = (stop - start) * min(rate_hz, max(native_rate(s) for s in series.values()) or rate_hz)
+    if expected > max(EMPTIEST * recorded, SHORT_GRID):
+        raise ImportDataError(
+            f"{recorded} samples spread over {stop - start:.4g} s: most of that time is empty, so the time is damaged or of "
+            "another unit"
         )
     return start + np.arange(int(np.floor((stop - start) * rate_hz + 1e-9)) + 1) / rate_hz
 
@@ -70,7 +90,7 @@ def grid(series: Mapping[str, Series], rate_hz: float) -> Array:
 def native_rate(series: Series) -> float:
     """Median rate of a series [Hz]; 0 for fewer than two samples."""
     steps = np.diff(series.time)
-    steps = steps[steps > 0]
+    steps = steps[steps > 1e-9]  # stamps are of a microsecond at best: what is closer is the same instant
     return float(1 / np.median(steps)) if steps.size else 0.0
 
 
@@ -82,10 +102,10 @@ def resample(series: Series, time: Array, *, hold: bool = False) -> Array:
     """
     good = np.isfinite(series.values) & np.isfinite(series.time)
     t, y = series.time[good], series.values[good]
-    if t.size < 2:
-        return np.full_like(time, np.nan)
     t, first = np.unique(t, return_index=True)
     y = y[first]
+    if t.size < 2:
+        return np.full_like(time, np.nan)
     interval = float(np.median(np.diff(t)))
     step = float(np.median(np.diff(time))) if time.size > 1 else interval
     before = np.clip(np.searchsorted(t, time, side="right") - 1, 0, t.size - 2)

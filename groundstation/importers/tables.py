@@ -2,8 +2,10 @@
 
 import codecs
 import csv
+import itertools
 import re
-from collections.abc import Container
+from collections import Counter
+from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
@@ -12,6 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.contract.channels import COLUMN_BY_NAME
+from daq.contract.input_files import read_bytes
+from daq.contract.plain_words import listed, one_line, plain_name
+from groundstation.flight.parquet_columns import MOST_COLUMNS, read_parquet
 from groundstation.importers.errors import ImportDataError
 from groundstation.importers.mapping import FileFormat, Map, Source, Time
 from groundstation.importers.series import Log, Series
@@ -30,73 +35,159 @@ _DECIMAL_POINT = re.compile(r"^\s*[-+]?\d*\.\d+(e[-+]?\d+)?\s*$", re.IGNORECASE)
 _HEADER_UNIT = re.compile(r"^\s*(?P<name>[^\[\](]+?)\s*[\[(]\s*(?P<unit>[^\])]*)\s*[\])]\s*$")
 
 
+_CELLS_AT_ONCE = 400_000  # turned into numbers together: 30 MB as text
+
+
+_TIME_NAMES = ("time", "t", "Time", "TIME", "time_s")
+
+
+def _bare(header: str) -> str:
+    """The name in a header, without the unit in brackets."""
+    match = _HEADER_UNIT.match(header)
+    return match["name"] if match else header
+
+
 @dataclass(frozen=True)
 class Table:
-    """A table as read: columns of numbers (N,) and of words by header, units of a row below the header, and notes."""
+    """A table as read: columns of numbers (N,), of dates (N,) [s] after the first and of words by header, units of a row below
+    the header, and notes. Cells of words are kept only of a column that can be the time."""
 
     numeric: dict[str, Array]
     words: dict[str, list[str]]
+    dates: dict[str, Array] = field(default_factory=dict)
     units: dict[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
 
-def read_table(path: Path, layout: FileFormat) -> Table:
-    """A CSV or Parquet table. Raises ImportDataError."""
-    return _read_parquet(path) if path.suffix.lower() == ".parquet" else _read_csv(path, layout)
+def read_table(path: Path, layout: FileFormat, time: Time | None = None) -> Table:
+    """A CSV or Parquet table. time: where it is, as far as that is stated. Raises ImportDataError."""
+
+    def can_be_time(name: str) -> bool:
+        return name == time.column if time else _bare(name) in _TIME_NAMES
+
+    if path.suffix.lower() != ".parquet":
+        try:
+            return _read_csv(path, layout, can_be_time, needs_time=time is None or time.column is not None)
+        except csv.Error as error:
+            raise ImportDataError(f"{path}: not a readable table ({error}); is it a CSV?") from error
+    found = read_parquet(path, ImportDataError, can_be_time)
+    numeric = {name: np.where(np.isinf(values), np.nan, values) for name, values in found.numeric.items()}
+    return Table(numeric, found.words, found.dates)
 
 
-def _read_csv(path: Path, layout: FileFormat) -> Table:
-    lines = [line for line in _text(path).splitlines() if line.strip() and not line.lstrip().startswith("#")]
-    above = _lines_above_header(lines, layout) if layout.header_line is None else layout.header_line - 1
-    lines = lines[above:]
-    if len(lines) < 2:
+def _read_csv(path: Path, layout: FileFormat, can_be_time: Callable[[str], bool], needs_time: bool) -> Table:
+    text = _text(path).replace("\r\n", "\n").replace("\r", "\n")
+    first_lines = list(itertools.islice(_lines(text), _LONGEST_PREAMBLE + _ALIKE))
+    above = layout.header_line - 1 if layout.header_line else _lines_above_header(first_lines, _last_line(text), layout)
+    lines = itertools.islice(_lines(text), above, None)
+    top = next(lines, None)
+    if top is None:
         raise ImportDataError(f"{path}: no table with a header line and rows in it")
-    delimiter = layout.delimiter or _delimiter(lines[0])
-    rows = _cells(lines, delimiter)
-    if layout.names:
-        rows.insert(0, list(layout.names))
-    header = [h.strip() for h in rows[0]]
+    delimiter = layout.delimiter or _delimiter(top)
+    rows = _cells(itertools.chain([top], lines), delimiter)
+    header = [h.strip() for h in (list(layout.names) or next(rows))]
     _check_header(path, header)
-    body = rows[1 + layout.skip_after_header :]
-    units = _unit_row(header, body[0]) if body else {}
-    if units:
-        body = body[1:]
+    if needs_time and not any(map(can_be_time, header)):
+        raise ImportDataError(
+            f"{path}: no column 'time', or the one named for it; found {listed(header, 12)}; "
+            "name the time column in a mapping file (--map), or the rate where there is none: [time] rate_hz = 50"
+        )
+    start = list(itertools.islice(rows, layout.skip_after_header, layout.skip_after_header + 50))
+    if not start:
+        raise ImportDataError(f"{path}: no table with a header line and rows in it")
+    units = _unit_row(header, start[0])
+    body = itertools.chain(start[1:] if units else start, rows)
     first = above + 2 + layout.skip_after_header + bool(units)
-    for number, row in enumerate(body, start=first):
-        if len(row) != len(header):
-            raise ImportDataError(
-                f"{path}: table line {number} has {len(row)} cells, the header has {len(header)}; if the column names stand "
-                "further down, say in which line in a mapping file: [file] header_line"
-            )
-    decimal = layout.decimal or _decimal(delimiter, body)
-    numeric: dict[str, Array] = {}
-    words: dict[str, list[str]] = {}
-    notes = [f"{above} lines above the column names passed over"] if above and layout.header_line is None else []
-    for i, name in enumerate(header):
-        if not name:
-            continue
-        cells = [row[i].strip() for row in body]
-        values, wrong = _numbers(cells, decimal)
-        if len(wrong) > WORDS_AMONG_NUMBERS * len(cells):
-            words[name] = cells
-            continue
-        numeric[name] = values
-        if wrong:
-            notes.append(
-                f"column {name}: {len(wrong)} cells that are no numbers (the first {cells[wrong[0]]!r} in table line "
-                f"{first + wrong[0]}) taken as not measured"
-            )
-    return Table(numeric, words, units, tuple(notes))
+    columns = _Columns(header, layout.decimal or _decimal(delimiter, start), first, can_be_time)
+    columns.take(path, body)
+    passed_over = (f"{above} lines above the column names passed over",) if above and not layout.header_line else ()
+    return columns.table(units, passed_over)
 
 
-def _lines_above_header(lines: list[str], layout: FileFormat) -> int:
+class _Columns:
+    """Cells turned into numbers, some hundred thousand at a time."""
+
+    def __init__(self, header: list[str], decimal: str, first: int, can_be_time: Callable[[str], bool]) -> None:
+        self._header, self._decimal, self._row = header, decimal, first
+        self._values: list[list[Array]] = [[] for _ in header]
+        self._wrong = [0] * len(header)
+        self._example: list[tuple[str, int] | None] = [None] * len(header)
+        self._words: dict[int, list[str]] = {i: [] for i, name in enumerate(header) if can_be_time(name)}
+        self._first = first
+
+    def take(self, path: Path, rows: Iterator[list[str]]) -> None:
+        """Use all rows. Raises ImportDataError naming the line that has not as many cells as the header."""
+        width = len(self._header)
+        at_once = max(1, _CELLS_AT_ONCE // width)
+        while block := list(itertools.islice(rows, at_once)):
+            if set(map(len, block)) != {width}:
+                uneven = next(i for i, row in enumerate(block) if len(row) != width)
+                raise ImportDataError(
+                    f"{path}: table line {self._row + uneven} has {len(block[uneven])} cells, the header has {width}; if the "
+                    "column names stand further down, say in which line in a mapping file: [file] header_line"
+                )
+            for i, cells in enumerate(zip(*block, strict=True)):
+                self._take_column(i, cells)
+            self._row += len(block)
+
+    def _take_column(self, i: int, cells: Sequence[str]) -> None:
+        values, wrong = _numbers(cells, self._decimal)
+        self._values[i].append(values)
+        self._wrong[i] += len(wrong)
+        if wrong and self._example[i] is None:
+            self._example[i] = (cells[wrong[0]].strip(), self._row + wrong[0])
+        if i in self._words:
+            self._words[i] += [cell.strip() for cell in cells]
+
+    def table(self, units: dict[str, str], notes: tuple[str, ...]) -> Table:
+        """What was read."""
+        numeric: dict[str, Array] = {}
+        words: dict[str, list[str]] = {}
+        said = list(notes)
+        for i, name in enumerate(self._header):
+            if not name:
+                continue
+            example = self._example[i]
+            if self._wrong[i] > WORDS_AMONG_NUMBERS * (self._row - self._first):
+                words[name] = self._words.get(i, [])
+                continue
+            numeric[name] = np.concatenate(self._values[i]) if self._values[i] else np.zeros(0)
+            if example is not None:
+                said.append(
+                    f"column {plain_name(name)}: {self._wrong[i]} cells that are no numbers (the first "
+                    f"{one_line(example[0], 60)!r} in table line {example[1]}) taken as not measured"
+                )
+        return Table(numeric, words, units=units, notes=tuple(said))
+
+
+_LINE = re.compile(r"^[^\S\n]*[^\s#][^\n]*", re.MULTILINE)
+
+
+def _lines(text: str) -> Iterator[str]:
+    """Lines with something in them that are no remarks."""
+    return (line[0] for line in _LINE.finditer(text))
+
+
+def _last_line(text: str) -> str:
+    """The last such line, looked for from the end."""
+    end = len(text)
+    while end > 0:
+        start = text.rfind("\n", 0, end) + 1
+        line = text[start:end]
+        if line.strip() and not line.lstrip().startswith("#"):
+            return line
+        end = start - 1
+    return ""
+
+
+def _lines_above_header(lines: list[str], last: str, layout: FileFormat) -> int:
     """How many lines stand above the column names: the first line of words only that has as many cells as the lines below and
     the last one, among which are numbers. 0 where there is none."""
     if layout.names:
         return 0
     for i in range(min(len(lines) - _ALIKE, _LONGEST_PREAMBLE)):
         delimiter = layout.delimiter or _delimiter(lines[i])
-        names, *rows = _cells([*lines[i : i + 1 + _ALIKE], lines[-1]], delimiter)
+        names, *rows = list(_cells([*lines[i : i + 1 + _ALIKE], last], delimiter)) or [[]]
         if any(len(row) != len(names) for row in rows) or len(names) < 2 or all(find_unit(name) for name in names):
             continue
         decimal = layout.decimal or _decimal(delimiter, rows)
@@ -106,16 +197,13 @@ def _lines_above_header(lines: list[str], layout: FileFormat) -> int:
     return 0
 
 
-def _cells(lines: list[str], delimiter: str) -> list[list[str]]:
-    return [line.split() for line in lines] if delimiter == " " else list(csv.reader(lines, delimiter=delimiter))
+def _cells(lines: Iterable[str], delimiter: str) -> Iterator[list[str]]:
+    return (line.split() for line in lines) if delimiter == " " else csv.reader(lines, delimiter=delimiter)
 
 
 def _text(path: Path) -> str:
     """The file as text: UTF-8 or UTF-16 with or without a mark, else Latin-1."""
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise ImportDataError(f"{path}: cannot be read ({error.strerror or error})") from error
+    data = read_bytes(path, error=ImportDataError)
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return data.decode("utf-16", "replace")
     try:
@@ -128,14 +216,18 @@ def _text(path: Path) -> str:
 
 
 def _check_header(path: Path, header: list[str]) -> None:
+    if not any(header) or len(header) > MOST_COLUMNS:
+        raise ImportDataError(
+            f"{path}: {sum(map(bool, header))} column names of {len(header)}; 1 to {MOST_COLUMNS} can be read"
+        )
     if all(h and not _numbers([h], ".")[1] for h in header):
         raise ImportDataError(
             f"{path}: the first line holds numbers, not column names; add a line of names above it (time,ax,ay,...) "
             "or give them in a mapping file: [file] names = [...]"
         )
-    twice = sorted({h for h in header if h and header.count(h) > 1})
+    twice = sorted(name for name, count in Counter(header).items() if name and count > 1)
     if twice:
-        raise ImportDataError(f"{path}: column {twice[0]!r} appears twice in the header")
+        raise ImportDataError(f"{path}: column {plain_name(twice[0])!r} appears twice in the header")
 
 
 def _delimiter(line: str) -> str:
@@ -166,7 +258,7 @@ def _unit_row(header: list[str], row: list[str]) -> dict[str, str]:
 _EMPTY = {"", "nan", "na", "n/a", "null", "none", "-", "--"}
 
 
-def _numbers(cells: list[str], decimal: str) -> tuple[Array, list[int]]:
+def _numbers(cells: Sequence[str], decimal: str) -> tuple[Array, list[int]]:
     """Values, NaN where empty, infinite or no number; and the rows of the cells that are no numbers."""
     if decimal == ",":
         cells = [c.replace(",", ".") for c in cells]
@@ -175,38 +267,28 @@ def _numbers(cells: list[str], decimal: str) -> tuple[Array, list[int]]:
         values = np.array(cells, float)
     except ValueError:
         values = np.full(len(cells), np.nan)
+        known: dict[str, float | None] = {}  # the same words stand in a column again and again
         for i, cell in enumerate(cells):
-            if cell.lower() not in _EMPTY:
-                try:
-                    values[i] = float(cell)
-                except ValueError:
-                    wrong.append(i)
+            value = known[cell] if cell in known else known.setdefault(cell, _number(cell))
+            if value is None:
+                wrong.append(i)
+            else:
+                values[i] = value
     values[np.isinf(values)] = np.nan
     return values, wrong
 
 
-def _read_parquet(path: Path) -> Table:
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
+def _number(cell: str) -> float | None:
+    """The value of a cell, NaN when it is empty, None when it is no number."""
+    word = cell.strip().lower()
+    if word in _EMPTY:
+        return np.nan
+    if word[0].isalpha() and word[0] not in "in":  # inf and nan: asked here, for an exception takes ten times as long
+        return None
     try:
-        table = pq.read_table(path)
-    except (pa.ArrowException, OSError) as error:
-        raise ImportDataError(f"{path}: not a readable Parquet file ({error})") from error
-    numeric: dict[str, Array] = {}
-    words: dict[str, list[str]] = {}
-    for name in table.column_names:
-        column = table[name]
-        if pa.types.is_timestamp(column.type):
-            # as ISO text, so that a mapping can name it with unit 'iso'
-            words[name] = [value.isoformat() if value is not None else "" for value in column.to_pylist()]
-            continue
-        try:
-            values = np.array(column.cast(pa.float64()).to_numpy(zero_copy_only=False), float)
-            numeric[name] = np.where(np.isinf(values), np.nan, values)
-        except pa.ArrowException:
-            words[name] = [str(value) for value in column.to_pylist()]
-    return Table(numeric, words)
+        return float(word)
+    except ValueError:
+        return None
 
 
 def header_map(table: Table, given: Container[str] = ()) -> tuple[Map, tuple[str, ...]]:
@@ -219,10 +301,10 @@ def header_map(table: Table, given: Container[str] = ()) -> tuple[Map, tuple[str
     time = None
     segment = None
     notes = []
-    for name in [*table.numeric, *table.words]:
+    for name in [*table.numeric, *table.words, *table.dates]:
         match = _HEADER_UNIT.match(name)
         bare, unit = (match["name"], match["unit"]) if match else (name, table.units.get(name, ""))
-        if bare == "time" or (time is None and bare in ("t", "Time", "TIME", "time_s")):
+        if bare == "time" or (time is None and bare in _TIME_NAMES):
             time = Time(column=name, unit=unit or "s")
         elif bare == "segment":
             segment = name
@@ -232,7 +314,9 @@ def header_map(table: Table, given: Container[str] = ()) -> tuple[Map, tuple[str
             if unit and known:
                 conversion(unit, bare, si)
             elif unit:
-                notes.append(f"header {name!r}: {unit!r} is not a unit known here; taken as {si or 'it stands'}")
+                notes.append(
+                    f"header {plain_name(name)!r}: {plain_name(unit)!r} is not a unit known here; taken as {si or 'it stands'}"
+                )
             columns[bare] = (Source(column=name, unit=unit if unit and known else si),)
     return Map(format=1, time=time, segment=segment, columns=columns), tuple(notes)
 
@@ -241,15 +325,18 @@ def table_log(path: Path, table: Table, time: Time | None) -> Log:
     """The table as series over its time column [s]. Raises ImportDataError when there is none."""
     if time is None:
         raise ImportDataError(
-            f"{path}: no column 'time'; found {', '.join([*table.numeric, *table.words][:12])}; "
+            f"{path}: no column 'time'; found {listed([*table.numeric, *table.words, *table.dates], 12)}; "
             "name the time column in a mapping file (--map), or the rate where there is none: [time] rate_hz = 50"
         )
-    seconds = _seconds(path, table.numeric, table.words, time)
+    if time.column in table.dates and time.unit == "iso":
+        seconds = table.dates[time.column] + time.offset
+    else:
+        seconds = _seconds(path, table.numeric, {**table.words, **{name: [] for name in table.dates}}, time)
     numeric = dict(table.numeric)
     if time.restarts:
         seconds, numeric[RECORD] = _in_a_row(path, seconds)
     series = {name: Series(seconds, values) for name, values in numeric.items() if name != time.column}
-    text_columns = tuple(w for w in table.words if w != time.column)
+    text_columns = tuple(w for w in (*table.words, *table.dates) if w != time.column)
     return Log("table", series, common=True, notes=table.notes, text_columns=text_columns)
 
 
@@ -273,20 +360,20 @@ def _seconds(path: Path, numeric: dict[str, Array], words: dict[str, list[str]],
         rows = len(next(iter(numeric.values()), np.zeros(0)))
         return np.arange(rows) / float(time.rate_hz or 1.0) + time.offset
     if time.column not in numeric and time.column not in words:
-        raise ImportDataError(
-            f"{path}: no column {time.column!r} for the time; found {', '.join([*numeric, *words][:12])}"
-        )
+        raise ImportDataError(f"{path}: no column {time.column!r} for the time; found {listed([*numeric, *words], 12)}")
     if time.unit == "iso":
         return _dates(path, words, time) + time.offset
     if time.column in words:
         bad = next((w for w in words[time.column] if _numbers([w], ".")[1]), "")
         raise ImportDataError(
-            f'{path}: time column {time.column!r} holds {bad!r}, not a number; dates need unit = "iso"'
+            f'{path}: time column {time.column!r} holds {one_line(bad, 60)!r}, not a number; dates need unit = "iso"'
         )
     unit = find_unit(time.unit)
     if unit is None or unit.si != "s":
         raise ImportDataError(f"{path}: time unit {time.unit!r} is not known; s, ms, us, ns, min, h or iso")
     values = numeric[time.column]
+    if not np.isfinite(values).any():
+        raise ImportDataError(f"{path}: time column {time.column!r} holds no number")
     # large integer stamps (us since 1970) lose digits as seconds in double precision: count from the first
     first = np.nanmin(values) if unit.scale < 1 and np.nanmin(values) * unit.scale > 1e6 else 0.0
     return np.asarray((values - first) * unit.scale + time.offset)
@@ -299,7 +386,7 @@ def _dates(path: Path, words: dict[str, list[str]], time: Time) -> Array:
             stamps.append(datetime.fromisoformat(cell))
         except ValueError:
             raise ImportDataError(
-                f"{path}: time column {time.column!r}: {cell!r} is not a date like 2026-11-21T03:15:00.25"
+                f"{path}: time column {time.column!r}: {one_line(cell, 60)!r} is not a date like 2026-11-21T03:15:00.25"
             ) from None
     if not stamps:
         raise ImportDataError(

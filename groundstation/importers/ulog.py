@@ -9,35 +9,37 @@ from pathlib import Path
 
 import numpy as np
 
+from daq.contract.input_files import read_bytes
+from daq.contract.plain_words import LONGEST_NAME, one_line
 from groundstation.importers.attitude import euler_from_quaternion
 from groundstation.importers.errors import ImportDataError
 from groundstation.importers.series import Log, Series
+from groundstation.importers.ulog_scan import MAGIC, sound_messages
 
 _DAMAGE = (KeyError, IndexError, ValueError, TypeError, OSError, AttributeError)
 """What pyulog raises on bytes that are not what was written."""
-
-_MAGIC = b"ULog\x01\x12\x35"
 
 
 def read_ulog(path: Path) -> Log:
     """All numeric fields of all topics. Raises ImportDataError when the file is not a ULog or has no data."""
     try:
         from pyulog import ULog
-        from pyulog.exceptions import ULogIncompatibleFlagException
+        from pyulog.exceptions import ULogException, ULogIncompatibleFlagException
     except ModuleNotFoundError:
         raise ImportDataError(
             f"{path}: reading ULog needs the package pyulog; pip install 'sideslip[ground]'"
         ) from None
 
-    with path.open("rb") as handle:
-        if handle.read(len(_MAGIC)) != _MAGIC:
-            raise ImportDataError(f"{path}: not a ULog file (its first bytes are not 'ULog')")
+    data = read_bytes(path, error=ImportDataError)
+    if not data.startswith(MAGIC):
+        raise ImportDataError(f"{path}: not a ULog file (its first bytes are not 'ULog')")
+    sound = sound_messages(data)
     said = io.StringIO()
     try:
         # pyulog prints about damage; it is told in the notes instead
-        with contextlib.redirect_stdout(said), path.open("rb") as handle:
-            log = ULog(handle)
-    except (*_DAMAGE, ULogIncompatibleFlagException) as error:
+        with contextlib.redirect_stdout(said):
+            log = ULog(io.BytesIO(sound.stream))
+    except (*_DAMAGE, ULogException, ULogIncompatibleFlagException) as error:
         raise ImportDataError(f"{path}: damaged ULog ({type(error).__name__}: {error})") from error
     series: dict[str, Series] = {}
     for topic in log.data_list:
@@ -58,10 +60,10 @@ def read_ulog(path: Path) -> Log:
     if not series:
         raise ImportDataError(f"{path}: no data in this ULog")
     notes = []
-    if log.file_corruption or said.getvalue().strip():
-        notes.append("the ULog is damaged in places; what could be read is used")
-    lost = sum(d.duration for d in log.dropouts)
-    if log.dropouts:
-        notes.append(f"the logger of this ULog reports {len(log.dropouts)} dropouts, together {lost / 1000:.3g} s")
-    system = str(log.msg_info_dict.get("ver_sw", ""))
+    if sound.skipped or log.file_corruption or said.getvalue().strip():
+        notes.append(f"the ULog is damaged in places ({sound.skipped} bytes); what could be read is used")
+    if sound.dropouts:
+        lost = sound.dropped_ms / 1000
+        notes.append(f"the logger of this ULog reports {sound.dropouts} dropouts, together {lost:.3g} s")
+    system = one_line(str(log.msg_info_dict.get("ver_sw", "")), LONGEST_NAME)
     return Log("ulog", series, notes=tuple(notes), detail={"firmware": system} if system else {})

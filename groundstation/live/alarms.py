@@ -18,7 +18,7 @@ Level = Literal["WARN", "ERROR", "CRITICAL"]
 class Limit(BaseModel):
     """One limit from the configuration, in the column's own SI unit."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     channel: str
     low: float | None = None

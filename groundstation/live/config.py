@@ -1,12 +1,12 @@
 """Configuration of the ground station: one TOML file, checked, with mistakes named by key."""
 
-import tomllib
 from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from daq.contract.errors import UserError
+from daq.contract.input_files import read_toml
 from groundstation.live.alarms import Limit
 from groundstation.live.flight_phase import LandingLimits
 from groundstation.receiver.link_config import LinkConfig
@@ -17,7 +17,7 @@ class GroundConfigError(UserError):
 
 
 class _Table(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 class OutputConfig(_Table):
@@ -78,14 +78,7 @@ class GroundConfig(_Table):
 
 def load_ground_config(path: Path) -> GroundConfig:
     """Read a configuration. Raises GroundConfigError naming file and key."""
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise GroundConfigError(f"{path}: no such configuration file") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise GroundConfigError(f"{path}: cannot be read ({error})") from error
-    except tomllib.TOMLDecodeError as error:
-        raise GroundConfigError(f"{path}: not valid TOML: {error}") from error
+    table = read_toml(path, "configuration file", GroundConfigError)
     try:
         return GroundConfig.model_validate(table)
     except ValidationError as error:

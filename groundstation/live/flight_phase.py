@@ -23,7 +23,7 @@ class Phase(StrEnum):
 class LandingLimits(BaseModel):
     """When a flight has begun and ended."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     flying_speed: PositiveFloat = 9.0  # m/s
     flying_s: PositiveFloat = 2.0

@@ -13,7 +13,7 @@ class LinkConfig(BaseModel):
     bandwidth, `all` fetches every scan in full (at the end of a flight), `off` asks for nothing.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     ports: tuple[str, ...] = ("udpin:14550",)
     systems: tuple[Annotated[int, Field(ge=1, le=254)], ...] = ()

@@ -13,6 +13,7 @@ from typing import IO, Any
 
 from daq.contract.channels import CHANNELS
 from daq.contract.errors import UserError
+from daq.contract.input_files import read_bytes
 from daq.contract.link.wire import layouts
 from daq.transport.mavlink_codec import Frame, FrameDecoder, FrameEncoder, Junk, frame_at
 from groundstation.receiver.decode import AircraftDecoder
@@ -79,10 +80,7 @@ def read_tlog(path: str | Path) -> Iterator[tuple[int, bytes]]:
     Raises TlogError when the file cannot be read or holds no record at all.
     """
     path = Path(path)
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise TlogError(f"{path}: telemetry log cannot be read ({error.strerror})") from error
+    data = read_bytes(path, "telemetry log", TlogError)
     at, found = 0, 0
     while (record := _RECORD.search(data, at)) is not None:
         at = record.start()

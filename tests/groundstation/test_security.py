@@ -191,7 +191,7 @@ def key_file(tmp_path: Path, data: bytes = KEY) -> Path:
 
 @pytest.mark.parametrize("data", [bytes(32), b"0" * 64, b"0" * 64 + b"\n"], ids=["bytes", "digits", "a line of digits"])
 def test_a_key_of_zeros_is_no_secret(tmp_path: Path, data: bytes) -> None:
-    with pytest.raises(SigningError, match="nothing but zeros"):
+    with pytest.raises(SigningError, match="is the same"):
         load_key(key_file(tmp_path, data))
 
 

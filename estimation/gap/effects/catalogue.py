@@ -6,11 +6,11 @@ executed), or a Python file with a tuple `EFFECTS`; or installs it under the ent
 
 import importlib.metadata
 import importlib.util
-import tomllib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+from daq.contract.input_files import read_toml
 from estimation.errors import ModelError
 from estimation.gap.effects.aerodynamic import DERIVATIVES, NONLINEAR, UNSTEADY
 from estimation.gap.effects.base import Effect, EffectParameter, Form, Group
@@ -70,16 +70,13 @@ def _checked(found: Any, where: str) -> tuple[Effect, ...]:
 
 
 def _from_toml(path: Path) -> tuple[Effect, ...]:
-    try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise EffectError(f"effects {path}: not a TOML file: {error}") from error
+    data = read_toml(path, "file", EffectError)
     tables = data.get("effect")
     if not isinstance(tables, list) or not tables:
         raise EffectError(f"effects {path}: write each effect as a table [[effect]]")
     try:
         return tuple(_effect(table) for table in tables)
-    except (TypeError, ValueError, KeyError, ModelError) as error:
+    except (TypeError, ValueError, KeyError, AttributeError, ModelError) as error:
         raise EffectError(f"effects {path}: {error}") from error
 
 

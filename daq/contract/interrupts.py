@@ -1,0 +1,71 @@
+"""Ctrl-C of a command: one line, exit status 130, files closed, whenever it comes.
+
+Python's own way, a KeyboardInterrupt between any two instructions, fails at three moments. While the program is still
+importing it ends in a traceback; within an import of a library with compiled parts it becomes an ImportError of that library;
+and where it meets a callback or a finaliser it is printed and lost. So: before work has begun the process ends at once,
+for nothing is open yet; during an import the interrupt waits for the end of that import; and a lost one is raised again.
+"""
+
+import os
+import signal
+import sys
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+STATUS = 130  # 128 + SIGINT, as shells have it
+SAID = b"\nsideslip: interrupted; files are closed\n"
+_AGAIN_S = 0.02  # an interrupt that had to wait is tried again this often
+
+
+def started_as_command(program: str) -> bool:
+    """Whether this process is the command, not one that imports it, and was not told by a shell to ignore Ctrl-C (a job in the
+    background is)."""
+    if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        return False
+    started = Path(sys.argv[0] if sys.argv else "")
+    as_module = started.name == "__main__.py" and started.parent.name == program  # python -m
+    return as_module or started.name in (program, f"{program}.exe")
+
+
+class Interrupts:
+    """What SIGINT does, from the first line of a command to its last. SIGALRM and the real-time timer serve for waiting."""
+
+    def __init__(self) -> None:
+        self.seen = False
+
+    def leave_at_once(self) -> None:
+        """From here on nothing is open: an interrupt ends the process."""
+        signal.signal(signal.SIGINT, self._leave)
+
+    def raise_in_work(self) -> None:
+        """From here on an interrupt is a KeyboardInterrupt, so that files are closed on its way up."""
+        signal.signal(signal.SIGALRM, self._interrupt)
+        sys.unraisablehook = self._lost
+        signal.signal(signal.SIGINT, self._interrupt)
+
+    def _leave(self, number: int, frame: FrameType | None) -> None:
+        os.write(2, SAID)
+        os._exit(STATUS)
+
+    def _interrupt(self, number: int, frame: FrameType | None) -> None:
+        self.seen = True
+        if _importing(frame):
+            signal.setitimer(signal.ITIMER_REAL, _AGAIN_S)
+            return
+        raise KeyboardInterrupt
+
+    def _lost(self, what: Any) -> None:
+        """In place of printing an exception that nobody can catch."""
+        if issubclass(what.exc_type, KeyboardInterrupt):
+            signal.setitimer(signal.ITIMER_REAL, _AGAIN_S)
+        else:
+            sys.__unraisablehook__(what)
+
+
+def _importing(frame: FrameType | None) -> bool:
+    while frame is not None:
+        if frame.f_code.co_filename.startswith("<frozen importlib"):
+            return True
+        frame = frame.f_back
+    return False

@@ -1,0 +1,74 @@
+"""Words of strangers made fit to be shown: a name may hold a line end, an escape code of a terminal or a mark that turns
+the direction of reading, and then says something else than it is. Such characters are shown by their number instead."""
+
+import unicodedata
+from collections.abc import Iterable
+from typing import Any, TextIO
+
+LONGEST_NAME = 120
+"""Characters of a name that are shown."""
+_LONGEST_BYTES = 200  # a file system allows 255 in a file name, of which 55 are left to what is appended
+
+_KEPT = frozenset("\n\t")
+
+
+def visible(text: str) -> str:
+    """The text with control and format characters (other than line end and tab) and lone surrogates as `\\u202e`.
+
+    Format characters are those of the direction of reading, of zero width and of hyphenation: Unicode categories Cc, Cf, Cs,
+    and the line and paragraph separators.
+    """
+    if text.isascii() and text.isprintable():
+        return text
+    return "".join(_shown(c) if c not in _KEPT else c for c in text)
+
+
+def one_line(text: str, longest: int = 2000) -> str:
+    """`visible`, line ends and tabs as blanks, and no longer than `longest` characters."""
+    flat = " ".join(visible(text[: 4 * longest]).split())
+    return flat if len(flat) <= longest and len(text) <= 4 * longest else f"{flat[: longest - 3]}..."
+
+
+def plain_name(text: str) -> str:
+    """The name of a flight, an aircraft, a model or a column as it is shown on pages and used in file names."""
+    return one_line(text, LONGEST_NAME).encode()[:_LONGEST_BYTES].decode("utf-8", "ignore")
+
+
+def file_name(text: str) -> str:
+    """`plain_name` that stays within a folder: no slash, and not only dots."""
+    name = plain_name(text).replace("/", "_")
+    return name if name.strip(".") else "unnamed"
+
+
+class VisibleStream:
+    """A stream of text that shows what would control the terminal it goes to; a carriage return, of progress bars, passes."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def write(self, text: str) -> int:
+        """Write the text with `visible`."""
+        parts = text.split("\r") if "\r" in text else [text]
+        self._stream.write("\r".join(visible(part) for part in parts))
+        return len(text)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+
+def printed(value: object) -> object:
+    """What a page prints, in the type it has: text by `visible`, everything else as it is."""
+    return type(value)(visible(value)) if isinstance(value, str) else value
+
+
+def listed(names: Iterable[str], most: int = 30) -> str:
+    """Names one after the other, the first `most` and how many more there are."""
+    shown = [plain_name(name) for name in names]
+    more = [f"and {len(shown) - most} more"] if len(shown) > most else []
+    return ", ".join(shown[:most] + more)
+
+
+def _shown(character: str) -> str:
+    if unicodedata.category(character) not in ("Cc", "Cf", "Cs", "Zl", "Zp"):
+        return character
+    return f"\\u{ord(character):04x}" if ord(character) < 0x10000 else f"\\U{ord(character):08x}"

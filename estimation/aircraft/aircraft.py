@@ -1,0 +1,124 @@
+"""The aircraft as data: geometry, mass, sensor positions and what is believed of its derivatives before flying.
+
+Light on purpose (no numerical library): the simulator reads geometry, mass, servos and engine from here, the estimators
+their constants, starting values and the columns printed beside their results. Aircraft live in TOML files
+(docs/aircraft.md); the built-in ones are beside this module.
+
+SI and radians; body axes x forward, y right, z down, origin at the CG. Derivatives are per radian, rates
+non-dimensional as p b / 2V, q c / 2V, r b / 2V. Source of the built-in CDFP: The Aeronautical Journal (2018),
+pp 889-912, doi 10.1017/aer.2018.36; what was not published is marked "engineering estimate" in the file.
+"""
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+
+from estimation.errors import AircraftError
+
+GRAVITY = 9.80665  # m/s2, standard
+SOURCES = ("wind tunnel", "engineering estimate", "flight", "computed", "handbook")
+
+_KEYS = {
+    **{"m": ("mass", "mass.mass"), "S": ("area", "geometry.area"), "b": ("span", "geometry.span")},
+    **{"c": ("chord", "geometry.chord")},
+    **{name: (name, f"mass.{name}") for name in ("Ixx", "Iyy", "Izz", "Ixz")},
+}
+"""Name in equations -> field of `Aircraft`, key in the file."""
+
+
+@dataclass(frozen=True, slots=True)
+class PriorDerivative:
+    """What is believed of one derivative before flying: value and standard deviation, per rad, and who says so."""
+
+    value: float
+    std: float | None = None
+    source: str = "engineering estimate"
+
+
+@dataclass(frozen=True, slots=True)
+class Servos:
+    """Servos of a simulated aircraft. lag [s], first order; rate [rad/s]; limits: largest commands, both ways [rad]."""
+
+    lag: float
+    rate: float
+    elevon_limit: float
+    rudder_limit: float
+
+
+@dataclass(frozen=True, slots=True)
+class Engine:
+    """Engine of a simulated aircraft: thrust at full throttle = static_thrust [N] - thrust_fall [N s/m] V; lag [s]."""
+
+    static_thrust: float
+    thrust_fall: float
+    lag: float
+
+
+@dataclass(frozen=True, slots=True)
+class SimulatedFlight:
+    """How a simulated aircraft flies: trimmed with elevons in line at `speed`, between the ends of `speed_range` [m/s].
+
+    derivatives: those it flies with where they are not the believed ones [1/rad].
+    """
+
+    speed: float
+    speed_range: tuple[float, float]
+    derivatives: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Aircraft:
+    """Geometry [m, m2], mass [kg, kg m2], sensor positions [m from the CG, body axes] and prior derivatives [1/rad].
+
+    `Ixz` is the product of inertia as it stands in the equations of motion (positive for a nose-down principal axis). What the
+    file does not say is NaN; `need` refuses it where it is used. servos, engine, simulation: for a simulated aircraft only.
+    text: the file it was read from, empty for one made in a program.
+    """
+
+    name: str
+    span: float
+    area: float
+    chord: float
+    mass: float
+    Ixx: float
+    Iyy: float
+    Izz: float
+    Ixz: float
+    derivatives: Mapping[str, PriorDerivative] = field(default_factory=dict)
+    sensors: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
+    title: str = ""
+    root_chord: float | None = None
+    taper: float | None = None
+    cg_from_nose: float | None = None
+    servos: Servos | None = None
+    engine: Engine | None = None
+    simulation: SimulatedFlight | None = None
+    text: str = field(default="", compare=False, repr=False)
+
+    def prior(self, name: str) -> PriorDerivative | None:
+        """The prior of derivative `name`, or None where nothing is believed of it."""
+        return self.derivatives.get(name)
+
+    def constants(self) -> dict[str, float]:
+        """Names and values that the equations of a model may use: m S b c Ixx Iyy Izz Ixz g; NaN where not known."""
+        return {**{name: float(getattr(self, field_)) for name, (field_, _) in _KEYS.items()}, "g": GRAVITY}
+
+    def need(self, names: Iterable[str], what: str) -> None:
+        """Raise AircraftError for the first of `names` (of equations) that is not known. what: who needs it."""
+        constants = self.constants()
+        missing = [_KEYS[n][1] for n in names if n in _KEYS and math.isnan(constants[n])]
+        if missing:
+            raise AircraftError(
+                f"aircraft {self.name}: {', '.join(missing)} {'are' if len(missing) > 1 else 'is'} missing, and {what}"
+                " cannot do without; add to its file (docs/aircraft.md)"
+            )
+
+    def with_values(self, **changes: float) -> "Aircraft":
+        """A copy with other geometry or mass, e.g. `with_values(Ixx=0.26)`."""
+        return replace(self, **changes)  # type: ignore[arg-type]
+
+
+def unknown_aircraft(name: str) -> Aircraft:
+    """An aircraft of which nothing is known but its name, for methods that do without."""
+    nan = math.nan
+    return Aircraft(name, nan, nan, nan, nan, nan, nan, nan, nan)

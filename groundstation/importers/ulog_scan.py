@@ -1,0 +1,209 @@
+"""What of a ULog is sound: a stream of messages that any reader of the format reads without searching.
+
+pyulog goes on behind damage byte by byte and reads up to 64 kB at each, so that 1 MB of noise takes it minutes; and a format may
+name itself, or arrays of arrays, until the memory is full. Here each message is looked at once, damage is passed over by
+searching for the next message that an earlier one announced, and what the import does not use is left out.
+
+Format: PX4 user guide, "ULog File Format".
+"""
+
+import re
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Integers = NDArray[np.int64]
+
+MAGIC = b"ULog\x01\x12\x35"
+SYNC = b"\x2f\x73\x13\x20\x25\x0c\xbb\x12"
+HEADER = 16
+_TYPES = frozenset(b"BFIMPQARDLCSO")
+_DATA = ord("D")
+_SIZES = {
+    "int8_t": 1, "uint8_t": 1, "int16_t": 2, "uint16_t": 2, "int32_t": 4, "uint32_t": 4, "int64_t": 8, "uint64_t": 8,
+    "float": 4, "double": 8, "bool": 1, "char": 1,
+}  # fmt: skip
+
+MOST_BYTES = 2**16
+"""Of one sample of a topic: the length of a message is a 16-bit number."""
+MOST_FIELDS = 100_000
+"""Of all topics of a log together; a PX4 log has some 10,000."""
+DEEPEST = 16
+"""Formats within formats; PX4 has two."""
+
+_FIELD = re.compile(rb"([A-Za-z_][\w/]*)(?:\[(\d{1,5})\])? ([!-9<-~]+)")
+_FORMAT_HEAD = re.compile(rb"(?s:..)F[A-Za-z_][\w/]{0,60}:")
+_SYNC_MESSAGE = struct.pack("<HB", len(SYNC), ord("S")) + SYNC
+_BLOCK = 2**16  # bytes searched at once for the next message of a known topic
+
+
+@dataclass(frozen=True)
+class Sound:
+    """The sound messages of a ULog. stream: a ULog of formats, subscriptions and data only; skipped: bytes of damage;
+    dropouts: how many its logger reports, together dropped_ms long."""
+
+    stream: bytes
+    skipped: int
+    dropouts: int
+    dropped_ms: int
+
+
+@dataclass(frozen=True, slots=True)
+class _Field:
+    kind: str
+    count: int
+    name: str
+
+
+def sound_messages(data: bytes) -> Sound:
+    """Look at each message of a ULog once. `data` begins with MAGIC."""
+    scan = _Scan(data)
+    scan.run()
+    return Sound(b"".join([data[:HEADER], *scan.head, *scan.body]), scan.skipped, scan.dropouts, scan.dropped_ms)
+
+
+class _Scan:
+    def __init__(self, data: bytes) -> None:
+        self.data = data
+        self.head: list[bytes] = []
+        self.body: list[bytes] = []
+        self.skipped = self.dropouts = self.dropped_ms = 0
+        self._formats: dict[str, tuple[_Field, ...]] = {}
+        self._topics = np.zeros(
+            (2, 2**16), np.int64
+        )  # shortest and longest sample by message id, 0 where not announced
+        self._announced = 0
+        self._fields = 0
+        self._sync = -1
+        self._appended: list[int] = []  # offsets where data were appended after a crash
+        self._block: tuple[int, int, Integers] = (-1, -1, np.zeros(0, np.int64))
+
+    def run(self) -> None:
+        """Go through the file once."""
+        at = HEADER
+        while at < len(self.data):
+            size = self._sound(at)
+            following = at + size if size else self._following(at + 1)
+            boundary = next((offset for offset in self._appended if at < offset < following), None)
+            if boundary is not None:  # the message that a crash has cut ends where the appended data begin
+                size, following = 0, boundary
+            if not (size and self._take(self.data[at + 2], self.data[at + 3 : at + size])):
+                self.skipped += following - at
+            at = following
+
+    def _sound(self, at: int) -> int:
+        """Length of the message at `at` with its head, 0 where none begins."""
+        data = self.data
+        if at + 3 > len(data) or data[at + 2] not in _TYPES:
+            return 0
+        size = 3 + (data[at] | data[at + 1] << 8)
+        if size == 3 or at + size > len(data):
+            return 0
+        if data[at + 2] == _DATA:
+            topic = data[at + 3] | data[at + 4] << 8 if size > 4 else 0
+            return size if self._topics[0, topic] <= size - 5 <= self._topics[1, topic] > 0 else 0
+        return size if data[at + 2] != ord("S") or data[at + 3 : at + size] == SYNC else 0
+
+    def _following(self, at: int) -> int:
+        """Where the next message begins of which the bytes themselves say so: data of a known topic, a sync, a format."""
+        if self._sync < at:  # each looked for once, not once for each damage before it
+            found_sync = self.data.find(_SYNC_MESSAGE, at)
+            self._sync = found_sync if found_sync >= 0 else len(self.data)
+        end = self._sync
+        if not self._announced:
+            match = _FORMAT_HEAD.search(self.data, at, end)
+            return match.start() if match else end
+        while at < end:
+            found = self._candidates(at // _BLOCK)
+            nearest = int(np.searchsorted(found, at))
+            if nearest < found.size:
+                return min(end, int(found[nearest]))
+            at = (at // _BLOCK + 1) * _BLOCK
+        return end
+
+    def _candidates(self, block: int) -> Integers:
+        """Positions in a block of the file at which data of a known topic can begin, in order."""
+        if self._block[:2] == (block, self._announced):
+            return self._block[2]
+        start = block * _BLOCK
+        d = np.frombuffer(self.data, np.uint8, min(_BLOCK + 5, len(self.data) - start), start).astype(np.int64)
+        if d.size < 5:
+            return np.zeros(0, np.int64)
+        size, topic = d[:-4] + 256 * d[1:-3] - 2, d[3:-1] + 256 * d[4:]
+        low, high = self._topics[:, topic]
+        found = start + np.flatnonzero((d[2:-2] == _DATA) & (high > 0) & (low <= size) & (size <= high))
+        self._block = (block, self._announced, found)
+        return found
+
+    def _take(self, kind: int, body: bytes) -> bool:
+        """Keep a message; False when its content is none."""
+        match chr(kind):
+            case "D":
+                self.body.append(_message(kind, body))
+            case "F":
+                return self._format(body)
+            case "A":
+                return self._subscription(body)
+            case "B":
+                self._appended = sorted(_offsets(body))
+                self.head.append(_message(kind, (body[:16] + bytes(40))[:40]))
+            case "I" if b" ver_sw" in body[:40]:
+                self.head.append(_message(kind, body))
+            case "O":
+                self.dropouts += 1
+                self.dropped_ms += int.from_bytes(body[:2], "little")
+        return True
+
+    def _format(self, body: bytes) -> bool:
+        name, colon, text = body.partition(b":")
+        found = [_FIELD.fullmatch(piece) for piece in text.split(b";") if piece]
+        fields = tuple(_Field(m[1].decode(), int(m[2] or 1), m[3].decode()) for m in found if m)
+        if not (colon and fields and len(fields) == len(found) and name.isascii()) or self._announced:
+            return False
+        if name.decode() not in self._formats:
+            self.head.append(_message(ord("F"), body))
+        self._formats.setdefault(name.decode(), fields)
+        return True
+
+    def _subscription(self, body: bytes) -> bool:
+        """Whether a topic can be read: announced once, of a known format with a time, of a length that a message can have."""
+        fields = self._formats.get(body[3:].decode("latin-1"), ())
+        if not any((f.kind, f.count, f.name) == ("uint64_t", 1, "timestamp") for f in fields):
+            return False
+        topic = body[1] | body[2] << 8
+        longest, count = self._expanded(fields, DEEPEST)
+        unpadded = len(fields) - next((i for i, f in enumerate(fields[::-1]) if not f.name.startswith("_padding")), 0)
+        shortest, _ = self._expanded(fields[:unpadded], DEEPEST)
+        if self._topics[1, topic] or longest >= MOST_BYTES - 2 or self._fields + count > MOST_FIELDS:
+            return False
+        self._topics[:, topic] = shortest, longest
+        self._fields += count
+        self._announced += 1
+        self.body.append(_message(ord("A"), body))
+        return True
+
+    def _expanded(self, fields: tuple[_Field, ...], depth: int) -> tuple[int, int]:
+        """Bytes and number of plain fields in `fields`; MOST_BYTES when they are too many, or a format holds itself."""
+        size = count = 0
+        for field in fields:
+            one = (_SIZES[field.kind], 1) if field.kind in _SIZES else (MOST_BYTES, 0)
+            if field.kind in self._formats and depth:
+                one = self._expanded(self._formats[field.kind], depth - 1)
+            size, count = size + field.count * one[0], count + field.count * one[1]
+            if size >= MOST_BYTES:
+                return MOST_BYTES, count
+        return size, count
+
+
+def _message(kind: int, body: bytes) -> bytes:
+    return struct.pack("<HB", len(body), kind) + body
+
+
+def _offsets(body: bytes) -> Iterator[int]:
+    for i in range(16, min(len(body), 40) - 7, 8):
+        offset = int.from_bytes(body[i : i + 8], "little")
+        if offset:
+            yield offset

@@ -1,0 +1,14 @@
+"""Where the command begins: Ctrl-C is taken care of before the imports, which take the first second."""
+
+from daq.contract.interrupts import Interrupts, started_as_command
+
+INTERRUPTS = Interrupts() if started_as_command("sideslip") else None
+if INTERRUPTS is not None:
+    INTERRUPTS.leave_at_once()
+
+
+def main(argv: list[str] | None = None) -> None:
+    """Run `sideslip` with these arguments, or those of the process; ends it with the exit status."""
+    from sideslip.cli import run
+
+    run(argv, INTERRUPTS)
