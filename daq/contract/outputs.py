@@ -10,6 +10,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from daq.contract import durable
+from daq.contract.durable import make_directories
 from daq.contract.errors import UserError
 
 
@@ -23,12 +25,10 @@ def write_json(data: object, path: Path) -> None:
 
 
 def write_text(text: str, path: Path) -> None:
-    """Write a text file, replacing it in one step; folders are made. Raises OutputError where that is not possible."""
-    partial = path.with_name(path.name + ".part")
+    """Write a text file whole or not at all, synced; folders are made. Raises OutputError where that is not possible."""
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        partial.write_text(text, encoding="utf-8")
-        partial.replace(path)
+        make_directories(path.parent)
+        durable.write_text(path, text)
     except OSError as error:
         raise OutputError(f"{path}: cannot be written ({error.strerror}); choose another place") from error
 

@@ -14,11 +14,13 @@ class RecorderConfig(BaseModel):
     directories: Annotated[tuple[Path, ...], Field(min_length=1)] = (Path("recordings"),)  # tried in order
     flush_s: Annotated[float, Field(gt=0, le=60)] = 0.5  # a chunk is closed, checksummed and handed to the system
     sync: bool = True  # fdatasync, in a thread of its own
-    sync_s: Annotated[float, Field(gt=0, le=600)] = 1.0  # this often
+    # This often. A power cut costs this, `scan.hand_over_s` and the time of one sync: with 0.5 s less than a second on a
+    # card that takes 0.2 s for each. Shorter writes more and wears the card (measured in docs/logger.md).
+    sync_s: Annotated[float, Field(gt=0, le=600)] = 0.5
     compress: bool = False  # zstd halves the file, but a bad bit then costs the whole chunk instead of one scan
     queue_s: Annotated[float, Field(gt=0, le=3600)] = 60.0  # scans held in memory while the card stalls
     segment_s: Annotated[float, Field(gt=0)] = 120.0  # a new file this often: bounds what one bad sector can cost
     statistics_s: Annotated[float, Field(gt=0)] = 10.0  # accounting and timing written this often
     remove_oldest: bool = False  # may the oldest recordings be removed when the card is full?
     keep_free_mb: Annotated[float, Field(ge=0)] = 20.0  # with remove_oldest: make room below this
-    retry_s: Annotated[float, Field(gt=0)] = 0.5  # pause between attempts to open a new file after an error
+    retry_s: Annotated[float, Field(gt=0)] = 0.5  # pause before a new file after an error; doubled up to 8 s

@@ -30,6 +30,7 @@ _LOG = logging.getLogger("sideslip.recorder")
 
 _MESSAGE_ROOM = 256  # places in memory for events and log lines beyond those for scans
 _IDLE_S = 0.2  # so long after a chunk should have been full, the writer looks by itself what there is to do
+_LONGEST_PAUSE_S = 8.0  # between files that fail at once: well within queue_s, and not long for a card that comes back
 _LAST_WORDS_S = 2.0  # given to the writer to end after it has been told to give up
 
 
@@ -68,8 +69,10 @@ class Recorder:
         self._free: dict[str, int] = {}  # free_bytes of the card, as far as it is known
         self._segment: Segment | None = None
         self._reported_ns: int | None = None
+        self._pause_s = config.retry_s  # before the next file, while one after another fails
         self._write_latency = Histogram()
         self._complaints: deque[str] = deque(maxlen=8)  # the last ones, so as not to repeat them while retrying
+        self._writing = True  # the writer is not waiting for news
         self._closing = False
         self._given_up = False
         self._syncer = Syncer(self._sync_failed, clock, config.sync)
@@ -142,6 +145,11 @@ class Recorder:
         with self._news:
             return self._books.pending > max(4, self._config.flush_s * self._info.scan_rate_hz)
 
+    def at_work(self) -> bool:
+        """Whether either thread has something to do now; a simulation that must be exact holds time meanwhile."""
+        with self._news:
+            return self._thread.is_alive() and (self._chunk_is_full or self._writing or self._syncer.busy)
+
     def statistics(self, *, final: bool = False) -> Statistics:
         """The books and the timing as they are now."""
         with self._news:
@@ -211,7 +219,14 @@ class Recorder:
             if closing and done and self._is_empty() and self._close_segment(final=True):
                 return
             if not done:
-                self._clock.sleep_until(self._clock.monotonic_ns() + round(self._config.retry_s * NS))
+                self._rest()
+
+    def _rest(self) -> None:
+        """Let a failing card be for a while, longer each time; not longer than it matters."""
+        until = self._clock.monotonic_ns() + round(self._pause_s * NS)
+        self._pause_s = min(2 * self._pause_s, _LONGEST_PAUSE_S)
+        while not self._given_up and (now := self._clock.monotonic_ns()) < until:
+            self._clock.sleep_until(min(until, now + round(self._config.retry_s * NS)))
 
     def _wait_for_news(self) -> tuple[list[Scan | Message], bool]:
         segment = self._segment
@@ -219,12 +234,14 @@ class Recorder:
         with self._news:
             if not self._inbox:
                 self._chunk_full_ns = None if begun_ns is None else begun_ns + self._chunk_ns
+            self._writing = False
             self._news.wait_for(
                 lambda: self._chunk_is_full or self._closing or self._returned or self._failed(), self._patience_s
             )
             items = list(self._inbox)
             self._inbox.clear()
             self._chunk_is_full = False
+            self._writing = True
             return items, self._closing
 
     def _is_empty(self) -> bool:
@@ -247,8 +264,11 @@ class Recorder:
                 self._fill(segment)
             except OSError as error:
                 self._abandon(segment, error)
-                if not segment.flushes:
-                    return False
+                if not segment.confirmed:
+                    return (
+                        False  # the next one would fare no better: a card that syncs nothing would be filled with files
+                    )
+                self._pause_s = self._config.retry_s
         return self._flush_if_idle()
 
     def _fill(self, segment: Segment) -> None:
@@ -277,12 +297,13 @@ class Recorder:
             segment.writer.write_message(self.statistics())
         ended = (segment.chunk_started_ns or 0) + self._chunk_ns
         segment.writer.flush()
+        segment.handed_over()
         segment.flushes += 1
         segment.chunk_started_ns = None
         self._write_latency.add((self._clock.monotonic_ns() - now) // 1000)
-        due = ended - segment.synced_ns >= self._config.sync_s * NS - self._chunk_ns // 2
-        if due and self._syncer.request(segment):
+        if ended - segment.synced_ns >= self._config.sync_s * NS - self._chunk_ns // 2:
             segment.synced_ns = ended
+            self._syncer.request(segment)
 
     def _flush_if_idle(self) -> bool:
         """Flush a chunk that has waited too long because nothing came after it; False when the file fails."""
@@ -314,7 +335,13 @@ class Recorder:
             self._details.update(self._new_details)
             self._new_details = {}
         self._segment = self._files.open(self._details)
-        return self._segment is not None
+        if self._segment is None:
+            return False
+        if (
+            not self._syncer.busy
+        ):  # after another file that one comes first: its last scans count for more than this head
+            self._syncer.request(self._segment)  # so that a cut in the first moments shows that a session began
+        return True
 
     def _close_segment(self, *, final: bool) -> bool:
         """End the segment in order; its messages stay in memory until the card has them. False when it failed."""
@@ -327,6 +354,7 @@ class Recorder:
         except OSError as error:
             self._abandon(segment, error)
             return False
+        segment.handed_over()
         self._segment = None
         over = self._syncer.retire(segment)
         while final and not over.is_set() and not self._given_up:

@@ -28,6 +28,8 @@ class Segment:
         self.chunk_started_ns: int | None = None
         self.synced_ns = 0  # message time up to which a sync has been asked for
         self.flushes = 0
+        self.flushed = 0  # messages that the operating system has: what a sync beginning now will cover
+        self.confirmed = False  # whether the card has ever taken anything of it
         self.failure: OSError | None = None  # found by the sync thread
         self._keep = keep
         self._lock = threading.Lock()
@@ -47,13 +49,13 @@ class Segment:
         if self.chunk_started_ns is None:
             self.chunk_started_ns = entry.log_time_ns
 
-    @property
-    def total(self) -> int:
-        """Messages added so far."""
-        return self._total
+    def handed_over(self) -> None:
+        """All messages added so far have been written to the file."""
+        self.flushed = self._total
 
     def confirm(self, total: int) -> None:
         """The card has the first `total` messages: they need not be kept."""
+        self.confirmed = True
         with self._lock:
             while self._unconfirmed and self._total - len(self._unconfirmed) < total:
                 self._unconfirmed.popleft()
@@ -70,7 +72,6 @@ class Segment:
 class _Job:
     file: StorageFile
     segment: Segment | None = None  # to be synced
-    total: int = 0
     over: threading.Event | None = None  # close the file after the sync, and say so
 
 
@@ -86,7 +87,7 @@ class Syncer:
         self._clock = clock
         self._sync = sync
         self._jobs: deque[_Job] = deque()
-        self._busy_with: Segment | None = None
+        self._at_work = False
         self._news = threading.Condition()
         self._stopping = False
         self._thread = threading.Thread(target=self._run, name="recorder-sync", daemon=True)
@@ -95,18 +96,29 @@ class Syncer:
         """Begin to work."""
         self._thread.start()
 
-    def request(self, segment: Segment) -> bool:
-        """Have what a segment holds now confirmed; False, and nothing happens, while that is under way already."""
+    def request(self, segment: Segment) -> None:
+        """Have what a segment holds now confirmed.
+
+        While a sync is under way one more waits behind it, whatever comes: on a card slower than the requests it begins
+        the moment the card is free, and covers all that has been written until then.
+        """
         with self._news:
-            if self._busy_with is segment or any(j.segment is segment for j in self._jobs):
-                return False
-        self._add(_Job(segment.file, segment, segment.total))
-        return True
+            waiting = any(j.segment is segment for j in self._jobs)
+        if not waiting:
+            self._add(_Job(segment.file, segment))
+
+    @property
+    def busy(self) -> bool:
+        """Whether it waits for the card, or will."""
+        with self._news:
+            return self._at_work or bool(self._jobs)
 
     def retire(self, segment: Segment) -> threading.Event:
         """Sync a finished segment and close its file; the event is set when that is over."""
         over = threading.Event()
-        self._add(_Job(segment.file, segment, segment.total, over))
+        with self._news:  # this sync covers what waits for one
+            self._jobs = deque(j for j in self._jobs if j.segment is not segment)
+        self._add(_Job(segment.file, segment, over))
         return over
 
     def close_later(self, file: StorageFile) -> None:
@@ -132,21 +144,22 @@ class Syncer:
     def _run(self) -> None:
         while True:
             with self._news:
-                self._busy_with = None
+                self._at_work = False
                 self._news.wait_for(lambda: self._jobs or self._stopping)
                 if not self._jobs:
                     return
                 job = self._jobs.popleft()
-                self._busy_with = job.segment
+                self._at_work = True
             if job.segment is not None:
-                self._confirm(job.segment, job.total, finished=job.over is not None)
+                self._confirm(job.segment, finished=job.over is not None)
             if job.segment is None or job.over is not None:
                 _close(job.file)
             if job.over is not None:
                 job.over.set()
 
-    def _confirm(self, segment: Segment, total: int, *, finished: bool) -> None:
+    def _confirm(self, segment: Segment, *, finished: bool) -> None:
         started = self._clock.monotonic_ns()
+        total = segment.flushed  # before the sync: what is written while it runs may not be covered
         if self._sync:
             try:
                 segment.file.sync()

@@ -10,6 +10,8 @@ import os
 from pathlib import Path
 from typing import Protocol
 
+from daq.contract.durable import make_directories, sync_directory
+
 
 class StorageFile(Protocol):
     """One file being written. Errors are OSError, as from the operating system."""
@@ -59,7 +61,7 @@ class RealFile:
     """A file of the operating system, unbuffered: what is written survives the end of the process."""
 
     def __init__(self, path: Path) -> None:
-        path.parent.mkdir(parents=True, exist_ok=True)
+        make_directories(path.parent)
         self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
         self._path = path
         self._at = 0
@@ -82,11 +84,7 @@ class RealFile:
     def sync(self) -> None:
         os.fdatasync(self._descriptor)
         if self._directory is not None:
-            directory = os.open(self._directory, os.O_RDONLY | os.O_DIRECTORY)
-            try:
-                os.fsync(directory)
-            finally:
-                os.close(directory)
+            sync_directory(self._directory)
             self._directory = None
         self._must_be_there()
 

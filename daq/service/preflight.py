@@ -4,6 +4,7 @@ Nothing is assumed from the configuration: sensors are scanned for some seconds,
 listened to. A no-go refuses the recording unless a person overrides it, and the override goes into the recording.
 """
 
+import contextlib
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from enum import StrEnum
@@ -189,6 +190,8 @@ def _card_checks(config: LoggerConfig, clock: Clock, storage: Storage) -> Iterab
 def _probe(storage: Storage, clock: Clock, path: Path) -> float:
     """Slowest of a few writes with sync [ms]; the file is removed again."""
     slowest = 0
+    with contextlib.suppress(FileNotFoundError):
+        storage.remove(path)  # left behind when the power went during a check
     file = storage.create(path)
     try:
         for _ in range(_PROBE_WRITES):

@@ -19,6 +19,7 @@ from enum import Enum
 from pathlib import Path
 from typing import Any
 
+from daq.contract.durable import make_directories, sync_directory
 from daq.contract.errors import UserError
 
 KEY_BYTES = 32
@@ -176,7 +177,7 @@ def save_state(state: SigningState, path: Path) -> None:
     """
     rows = [[*stream, stamp] for stream, stamp in sorted(state.streams.items())]
     text = json.dumps({"sent": state.sent, "heard": state.heard, "streams": rows})
-    path.parent.mkdir(parents=True, exist_ok=True)
+    make_directories(path.parent)
     new = path.with_name(f".{path.name}.{secrets.token_hex(8)}")
     flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
     try:
@@ -188,6 +189,7 @@ def save_state(state: SigningState, path: Path) -> None:
     except OSError:
         new.unlink(missing_ok=True)
         raise
+    sync_directory(path.parent)  # or a power cut brings the old state back, and with it timestamps used since
 
 
 class Signer:

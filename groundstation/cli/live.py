@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from daq.contract.durable import make_directories
 from daq.contract.outputs import tried_file, tried_folder
 
 if TYPE_CHECKING:
@@ -152,7 +153,7 @@ def _station(
     from groundstation.receiver.receive import Receiver
     from groundstation.receiver.timeline import SystemClock
 
-    folder.mkdir(parents=True, exist_ok=True)
+    make_directories(folder)
     make_view = None if views is None else views.make
     if replay is None and not settings.link.ports:
         raise GroundConfigError("[link] ports is empty: there is nothing to listen to; name a port")

@@ -129,6 +129,11 @@ class Intake:
             with self._faults.watch(TELEMETRY_LOG):
                 self._tlog.flush()
 
+    @property
+    def logs(self) -> list[TlogWriter]:
+        """The files it writes to."""
+        return [] if self._tlog is None else [self._tlog]
+
     def close(self, utc_ns: int) -> None:
         """Log what is still undecided, close the log."""
         for sender in list(self._decoders):

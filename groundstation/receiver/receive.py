@@ -19,6 +19,7 @@ from groundstation.receiver import events as ev
 from groundstation.receiver.backfill import BackfillClient, Mode
 from groundstation.receiver.command import Commander
 from groundstation.receiver.decode import AircraftDecoder
+from groundstation.receiver.disk import Disk
 from groundstation.receiver.faults import Faults
 from groundstation.receiver.frame_input import Intake, Sender
 from groundstation.receiver.link import open_port
@@ -40,6 +41,7 @@ _MAP_NS = 2 * NS
 _MAPS_AT_ONCE = 4
 MAX_AIRCRAFT, MAX_OF_ONE_SENDER = 16, 8
 """Served at once, where `systems` does not list them: each has files, a view and memory of its own."""
+_DISK = "disk"
 _GCS, _NO_AUTOPILOT = 6, 8
 
 
@@ -84,6 +86,7 @@ class Receiver:
             self.faults.note(SIGNING_STATE, OSError(self._gate.signer.notice))
         self._encoder = FrameEncoder(config.system_id, config.component_id, self._gate.signer)
         self._intake = Intake(self._ports, folder, self.faults)
+        self._disk = Disk()
         self._aircraft: dict[int, _Aircraft] = {}
         self._next_heartbeat_ns = 0
         self._next_report_ns = 0
@@ -308,6 +311,9 @@ class Receiver:
         self._intake.flush()
         for what, count in ((d.BYTES, self._intake.refused_bytes), (d.DATAGRAMS, self._intake.datagrams_dropped)):
             self.doubts.note(d.NOBODY, what, count - self.doubts.total(what))
+        with self.faults.watch(_DISK):
+            journals = (r.journal for kept in self._kept() for r in kept.recorders.values())
+            self._disk.sync([*self._intake.logs, *journals])
 
     # ------------------------------------------------------------------------------------------ for the owner
 
@@ -323,6 +329,11 @@ class Receiver:
         with self._lock:
             known = self._aircraft.get(system)
             return known is not None and known.backfill is not None and known.backfill.agreed
+
+    @property
+    def disk_busy(self) -> bool:
+        """Whether what was received is on its way to the disk."""
+        return self._disk.busy
 
     @property
     def systems(self) -> list[int]:
@@ -386,6 +397,7 @@ class Receiver:
             self._gate.close()
             for kept in self._kept():
                 kept.close()
+            self._disk.close()
             for aircraft in self._aircraft.values():
                 aircraft.logs.close()
             for port in self._ports.values():

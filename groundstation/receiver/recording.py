@@ -10,6 +10,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import IO, Any
 
+from daq.contract.durable import replacing
 from daq.contract.recordings.messages import Event, MessageError, decode_event, encode_event
 from daq.contract.recordings.recording import RecordingInfo, RecordingWriter, message_entry, scan_entry
 from daq.contract.scan import decode_scan
@@ -181,13 +182,8 @@ class SessionRecorder:
         path = path or self.path
         if not self.has_scans:
             return None
-        new = path.with_name(path.name + ".new")
-        try:
+        with replacing(path) as new:
             self._write(new)
-        except OSError:
-            new.unlink(missing_ok=True)
-            raise
-        new.replace(path)
         return path
 
     def _write(self, path: Path) -> None:

@@ -16,6 +16,7 @@ from typing import IO, NamedTuple
 
 import numpy as np
 
+from daq.contract.durable import make_directories
 from daq.contract.link.scan_map import ScanMap
 from daq.contract.scan import Scan, ScanDecodeError, decode_scan, encode_scan
 
@@ -55,7 +56,7 @@ class Journal:
     """Scans by number, the complete form preferred, and the other records in order."""
 
     def __init__(self, path: Path) -> None:
-        path.parent.mkdir(parents=True, exist_ok=True)
+        make_directories(path.parent)
         self.path = path
         self.received = ScanMap()
         self.complete = ScanMap()
@@ -104,9 +105,17 @@ class Journal:
         """Hand everything to the operating system."""
         self._file.flush()
 
+    def descriptor(self) -> int:
+        """The open file, for whoever syncs it."""
+        return self._file.fileno()
+
     def close(self) -> None:
-        """Close the file."""
-        self._file.close()
+        """Close the file, its content on the disk."""
+        try:
+            self._file.flush()
+            os.fsync(self._file.fileno())
+        finally:
+            self._file.close()
 
     # ------------------------------------------------------------------------------------------ reading
 

@@ -5,6 +5,7 @@ kept too, wrapped into TUNNEL messages of system 0 that stock tools skip; `read_
 sees exactly the byte stream that came in.
 """
 
+import os
 import re
 import struct
 from collections.abc import Iterator
@@ -12,6 +13,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from daq.contract.channels import CHANNELS
+from daq.contract.durable import make_directories
 from daq.contract.errors import UserError
 from daq.contract.input_files import read_bytes
 from daq.contract.link.wire import layouts
@@ -36,8 +38,8 @@ class TlogWriter:
     """Appends records; a few kilobytes at most are still in memory when the process is killed."""
 
     def __init__(self, path: Path) -> None:
-        path.parent.mkdir(parents=True, exist_ok=True)
         try:
+            make_directories(path.parent)
             self._file: IO[bytes] = path.open("ab")
         except OSError as error:
             raise TlogError(f"{path}: telemetry log cannot be written ({error.strerror})") from error
@@ -69,9 +71,17 @@ class TlogWriter:
         self._file.flush()
         self._waiting = 0
 
+    def descriptor(self) -> int:
+        """The open file, for whoever syncs it."""
+        return self._file.fileno()
+
     def close(self) -> None:
-        """Close the file."""
-        self._file.close()
+        """Close the file, its content on the disk."""
+        try:
+            self.flush()
+            os.fsync(self._file.fileno())
+        finally:
+            self._file.close()
 
 
 def read_tlog(path: str | Path) -> Iterator[tuple[int, bytes]]:

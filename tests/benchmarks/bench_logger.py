@@ -49,11 +49,11 @@ def record_answers(folder: Path) -> Path:
     return path
 
 
-def bench_config(folder: Path) -> Path:
-    """The example configuration, recording into `folder`."""
+def bench_config(folder: Path, recordings: Path) -> Path:
+    """The example configuration, written into `folder`, recording into `recordings`."""
     text = (ROOT / "daq/configs/cdfp.toml").read_text()
     text = text.replace('calibration = "/etc/sideslip/calibration"', "")
-    text = text.replace("/var/lib/sideslip/recordings", str(folder / "recordings"))
+    text = text.replace("/var/lib/sideslip/recordings", str(recordings))
     path = folder / "bench.toml"
     path.write_text(text)
     return path
@@ -82,9 +82,9 @@ class Look:
         return cls(time.monotonic(), running * 1e-9, waiting * 1e-9, resident, load)
 
 
-def measure(folder: Path, seconds: float) -> dict[str, object]:
-    """Run the logger for a time and watch it."""
-    answers, config = record_answers(folder), bench_config(folder)
+def measure(folder: Path, seconds: float, recordings: Path | None = None) -> dict[str, object]:
+    """Run the logger for a time and watch it; it records into `recordings`, on another card than `folder` perhaps."""
+    answers, config = record_answers(folder), bench_config(folder, recordings or folder / "recordings")
     arguments = [str(config), str(answers), str(seconds + 60.0)]
     command = [sys.executable, str(ROOT / "tests/benchmarks/logger_process.py"), *arguments]
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as systemd:

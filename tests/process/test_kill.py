@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -19,8 +20,15 @@ SPEED = 4.0
 ONE_SECOND = 20
 
 
-def fly_and_kill(folder: Path, seed: int) -> tuple[int, int]:
-    """Kill a flight some time into a scan chosen by `seed`; returns (scans taken, scans in the file)."""
+def nothing() -> None:
+    return
+
+
+def fly_and_kill(folder: Path, seed: int, at_the_end: Callable[[], None] = nothing) -> tuple[int, int]:
+    """Kill a flight some time into a scan chosen by `seed`; returns (scans taken, scans in the file).
+
+    at_the_end: done just before.
+    """
     chance = random.Random(seed)
     last, into = chance.randint(6, 200), chance.uniform(0.0, 1.5 / 20 / SPEED)
     command = [sys.executable, str(ROOT / "tests/process/flying.py"), str(folder), str(SPEED), str(seed)]
@@ -32,6 +40,7 @@ def fly_and_kill(folder: Path, seed: int) -> tuple[int, int]:
         while int(process.stdout.readline() or last) < last:
             pass
         time.sleep(into)
+        at_the_end()
         process.send_signal(signal.SIGKILL)
         told = [str(last).encode(), *process.stdout.read().split()]
         errors = process.stderr.read()

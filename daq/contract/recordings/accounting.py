@@ -8,12 +8,12 @@ Several sessions in one file are accounted for one by one.
 
 import hashlib
 import json
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from daq.contract.durable import make_directories, replacing
 from daq.contract.ranges import Range, count, ranges, shown, subtract
 from daq.contract.recordings.messages import Statistics
 from daq.contract.recordings.reading import Recording, Segment, by_session, join, read_segments
@@ -136,7 +136,9 @@ def verify_recording(recording: Recording) -> Verification:
     not_told = subtract(missing, books.absent if books else ())
     unexplained = subtract(not_told, _lost_before(recording.info.details.get(_LOST_TO_DAMAGE, "[]")))
     given_up, damages = recording.given_up, recording.damages
-    closed = all(s.closed or any(s is g for g in given_up) for s in recording.segments)
+    closed = all(s.closed or any(s is g for g in given_up) for s in recording.segments) and not _goes_on(
+        recording, books
+    )
     gaps_expected = recording.info.role == "received"
     ok = closed and not damages and bool(numbers) and (gaps_expected or not unexplained)
     dropped, lost, missed = _counts(books, count(missing) - count(not_told))
@@ -176,6 +178,12 @@ def _lost_before(text: str) -> list[Range]:
         return [(int(first), int(last)) for first, last in stated]
     except (ValueError, TypeError, OverflowError, RecursionError):
         return []
+
+
+def _goes_on(recording: Recording, books: Statistics | None) -> bool:
+    """Whether a session's directory ends with a file closed in order after which the logger had begun, or meant, another."""
+    whole_directory = recording.path.is_dir() and recording.info.role == "onboard"
+    return whole_directory and books is not None and not books.final
 
 
 def _span(numbers: Sequence[int], books: Statistics | None, whole_session: bool) -> Range:
@@ -228,7 +236,9 @@ def _sentence(
         more = f" and {len(damages) - 1} more" if len(damages) > 1 else ""
         parts.append(f"damaged at byte {worst.at_byte} of {path.name} ({worst.what}){more}")
     if not closed:
-        parts.append("not closed in order: at most the time since the last flush is lost")
+        parts.append(
+            "not closed in order: at most the time since the last flush is lost, after a power cut since the last sync"
+        )
     if not ok and (damages or not closed):
         parts.append("'sideslip recover' saves what is intact")
     return ("sound: " if ok else "not sound: ") + "; ".join(parts)
@@ -305,18 +315,14 @@ def _with_messages(path: Path, segments: list[Segment]) -> list[Recording]:
 
 def _write_recovered(recording: Recording, out: Path) -> None:
     info = _recovered_info(recording, verify_recording(recording))
-    out.parent.mkdir(parents=True, exist_ok=True)
-    partial = out.with_suffix(".mcap.part")
-    with partial.open("wb") as stream:
+    make_directories(out.parent)
+    with replacing(out) as partial, partial.open("wb") as stream:
         writer = RecordingWriter(stream, info)
         for i, entry in enumerate(recording.entries, start=1):
             writer.write(entry)
             if i % 1000 == 0:
                 writer.flush()
         writer.finish()
-        stream.flush()
-        os.fsync(stream.fileno())
-    partial.replace(out)
 
 
 def _recovered_info(recording: Recording, verification: Verification) -> RecordingInfo:

@@ -69,6 +69,14 @@ class Segment:
         return not (self.entries or self.metadata or self.foreign or self.info)
 
     @property
+    def number(self) -> int | None:
+        """Its number in the session: as it says itself or, where nothing of it is left, as its name does."""
+        if self.info is not None:
+            return self.info.segment
+        ending = self.path.stem.rpartition("_")[2]
+        return int(ending) if ending.isdecimal() else None
+
+    @property
     def sound(self) -> bool:
         """Whether nothing is damaged and the file was closed in order."""
         return self.closed and not self.damages
@@ -127,7 +135,7 @@ class Recording:
         if books is None:
             return ()
         numbers = {k.removeprefix("abandoned_") for k in books.extra if k.startswith("abandoned_")}
-        return tuple(s for s in self.segments if s.info is not None and str(s.info.segment) in numbers and not s.closed)
+        return tuple(s for s in self.segments if str(s.number) in numbers and not s.closed)
 
     @property
     def damages(self) -> tuple[tuple[Path, Damage], ...]:
@@ -279,7 +287,8 @@ def _copy_of_identity(data: bytes) -> Mapping[str, str] | None:
 
 
 def _last_statistics(entries: Iterable[Entry]) -> Statistics | None:
-    last = max((e for e in entries if e.topic == STATISTICS_TOPIC), key=lambda e: e.log_time_ns, default=None)
+    told = [e for e in entries if e.topic == STATISTICS_TOPIC]
+    last = max(reversed(told), key=lambda e: e.log_time_ns, default=None)  # of the same instant the last written
     return DECODERS[STATISTICS_TOPIC](last.data) if last else None
 
 
@@ -296,8 +305,25 @@ def segment_paths(path: Path) -> list[Path]:
 
 
 def read_segments(path: str | Path) -> list[Segment]:
-    """Walk through a file or all files of a directory, sound or not; a file gives a segment for each recording in it."""
-    return [s for p in segment_paths(Path(path)) for s in read_parts(p)]
+    """Walk through a file or all files of a directory, sound or not; a file gives a segment for each recording in it.
+
+    A file of a directory that holds nothing at all is one whole damage: a power cut leaves the name of a file that was
+    just begun, empty or full of zeros, and the files before it are none the worse.
+    """
+    path = Path(path)
+    read = _parts_or_blank if path.is_dir() else read_parts
+    return [s for p in segment_paths(path) for s in read(p)]
+
+
+def _parts_or_blank(path: Path) -> list[Segment]:
+    try:
+        return read_parts(path)
+    except RecordingError as error:
+        if isinstance(error.__cause__, OSError):
+            raise
+        size = path.stat().st_size
+        what = "the file is empty" if size == 0 else "nothing in it was written by the logger"
+        return [Segment(path, size, None, (), {}, (Damage(0, size, what),), False)]
 
 
 # ------------------------------------------------------------------------------------------------------- sessions
@@ -427,6 +453,6 @@ def sound(recording: Recording) -> Recording:
     for damaged, first in recording.damages:
         raise RecordingError(
             f"{damaged}: damaged at byte {first.at_byte} ({first.what}); "
-            f"'sideslip recover {damaged} -o OUT.mcap' saves what is intact"
+            f"'sideslip recover {recording.path} -o OUT.mcap' saves what is intact"
         )
     return recording
