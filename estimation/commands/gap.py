@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import click
 
 if TYPE_CHECKING:
-    from estimation.gap.result import GapResult
+    from estimation.gap.answer.result import GapResult
 
 EXAMPLE = "Example: sideslip gap f0.mcap f1.mcap f2.mcap --holdout f3.mcap --report out/ --json out/gap.json"
 
@@ -99,8 +99,8 @@ def gap(
     for line in lines(result):
         click.echo(line)
     if report_folder is not None:
-        from estimation.gap.report import write_gap_report
-        from estimation.gap.rerun_report import available, write_gap_recording
+        from estimation.gap.pages.report import write_gap_report
+        from estimation.gap.pages.rerun_report import available, write_gap_recording
 
         click.echo(f"report: {write_gap_report(result, report_folder)}")
         if available():

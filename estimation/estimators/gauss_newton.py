@@ -75,7 +75,8 @@ class Problem(Protocol[P]):
 @dataclass(frozen=True)
 class LoopOptions:
     """tolerance: predicted reduction [log likelihood] below which the estimates have settled (1e-7: steps below
-    5e-4 of a bound)."""
+    5e-4 of a bound). relative: the same as a share of the cost, where that is more. gain: a step that lowered the cost by
+    less than the tolerance ends the search too. flat: tolerances a step that lowers nothing may still promise at rounding."""
 
     iterations: int = 60
     tolerance: float = 1e-7
@@ -84,6 +85,13 @@ class LoopOptions:
     most_damping: float = 1e8
     near: float = 10.0  # predicted reduction from which steps are combined
     memory: int = 4  # steps combined
+    relative: float = 0.0
+    gain: bool = False
+    flat: float = 1e3
+
+    def settled(self, cost: float) -> float:
+        """Reduction at that cost that is not worth a step."""
+        return max(self.tolerance, self.relative * max(cost, 1.0))
 
 
 AS_USUAL_LOOP = LoopOptions()
@@ -113,21 +121,24 @@ def minimise(problem: Problem[P], start: Array, options: LoopOptions = AS_USUAL_
     past = _Past(options.memory)
     for iteration in range(1, options.iterations + 1):
         step = problem.step(unknowns, point, damping)
-        if step.decrement < options.tolerance:
+        if step.decrement < options.settled(point.cost):
             return Outcome(Status.CONVERGED, unknowns, point, iteration - 1, count, tuple(history))
         combined = past.combined(unknowns, step) if damping == 0.0 and step.decrement < options.near else None
         moved, moved_point, used = _search(problem, unknowns, point, step, combined, options)
         count += used
         if moved is None or moved_point is None:
-            if step.decrement < 1e3 * options.tolerance:  # the cost is flat to rounding here
+            if step.decrement < options.flat * options.tolerance:  # the cost is flat to rounding here
                 return Outcome(Status.CONVERGED, unknowns, point, iteration - 1, count, tuple(history))
             damping = max(10.0 * damping, options.first_damping)
             if damping > options.most_damping:
                 return Outcome(Status.STALLED, unknowns, point, iteration, count, tuple(history))
             continue
         damping = damping / 10.0 if damping > options.first_damping else 0.0
+        gained = point.cost - moved_point.cost
         unknowns, point = moved, moved_point
         history.append(point.cost)
+        if options.gain and gained < options.settled(point.cost):
+            return Outcome(Status.CONVERGED, unknowns, point, iteration, count, tuple(history))
     return Outcome(Status.LIMIT, unknowns, point, options.iterations, count, tuple(history))
 
 

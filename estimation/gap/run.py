@@ -5,9 +5,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from daq.contract.outputs import write_json
+from estimation.gap.answer.result import GapResult
 from estimation.gap.effects.base import Effect
-from estimation.gap.lineage import write_lineage
-from estimation.gap.result import GapResult
+from estimation.gap.verdict.lineage import write_lineage
 from estimation.gap.workflow import LOOK, Options, run_gap
 from estimation.models.base import Model
 from groundstation.flight import Flight

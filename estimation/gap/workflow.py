@@ -7,24 +7,24 @@ held-out check, one effect added; until nothing is significant. Then the earlier
 from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
-
-from estimation.gap.admissible import sample_notes
-from estimation.gap.baseline import bank_error, channel_noise, filtered_attitudes, fit_baseline
-from estimation.gap.bench import build_bench
-from estimation.gap.conclusion import conclude_trail
-from estimation.gap.dormant import with_dormant
+from estimation.gap.answer.result import GapResult
 from estimation.gap.effects import catalogue
 from estimation.gap.effects.base import Effect
 from estimation.gap.effects.missing import missing_derivatives
 from estimation.gap.errors import GapError
-from estimation.gap.gate import kinematic_gate
-from estimation.gap.nuisance import with_nuisance
-from estimation.gap.nulls import input_errors
-from estimation.gap.result import GapResult
-from estimation.gap.rounds import run_rounds
-from estimation.gap.trail import AS_USUAL, LOOK, Options, Setting
-from estimation.gap.whitening import force_states
+from estimation.gap.likelihood.baseline import fit_baseline
+from estimation.gap.likelihood.channel_noise import bank_error, channel_noise, filtered_attitudes, sample_interval
+from estimation.gap.likelihood.whitening import force_states
+from estimation.gap.random_streams import Stream
+from estimation.gap.records.candidate_model import with_dormant
+from estimation.gap.records.flight_records import FlightRecords, prepare_flights
+from estimation.gap.records.nuisance import with_nuisance
+from estimation.gap.records.sample_faults import sample_notes
+from estimation.gap.search.rounds import run_rounds
+from estimation.gap.search.search_state import AS_USUAL, LOOK, Options, Setting
+from estimation.gap.tests_of_fit.kinematic_check import kinematic_check
+from estimation.gap.tests_of_fit.nulls import input_errors
+from estimation.gap.verdict.conclusion import concluded
 from estimation.models.base import Model
 from groundstation.flight import Flight
 
@@ -46,23 +46,26 @@ def run_gap(
     chosen = tuple(effects) if effects is not None else catalogue()
     chosen += missing_derivatives(model, {e.name for e in chosen})
     tell("preparing the flights", 0.0)
-    bench = build_bench(model, chosen, training, holdout)
-    told = sample_notes([*training, *holdout], [s.source for s in (*model.outputs, *model.inputs)])
-    bench = replace(bench, notes=(*bench.notes, *told))
-    records = bench.of(bench.training)
-    white = channel_noise(records)
-    scatter = bank_error(records, bench.base.output_names, white)
-    filtered = filtered_attitudes(records, bench.base.output_names, white)
-    interval = float(np.median([np.median(np.diff(r.time)) for r in records]))
-    clean = with_nuisance(model, dict(zip(model.output_names, scatter, strict=True)), interval, filtered)
-    working = with_dormant(clean, chosen, bench.available, force_states(model))
-    errors = tuple(
-        input_errors(r, clean, np.random.default_rng([options.seed, 104729, i])) for i, r in enumerate(bench.records)
-    )
-    setting = Setting(model, clean, working, bench, chosen, errors, scatter, options, tell)
+    prepared = prepare_flights(model, chosen, training, holdout, options.criteria)
+    told = sample_notes([*training, *holdout], [s.source for s in (*model.outputs, *model.inputs)], options.criteria)
+    setting = _setting(replace(prepared, notes=(*prepared.notes, *told)), chosen, options, tell)
     tell("fitting the baseline", 0.05)
-    trail = run_rounds(setting, fit_baseline(working, clean, bench, scatter))
-    tell("kinematic gate", 0.9)
-    gate = kinematic_gate(training, chosen, min(options.nulls, 100), options.seed)
+    search = run_rounds(setting, fit_baseline(setting.working, setting.clean, setting.prepared, setting.scatter))
+    tell("kinematic check", 0.9)
+    check = kinematic_check(training, chosen, options.nulls, options.seed, options.criteria)
     tell("measuring what is closed", 0.95)
-    return conclude_trail(setting, trail, gate)
+    return concluded(setting, search, check)
+
+
+def _setting(prepared: FlightRecords, effects: tuple[Effect, ...], options: Options, tell: LOOK) -> Setting:
+    """The base model with what every fit carries along and all candidates dormant, and what is wrong with the inputs."""
+    base, records = prepared.base, prepared.of(prepared.training)
+    white = channel_noise(records)
+    scatter = bank_error(records, base.output_names, white)
+    filtered = filtered_attitudes(records, base.output_names, white)
+    noise = dict(zip(base.output_names, scatter, strict=True))
+    clean = with_nuisance(base, noise, sample_interval(records), options.criteria, filtered)
+    working = with_dormant(clean, effects, prepared.available, force_states(base))
+    streams = (Stream.INPUT_ERRORS.generator(options.seed, i) for i in range(len(prepared.records)))
+    errors = tuple(input_errors(r, clean, rng) for r, rng in zip(prepared.records, streams, strict=True))
+    return Setting(base, clean, working, prepared, effects, errors, scatter, options, tell)

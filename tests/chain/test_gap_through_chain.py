@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
+from estimation.gap.answer.result import GapResult
 from estimation.gap.effects import catalogue
-from estimation.gap.result import GapResult
 from estimation.gap.workflow import Options, run_gap
 from estimation.models.load import load_model
 from groundstation.flight import read_flight

@@ -179,7 +179,9 @@ def test_recover_writes_each_session_to_a_file_of_its_own(both: Path, tmp_path: 
 def test_a_flight_is_made_of_one_session_and_says_so(both: Path, tmp_path: Path) -> None:
     flight = calibrate_recording(both, "cdfp")
     assert len(flight) == SCANS
-    assert any("2 sessions in one file: s1 (240 scans) taken, other (60 scans) left out" in n.text for n in flight.notes)
+    assert any(
+        "2 sessions in one file: s1 (240 scans) taken, other (60 scans) left out" in n.text for n in flight.notes
+    )
     assert flight.provenance.detail["session"] == "s1"
     with pytest.raises(RecordingError, match=r"2 sessions in one file: s1 \(240 scans\), other \(60 scans\)"):
         read_recording(both)

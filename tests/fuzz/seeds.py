@@ -226,7 +226,7 @@ def model_inputs() -> list[bytes]:
 
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "model.toml"
-        write_model(load_model("lateral-simple"), path)
+        write_model(load_model("lateral-simple", "cdfp"), path)
         return [(ROOT / "docs/examples/short_period.toml").read_bytes(), path.read_bytes()]
 
 

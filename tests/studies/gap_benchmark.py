@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from estimation.gap.result import GapResult
+from estimation.gap.answer.result import GapResult
 from estimation.gap.workflow import Options, run_gap
 from estimation.models.load import load_model
 from groundstation.flight import Flight

@@ -16,7 +16,7 @@ from estimation.models.expressions import names_in
 
 
 class Group(StrEnum):
-    """Where an effect lives; the kinematic gate speaks of SENSOR against the rest."""
+    """Where an effect lives; the kinematic check speaks of SENSOR against the rest."""
 
     DERIVATIVE = "omitted derivative"
     NONLINEAR = "aerodynamic nonlinearity"

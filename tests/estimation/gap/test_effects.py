@@ -7,11 +7,11 @@ import pytest
 
 from estimation.engine.data import FlightData, Segment
 from estimation.engine.simulate import simulate
-from estimation.gap.dormant import awakened, with_dormant
 from estimation.gap.effects import add_effect, catalogue, load_effects
 from estimation.gap.effects.missing import missing_derivatives
 from estimation.gap.effects.page import page
 from estimation.gap.errors import EffectError
+from estimation.gap.records.candidate_model import awakened, with_dormant
 from estimation.models.base import Model
 from estimation.models.load import load_model, read_model, write_model
 

@@ -7,12 +7,21 @@ import pytest
 
 from estimation.engine.kernel import Array
 from estimation.engine.transforms import apply_transforms
-from estimation.gap.baseline import filtered_attitudes
-from estimation.gap.bench import Record
-from estimation.gap.nuisance import is_nuisance, with_nuisance
-from estimation.gap.nulls import NullFlyer
-from estimation.gap.whitening import GYRO, WANDERING, Linear, NoiseModel, estimate_noise, shapes_of, whitener
-from estimation.models.base import InputTransform
+from estimation.gap.criteria import AS_SET
+from estimation.gap.likelihood.channel_noise import filtered_attitudes
+from estimation.gap.likelihood.whitening import (
+    Linear,
+    NoiseModel,
+    NoisePart,
+    Source,
+    estimate_noise,
+    shapes_of,
+    whitener,
+)
+from estimation.gap.records.flight_records import Record
+from estimation.gap.records.nuisance import with_nuisance
+from estimation.gap.tests_of_fit.nulls import NullFlyer
+from estimation.models.base import InputTransform, ParameterRole
 from estimation.models.load import load_model
 
 OUTPUTS = ("beta", "p", "r", "phi", "ay")
@@ -51,6 +60,7 @@ class _Outputs:
     """As much of a problem as the drawing of instrument noise asks for."""
 
     model = load_model("lateral", "cdfp")
+    criteria = AS_SET
 
 
 def drawn(noise: NoiseModel, count: int, seed: int) -> Array:
@@ -62,13 +72,14 @@ def drawn(noise: NoiseModel, count: int, seed: int) -> Array:
 
 
 NOISE = NoiseModel(
-    np.array([0.004, 0.003, 0.005, 5e-4, 0.05]) ** 2, {GYRO.format("phi"): 0.006**2, WANDERING.format("phi"): 0.004**2}
+    np.array([0.004, 0.003, 0.005, 5e-4, 0.05]) ** 2,
+    {NoisePart(Source.GYRO, "phi"): 0.006**2, NoisePart(Source.WANDERING, "phi"): 0.004**2},
 )
 
 
 def test_nulls_are_drawn_with_the_spectrum_that_the_whitener_takes_out() -> None:
     """White, of unit variance, in all channels and in all bands of frequency."""
-    shapes = shapes_of(_Outputs.model, linear(), 1200, ("p",))
+    shapes = shapes_of(_Outputs.model, linear(), 1200, AS_SET, ("p",))
     quiet = replace(shapes, parts={n: shapes.parts[n] for n in NOISE.process})
     power = []
     for seed in range(12):
@@ -79,7 +90,7 @@ def test_nulls_are_drawn_with_the_spectrum_that_the_whitener_takes_out() -> None
 
 
 def test_strengths_are_found_again() -> None:
-    shapes = shapes_of(_Outputs.model, linear(), 1200, ())
+    shapes = shapes_of(_Outputs.model, linear(), 1200, AS_SET, ())
     names = {n: shapes.parts[n] for n in NOISE.process}
     records = [drawn(NOISE, 1200, 100 + seed) for seed in range(4)]
     known = {n: 0.3 * v for n, v in NOISE.process.items()}
@@ -87,16 +98,18 @@ def test_strengths_are_found_again() -> None:
         records, [replace(shapes, parts=names)] * 4, 2.0 * NOISE.measurement, 0.01 * NOISE.measurement, known=known
     )
     assert np.sqrt(found.measurement) == pytest.approx(np.sqrt(NOISE.measurement), rel=0.15)
-    assert found.process[GYRO.format("phi")] ** 0.5 == pytest.approx(0.006, rel=0.15)
-    assert found.process[WANDERING.format("phi")] ** 0.5 == pytest.approx(0.004, rel=0.3)
+    assert found.process[NoisePart(Source.GYRO, "phi")] ** 0.5 == pytest.approx(0.006, rel=0.15)
+    assert found.process[NoisePart(Source.WANDERING, "phi")] ** 0.5 == pytest.approx(0.004, rel=0.3)
 
 
 def test_only_a_filtered_attitude_gets_timing_rounding_and_plumb_line() -> None:
     noise = dict.fromkeys(OUTPUTS, 0.01)
-    plain, filtered = (with_nuisance(load_model("lateral", "cdfp"), noise, STEP, names) for names in ((), ("phi",)))
+    plain, filtered = (
+        with_nuisance(load_model("lateral", "cdfp"), noise, STEP, AS_SET, names) for names in ((), ("phi",))
+    )
     more = set(filtered.parameter_names) - set(plain.parameter_names)
     assert more == {"timing_phi", "rounding_phi", "plumb_phi"}
-    assert all(is_nuisance(n) for n in more)
+    assert all(filtered.parameter(n).role is ParameterRole.NUISANCE for n in more)
     assert filtered.parameter("rounding_phi").prior_std == pytest.approx(STEP**2 / 12)
 
 

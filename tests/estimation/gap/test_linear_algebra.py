@@ -3,13 +3,26 @@
 import numpy as np
 import pytest
 
-from estimation.gap.baseline import upper_quantile
-from estimation.gap.confirm import leading
+from estimation.gap.answer.result import Gap
+from estimation.gap.criteria import AS_SET
 from estimation.gap.effects import catalogue
-from estimation.gap.result import Gap
-from estimation.gap.screen import Column, Hypothesis, Reduced, Screen, equivalent_z
-from estimation.gap.select import credible_set
-from estimation.gap.whitening import NoiseModel, Shapes, Whitener, estimate_noise, spectral_matrix, whitener
+from estimation.gap.likelihood.whitening import (
+    NoiseModel,
+    NoisePart,
+    Shapes,
+    Source,
+    Whitener,
+    estimate_noise,
+    spectral_matrix,
+    whitener,
+)
+from estimation.gap.search.confirm import leading
+from estimation.gap.search.select import credible_set
+from estimation.gap.tests_of_fit.calibration import upper_quantile
+from estimation.gap.tests_of_fit.hypotheses import Column, Hypothesis
+from estimation.gap.tests_of_fit.screen import Reduced, Screen, equivalent_z
+
+A = NoisePart(Source.RATE, "a")
 
 
 def low_pass_shape(count: int, step: float, tau: float) -> np.ndarray:  # type: ignore[type-arg]
@@ -26,8 +39,8 @@ def draw(noise: NoiseModel, shapes: Shapes, rng: np.random.Generator) -> np.ndar
 
 def test_whitened_rows_keep_length_and_whitened_series_are_white() -> None:
     rng = np.random.default_rng(0)
-    noise = NoiseModel(np.array([1.0, 4.0]), {"a": 30.0})
-    shapes = Shapes({"a": low_pass_shape(400, 0.05, 0.5)}, 400, 0.05)
+    noise = NoiseModel(np.array([1.0, 4.0]), {A: 30.0})
+    shapes = Shapes({A: low_pass_shape(400, 0.05, 0.5)}, 400, 0.05)
     w = whitener(noise, shapes)
     rows = np.concatenate([w.rows(draw(noise, shapes, rng)) for _ in range(40)])
     assert np.mean(rows**2) * rows.shape[0] / (40 * 800) == pytest.approx(1.0, abs=0.02)
@@ -46,11 +59,11 @@ def test_identity_whitener_is_parseval() -> None:
 
 def test_noise_strengths_are_recovered() -> None:
     rng = np.random.default_rng(2)
-    truth = NoiseModel(np.array([1.0, 2.0]), {"a": 20.0})
-    shapes = [Shapes({"a": low_pass_shape(600, 0.05, 0.5)}, 600, 0.05)] * 6
+    truth = NoiseModel(np.array([1.0, 2.0]), {A: 20.0})
+    shapes = [Shapes({A: low_pass_shape(600, 0.05, 0.5)}, 600, 0.05)] * 6
     found = estimate_noise([draw(truth, s, rng) for s in shapes], shapes, np.array([3.0, 3.0]), np.array([0.1, 0.1]))
     np.testing.assert_allclose(found.measurement, truth.measurement, rtol=0.1)
-    assert found.process["a"] == pytest.approx(20.0, rel=0.25)
+    assert found.process[A] == pytest.approx(20.0, rel=0.25)
 
 
 def screen_of(rows: list[np.ndarray], n: int, k: int, flights: tuple[int, ...]) -> Screen:  # type: ignore[type-arg]
@@ -74,7 +87,7 @@ def test_gain_equals_brute_force_least_squares() -> None:
     base = list(range(n))
     for subset in ([0], [1], [0, 2], [0, 1, 2]):
         assert projected.gain(subset) == pytest.approx(cost(base) - cost(base + [n + i for i in subset]), rel=1e-6)
-    assert projected.z()[0] ** 2 == pytest.approx(projected.gain([0]), rel=1e-6)
+    assert projected.scores()[0, 0] ** 2 == pytest.approx(projected.gain([0]), rel=1e-6)
 
 
 def test_cross_gain_is_positive_for_what_repeats_and_not_for_chance() -> None:
@@ -105,8 +118,8 @@ def test_gap_closed_by_hand() -> None:
 
 
 def test_credible_set_is_the_smallest_with_the_share() -> None:
-    assert credible_set({"a": 0.97, "b": 0.03}) == [("a", 0.97)]
-    assert [n for n, _ in credible_set({"a": 0.6, "b": 0.36, "c": 0.04})] == ["a", "b"]
+    assert credible_set({"a": 0.97, "b": 0.03}, AS_SET) == [("a", 0.97)]
+    assert [n for n, _ in credible_set({"a": 0.6, "b": 0.36, "c": 0.04}, AS_SET)] == ["a", "b"]
 
 
 def test_upper_quantile_is_never_below_the_samples_own() -> None:
@@ -127,8 +140,8 @@ def test_plays_get_a_full_fit_whatever_a_small_step_says() -> None:
     }
     assert len(plays) == 3
     gains = np.array([0.0 if h in plays else 100.0 - h for h in range(len(hypotheses))])
-    chosen = leading(screen, gains, 10)
+    chosen = leading(screen, gains, AS_SET)
     assert plays < set(chosen)
     assert len(chosen) == len(set(chosen)) <= 13
     gains[list(plays)] = 200.0
-    assert sorted(leading(screen, gains, 10)[:3]) == sorted(plays), "and once only"
+    assert sorted(leading(screen, gains, AS_SET)[:3]) == sorted(plays), "and once only"

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from estimation.gap.rerun_report import CLOCK, drawable, write_gap_recording
-from estimation.gap.result import Gap, GapResult, Histories, Step, Verdict, View, Weighed, Where
+from estimation.gap.answer.result import Gap, GapResult, Histories, Step, Verdict, View, Weighed, Where
+from estimation.gap.pages.rerun_report import CLOCK, drawable, write_gap_recording
 from estimation.models.load import load_model
 from tests.groundstation.viewer.vulkan import need_vulkan
 

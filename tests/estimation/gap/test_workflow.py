@@ -1,17 +1,19 @@
 """The whole workflow on flights of a second, independent truth: names what is hidden, and nothing where nothing is."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from estimation.gap.answer.result import GapResult, Verdict
+from estimation.gap.criteria import AS_SET
 from estimation.gap.effects import catalogue
 from estimation.gap.errors import GapError
-from estimation.gap.gate import kinematic_gate
-from estimation.gap.report import write_gap_report
-from estimation.gap.result import GapResult, Verdict
+from estimation.gap.pages.report import write_gap_report
 from estimation.gap.run import analyse
+from estimation.gap.tests_of_fit.kinematic_check import kinematic_check
 from estimation.gap.workflow import Options, run_gap
 from estimation.models.load import load_model, read_model
 from groundstation.flight import Flight, FlightError
@@ -51,7 +53,7 @@ def test_adverse_yaw_is_named_added_and_written_down(flown: dict[str, list[Fligh
     assert any("null" in words for words in said)
     child = read_model(answer["model_after"])
     assert child.name == "lateral+" + step["effect"]
-    assert not [n for n in child.parameter_names if n.startswith(("bias_", "timing_", "edge_"))]
+    assert not [n for n in child.parameter_names if n.startswith(("bias_", "timing_", "curvature_"))]
     lineage = json.loads(next((tmp_path / "report" / "models").glob("*.lineage.json")).read_text(encoding="utf-8"))
     assert len(lineage["flights"]) == 3
     assert lineage["parent"]["digest"] != lineage["child"]["digest"]
@@ -100,9 +102,19 @@ def test_nothing_hidden_gives_no_gap_and_the_same_answer_again(flown: dict[str, 
     assert json.dumps(first.to_json()) == json.dumps(again.to_json())
 
 
-def test_the_gate_tells_an_instrument_from_the_aircraft(flown: dict[str, list[Flight]]) -> None:
-    assert kinematic_gate(flown["beta_lag"], catalogue(), 40, 1).origin == "sensor"
-    assert kinematic_gate(flown["Cn_da"], catalogue(), 40, 1).origin == "physics"
+def test_the_kinematic_check_tells_an_instrument_from_the_aircraft(flown: dict[str, list[Flight]]) -> None:
+    assert kinematic_check(flown["beta_lag"], catalogue(), 40, 1, AS_SET).origin == "sensor"
+    assert kinematic_check(flown["Cn_da"], catalogue(), 40, 1, AS_SET).origin == "physics"
+
+
+def test_the_criteria_of_a_run_decide(flown: dict[str, list[Flight]]) -> None:
+    """The same flights with a threshold twenty times as high: nothing stands out, whatever the record as set says."""
+    deaf = replace(AS_SET, null_margin=20.0 * AS_SET.null_margin)
+    found = kinematic_check(flown["beta_lag"], catalogue(), 40, 1, deaf)
+    as_set = kinematic_check(flown["beta_lag"], catalogue(), 40, 1, AS_SET)
+    assert (found.origin, as_set.origin) == ("physics", "sensor")
+    assert found.threshold == pytest.approx(20.0 * as_set.threshold)
+    assert found.score == as_set.score
 
 
 def test_a_missing_channel_is_named(flown: dict[str, list[Flight]]) -> None:

@@ -9,14 +9,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from estimation.gap.baseline import Baseline, bank_error, channel_noise, filtered_attitudes, fit_baseline
-from estimation.gap.bench import Bench, build_bench
-from estimation.gap.dormant import with_dormant
+from estimation.gap.criteria import AS_SET
 from estimation.gap.effects import catalogue
-from estimation.gap.fitting import Local
-from estimation.gap.nuisance import TIMING_SHARE, with_nuisance
-from estimation.gap.nulls import InputErrors, NullFlyer
-from estimation.gap.whitening import force_states
+from estimation.gap.likelihood.baseline import Baseline, fit_baseline
+from estimation.gap.likelihood.channel_noise import bank_error, channel_noise, filtered_attitudes
+from estimation.gap.likelihood.fitting import Local
+from estimation.gap.likelihood.whitening import force_states
+from estimation.gap.records.candidate_model import with_dormant
+from estimation.gap.records.flight_records import FlightRecords, prepare_flights
+from estimation.gap.records.nuisance import with_nuisance
+from estimation.gap.tests_of_fit.nulls import InputErrors, NullFlyer
 from estimation.models.load import load_model
 from groundstation.flight import Flight
 from tests.studies.gap_regression.equations import CONSTANTS, COURSES, with_airspeed_rate
@@ -39,20 +41,20 @@ def fake_flights(
     one, a centre of gravity to one side the other. Nulls that flew with them would hide such effects from a regression,
     which has no such unknowns. So timing is kept within the tenth of a sample that its prior allows, and biases are zero.
     """
-    baseline, bench = fitted_baseline(training)
+    baseline, prepared = fitted_baseline(training)
     problem, names = baseline.problem, baseline.model.output_names
     values = {n: _clipped(n, v, sample_interval(training)) for n, v in baseline.fit.values.items()}
     fit = replace(baseline.fit, values=values, locals=tuple(_unbiased(local) for local in baseline.fit.locals))
-    exact = [InputErrors({})] * len(bench.records)  # outputs exactly of the inputs; these get their noise below
+    exact = [InputErrors({})] * len(prepared.records)  # outputs exactly of the inputs; these get their noise below
     flyer = NullFlyer.build(problem, fit, baseline.noise, exact)
     without = [problem.residual(i, values, local) for i, local in enumerate(fit.locals)]
     made: list[list[Signals]] = []
     for number in range(2 * count):
         rng = np.random.default_rng([seed, 15485863, number])
-        flown = [flyer.fly(i, rng) for i in range(len(bench.records))]
+        flown = [flyer.fly(i, rng) for i in range(len(prepared.records))]
         fakes = []
         for flight, record, coarse, left, residual in zip(
-            training, bench.records, problem.coarse, without, flown, strict=True
+            training, prepared.records, problem.coarse, without, flown, strict=True
         ):
             if len(record) != flight.time.size:
                 raise ValueError(f"{flight.name}: only unbroken flights can be compared")
@@ -72,17 +74,17 @@ def fake_flights(
     return made
 
 
-def fitted_baseline(training: Sequence[Flight]) -> tuple[Baseline, Bench]:
+def fitted_baseline(training: Sequence[Flight]) -> tuple[Baseline, FlightRecords]:
     """The workflow's own baseline of these flights."""
     model, effects = load_model("lateral", "cdfp"), catalogue()
-    bench = build_bench(model, effects, training, ())
-    white = channel_noise(bench.records)
-    scatter = bank_error(bench.records, model.output_names, white)
-    filtered = filtered_attitudes(bench.records, model.output_names, white)
+    prepared = prepare_flights(model, effects, training, (), AS_SET)
+    white = channel_noise(prepared.records)
+    scatter = bank_error(prepared.records, model.output_names, white)
+    filtered = filtered_attitudes(prepared.records, model.output_names, white)
     step = sample_interval(training)
-    clean = with_nuisance(model, dict(zip(model.output_names, scatter, strict=True)), step, filtered)
-    working = with_dormant(clean, effects, bench.available, force_states(model))
-    return fit_baseline(working, clean, bench, scatter), bench
+    clean = with_nuisance(model, dict(zip(model.output_names, scatter, strict=True)), step, AS_SET, filtered)
+    working = with_dormant(clean, effects, prepared.available, force_states(model))
+    return fit_baseline(working, clean, prepared, scatter), prepared
 
 
 def sample_interval(training: Sequence[Flight]) -> float:
@@ -94,7 +96,7 @@ def _unbiased(local: Local) -> Local:
 
 
 def _clipped(name: str, value: float, step: float) -> float:
-    limit = TIMING_SHARE * step
+    limit = AS_SET.timing_share * step
     return min(max(value, -limit), limit) if name.startswith("timing_") else value
 
 

@@ -1,0 +1,1 @@
+"""What the workflow answers: data, and the words made of it."""

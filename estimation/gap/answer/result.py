@@ -1,0 +1,227 @@
+"""What the gap workflow answers, as data: it becomes the JSON file, the page and the lines on the terminal."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Any
+
+from estimation.engine.kernel import Array
+from estimation.models.base import Model
+
+
+class Verdict(StrEnum):
+    NO_GAP = "no_gap"
+    GAP_CLOSED = "gap_closed"
+    GAP_REDUCED = "gap_reduced"
+    UNKNOWN = "unknown_effect"
+    CANNOT_TELL = "cannot_tell"
+
+
+@dataclass(frozen=True)
+class Gap:
+    """rms over all outputs of residual over measurement noise, and how much of what lies above the floor is gone."""
+
+    before: float
+    after: float
+    floor: float
+
+    @property
+    def closed(self) -> float:
+        """1 - (after^2 - floor^2)/(before^2 - floor^2), in 0..1."""
+        excess = self.before**2 - self.floor**2
+        left = max(self.after**2 - self.floor**2, 0.0)
+        if excess <= 0.0:  # nothing above the floor to close: judged by whether anything is left, if anything was done
+            return 1.0 if left == 0.0 and self.after != self.before else 0.0
+        return min(max(1.0 - left / excess, 0.0), 1.0)
+
+    def to_json(self) -> dict[str, float]:
+        return {"before": _round(self.before), "after": _round(self.after), "floor": _round(self.floor),
+                "closed": _round(self.closed)}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Where:
+    """Where the disagreement lives."""
+
+    equation: str
+    channels: tuple[str, ...]
+    segments: tuple[tuple[float, float], ...]
+    regime: str
+    origin: str = ""  # sensor | physics | undecided, by the kinematic check
+
+    def to_json(self) -> dict[str, Any]:
+        return {
+            "equation": self.equation,
+            "channels": list(self.channels),
+            "segments": [[_round(a, 3), _round(b, 3)] for a, b in self.segments],
+            "regime": self.regime,
+            "origin": self.origin,
+        }
+
+
+@dataclass(frozen=True)
+class Migration:
+    """A base derivative that had absorbed part of the effect. change: in bounds."""
+
+    before: float
+    after: float
+    bounds: float
+    prior: float | None
+
+    def to_json(self) -> dict[str, Any]:
+        data: dict[str, Any] = {
+            "from": _round(self.before, 6),
+            "to": _round(self.after, 6),
+            "bounds": _round(self.bounds, 2),
+        }
+        if self.prior not in (None, 0.0):
+            data["percent_of_prior"] = _round(100 * (self.after - self.before) / abs(self.prior), 1)  # type: ignore[arg-type]
+        return data
+
+
+@dataclass(frozen=True)
+class Weighed:
+    """A member of the set of effects that explain the gap about equally well."""
+
+    effect: str
+    weight: float
+    title: str = ""
+    separate_by: str = ""
+
+
+@dataclass(frozen=True)
+class Step:
+    """One effect found. estimates: parameter -> (value, bound). followed: control -> time [s] by which the base had moved
+    it to follow the effect, where that is more than sampling leaves open; the gap before is then without it."""
+
+    effect: str
+    title: str
+    form: str
+    confidence: float
+    members: tuple[Weighed, ...]
+    separate_by: str
+    estimates: Mapping[str, tuple[float, float]]
+    units: Mapping[str, str]
+    score: float
+    threshold: float
+    where: Where
+    gap: Gap
+    holdout: Gap | None
+    migrated: Mapping[str, Migration]
+    absorbed: float | None = None  # share of the signature that the base's own parameters can take over
+    equation: str = ""
+    practical: str = ""
+    followed: Mapping[str, float] = field(default_factory=dict)
+    text: str = ""
+
+    def to_json(self) -> dict[str, Any]:
+        return {
+            "effect": self.effect, "title": self.title, "form": self.form, "confidence": _round(self.confidence),
+            "set": [{"effect": m.effect, "weight": _round(m.weight)} for m in self.members],
+            "separate_by": self.separate_by,
+            "parameters": {n: {"estimate": _round(v, 8), "std": _round(s, 8), "unit": self.units.get(n, "")}
+                           for n, (v, s) in self.estimates.items()},
+            "score": _round(self.score, 3), "threshold": _round(self.threshold, 3), "where": self.where.to_json(),
+            "gap": self.gap.to_json(), "holdout": None if self.holdout is None else self.holdout.to_json(),
+            "migrated": {n: m.to_json() for n, m in self.migrated.items()},
+            "absorbed": None if self.absorbed is None else _round(self.absorbed, 3),
+            "equation": self.equation, "practical": self.practical,
+            "followed_by_timing": {n: _round(v, 5) for n, v in self.followed.items()}, "text": self.text,
+        }  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Rejected:
+    effect: str
+    why: str
+
+
+@dataclass(frozen=True)
+class Tie:
+    """Two hypotheses whose signatures these flights can hardly tell apart."""
+
+    first: str
+    second: str
+    cosine: float
+
+
+@dataclass(frozen=True)
+class Histories:
+    """Measured, before and after per flight for pictures: arrays (N, ny)."""
+
+    flight: str
+    holdout: bool
+    time: Array
+    measured: Array
+    before: Array
+    after: Array
+    floor: Array  # (ny,) band, one standard deviation of the null residual
+
+
+@dataclass(frozen=True)
+class View:
+    """The disagreement at one stage.
+
+    gap: rms of residual over noise; channels: the same of each output; times: (flight, from, to [s], gap) in windows;
+    regime: signal -> bins; equations: rms of what is missing in each coefficient (rates where the model names none);
+    missing: per record, equation -> (N,) course of it.
+    """
+
+    stage: str
+    gap: float
+    channels: Mapping[str, float]
+    times: tuple[tuple[str, float, float, float], ...]
+    regime: Mapping[str, Sequence[Mapping[str, float]]]
+    equations: Mapping[str, float]
+    missing: tuple[Mapping[str, Array], ...]
+
+    def to_json(self) -> dict[str, Any]:
+        return {
+            "stage": self.stage,
+            "gap": round(self.gap, 4),
+            "channels": {n: round(v, 4) for n, v in self.channels.items()},
+            "times": [[n, round(a, 3), round(b, 3), round(g, 4)] for n, a, b, g in self.times],
+            "regime": {n: list(rows) for n, rows in self.regime.items()},
+            "equations": {n: float(f"{v:.3g}") for n, v in self.equations.items()},
+        }
+
+
+@dataclass(frozen=True)
+class GapResult:
+    verdict: Verdict
+    text: str
+    minimum_detectable: Mapping[str, float]
+    steps: tuple[Step, ...]
+    scores: Mapping[str, float]
+    threshold: float
+    nominal_threshold: float
+    rejected: tuple[Rejected, ...]
+    ties: tuple[Tie, ...]
+    model_before: Model
+    model_after: Model
+    files: tuple[str, str] = ("", "")
+    notes: tuple[str, ...] = ()
+    outputs: tuple[str, ...] = ()
+    histories: tuple[Histories, ...] = ()
+    views: tuple[View, ...] = ()
+    details: Mapping[str, Any] = field(default_factory=dict)
+
+    def to_json(self) -> dict[str, Any]:
+        """The document of `gap --json`."""
+        return {
+            "version": 1, "verdict": self.verdict.value, "text": self.text,
+            "minimum_detectable": {n: _round(v, 8) for n, v in self.minimum_detectable.items()},
+            "steps": [s.to_json() for s in self.steps],
+            "model_before": self.files[0], "model_after": self.files[1],
+            "scores": {n: _round(v, 3) for n, v in self.scores.items()},
+            "threshold": _round(self.threshold, 3), "nominal_threshold": _round(self.nominal_threshold, 3),
+            "ties": [[t.first, t.second, _round(t.cosine, 3)] for t in self.ties],
+            "rejected": [{"effect": r.effect, "why": r.why} for r in self.rejected],
+            "notes": list(self.notes), **dict(self.details.items()),
+        }  # fmt: skip
+
+
+def _round(value: float, digits: int = 4) -> float:
+    """Rounded for a file; numbers that are not finite have no place in JSON and become None."""
+    value = float(value)
+    return round(value, digits) if value - value == 0.0 else None  # type: ignore[return-value]

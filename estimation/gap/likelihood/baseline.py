@@ -1,0 +1,194 @@
+"""One model's fit to the training flights with the noise of its residuals."""
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from estimation.engine.kernel import Array
+from estimation.engine.simulate import Simulator
+from estimation.gap.criteria import Criteria
+from estimation.gap.errors import GapError
+from estimation.gap.likelihood.channel_noise import channel_noise, filtered_attitudes
+from estimation.gap.likelihood.fitting import Fit, Local, Problem, fit
+from estimation.gap.likelihood.surface_steps import SurfaceSteps, displaced, find_surface_steps, freedom_of, loosened
+from estimation.gap.likelihood.whitening import (
+    NoiseModel,
+    NoisePart,
+    Shapes,
+    Source,
+    Whitener,
+    estimate_noise,
+    force_states,
+    linear_motion,
+    shapes_of,
+    whitener,
+)
+from estimation.gap.records.flight_records import FlightRecords, Record
+from estimation.gap.records.nuisance import RATE_OF
+from estimation.models.base import Model
+
+PASSES = 3  # of noise and parameters in turn: the third changes neither by more than the nulls know them
+SPARE_PASSES = 3  # more of them where the fit has not come to rest
+STEP_TURNS = 2  # of stationary noise and freedom of the surfaces
+WORK = 1e7  # the same right-hand side serves every fit and null: compiling it repays
+
+
+@dataclass(frozen=True)
+class Baseline:
+    """A fitted model with the noise of its residuals. scatter: (ny,) standard deviations of the channels' white noise.
+    clean: the model as a person reads it, without what is dormant in it."""
+
+    problem: Problem
+    fit: Fit
+    noise: NoiseModel
+    scatter: Array
+    clean: Model
+
+    @property
+    def criteria(self) -> Criteria:
+        return self.problem.criteria
+
+    @property
+    def model(self) -> Model:
+        return self.problem.model
+
+
+def whiteners_for(
+    problem_model: Model,
+    prepared: FlightRecords,
+    records: Sequence[Record],
+    values: Mapping[str, float],
+    noise: NoiseModel | None,
+    residuals: Sequence[Array],
+    scatter: Array,
+    begin: NoiseModel | None = None,
+) -> tuple[NoiseModel, tuple[Whitener, ...]]:
+    """Noise model from `residuals` (or `noise` where given) and the whitener of every record. begin: an earlier estimate."""
+    base, criteria = prepared.base, prepared.criteria
+    simulator = Simulator.build(problem_model, (), substeps=1, hold="linear")
+    segments = [r.segment(problem_model, base) for r in records]
+    linear = [linear_motion(problem_model, simulator, s, values) for s in segments]
+    shapes = [
+        replace(shapes_of(problem_model, m, len(s), criteria, force_states(base)), louder=r.louder)
+        for m, s, r in zip(linear, segments, records, strict=True)
+    ]
+    steps = [find_surface_steps(problem_model, m, s, criteria) for m, s in zip(linear, segments, strict=True)]
+    if noise is None:
+        noise = estimated_noise(
+            residuals, shapes, steps, *noise_parts(records, base.output_names, scatter, criteria), begin
+        )
+    return noise, tuple(loosened(whitener(noise, s), e, noise.freedom) for s, e in zip(shapes, steps, strict=True))
+
+
+def estimated_noise(
+    residuals: Sequence[Array],
+    shapes: Sequence[Shapes],
+    steps: Sequence[SurfaceSteps],
+    white: Array,
+    without: Collection[NoisePart],
+    known: Mapping[NoisePart, float],
+    begin: NoiseModel | None,
+) -> NoiseModel:
+    """Stationary noise and the freedom of the surfaces in turn: each from what the other leaves of the residuals."""
+    noise = begin if begin is not None and begin.freedom else None
+    freedom = dict(noise.freedom) if noise is not None else {}
+    left = list(residuals)
+    for turn in range(STEP_TURNS + 1):
+        if turn > 0 or noise is None:
+            noise = estimate_noise(
+                left, shapes, white**2, steps[0].criteria.least_noise * white**2, without, known, noise
+            )
+        if turn == STEP_TURNS:
+            break
+        told = [
+            displaced(whitener(noise, s), e, freedom, np.nan_to_num(r))
+            for s, e, r in zip(shapes, steps, residuals, strict=True)
+        ]
+        freedom = freedom_of(steps, told)
+        left = [r - e.response @ mean for r, e, (mean, _) in zip(residuals, steps, told, strict=True)]
+    assert noise is not None
+    return replace(noise, freedom=freedom)
+
+
+def noise_parts(
+    records: Sequence[Record], outputs: Sequence[str], scatter: Array, criteria: Criteria
+) -> tuple[Array, tuple[NoisePart, ...], dict[NoisePart, float]]:
+    """(ny,) white noise of the outputs to begin with, the parts these flights do not have, first guesses of some they have.
+
+    An attitude that is measured afresh in every sample does not wander; one that is a filter's shares most of its gyro's
+    noise. It keeps its slow error as white noise too: a filter is smoother than it is right, and what it makes of the motion
+    between two samples is not known to a hundredth of a degree.
+    """
+    white = channel_noise(records)
+    wandering = filtered_attitudes(records, outputs, white)
+    step = float(np.median(np.diff(records[0].time)))
+    own = scatter.copy()
+    for n in wandering:
+        if RATE_OF[n] in outputs:
+            own[outputs.index(RATE_OF[n])] *= criteria.own_gyro_noise
+    known: dict[NoisePart, float] = {}
+    for n in wandering:
+        known[NoisePart(Source.WANDERING, n)] = scatter[outputs.index(n)] ** 2 / (step * criteria.filter_memory)
+        if RATE_OF[n] in outputs:
+            shared = 1.0 - criteria.own_gyro_noise**2
+            known[NoisePart(Source.GYRO, n)] = shared * scatter[outputs.index(RATE_OF[n])] ** 2
+    filters = (Source.WANDERING, Source.GYRO)
+    return own, tuple(NoisePart(f, n) for n in RATE_OF if n not in wandering for f in filters), known
+
+
+def fit_baseline(
+    model: Model,
+    clean: Model,
+    prepared: FlightRecords,
+    scatter: Array,
+    start: Mapping[str, float] | None = None,
+    locals_: Sequence[Local] | None = None,
+    noise: NoiseModel | None = None,
+    passes: int = PASSES,
+) -> Baseline:
+    """Fit `model` to the training flights, noise and parameters in turn.
+
+    start, locals_, noise: from a parent model, to save work. Raises GapError when the motion diverges at the start and
+    no start helps.
+    """
+    records = prepared.of(prepared.training)
+    values = dict(start or {})
+    own = None if locals_ is None else list(locals_)
+    found: Fit | None = None
+    level = noise or NoiseModel(scatter**2, {})
+    for turn in range(passes + 1 + SPARE_PASSES):
+        if turn > passes and (found is None or found.converged):
+            break
+        at = {**model.starts(), **values}
+        if turn == 0:
+            _, whiteners = whiteners_for(model, prepared, records, at, level, (), scatter)
+        else:
+            assert found is not None
+            level, whiteners = whiteners_for(model, prepared, records, at, None, found.residuals, scatter, level)
+        problem = Problem(model, prepared.base, records, whiteners, prepared.criteria, WORK)
+        found = _careful(problem, values, own, afar=turn if start is None else passes)
+        if found.diverged:
+            raise GapError(
+                f"model {model.name} runs away on {_culprit(problem, found, prepared)}: the baseline itself is wrong for these "
+                "flights; check the aircraft file and the signs of the controls, or cut the flights into shorter segments"
+            )
+        values, own = dict(found.values), list(found.locals)
+    assert found is not None
+    return Baseline(problem, found, level, scatter, clean)
+
+
+def _careful(problem: Problem, values: Mapping[str, float], own: Sequence[Local] | None, afar: int) -> Fit:
+    """A fit from afar (pass 0: white noise; pass 1: its own noise for the first time) without, then with what is only
+    nuisance: far from the optimum a displacement in time is bent to serve for everything else, and does not come back."""
+    if afar > 1:
+        return fit(problem, values, own)
+    first = fit(problem, values, own, held=[n for n in problem.free if problem.nuisance(n)])
+    return first if first.diverged or afar == 0 else fit(problem, first.values, first.locals)
+
+
+def _culprit(problem: Problem, found: Fit, prepared: FlightRecords) -> str:
+    for i, local in enumerate(found.locals):
+        if problem.residual(i, found.values, local) is None:
+            return prepared.names[problem.records[i].flight]
+    return ", ".join(prepared.names[i] for i in prepared.training)

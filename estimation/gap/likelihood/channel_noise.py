@@ -1,0 +1,75 @@
+"""How noisy every channel is, and which attitudes are the output of a filter: before anything is fitted."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from estimation.engine.kernel import Array
+from estimation.gap.records.flight_records import Record
+from estimation.gap.records.nuisance import RATE_OF
+from estimation.signals.preprocess import noise_level
+
+QUIETEST = 1e-4  # of the span of a channel: a coarsely rounded one shows no scatter at all
+
+
+def channel_noise(records: Sequence[Record]) -> Array:
+    """(ny,) standard deviation of the white part of every output, median over the records."""
+    ny = records[0].z.shape[1]
+    levels = np.zeros((len(records), ny))
+    span = np.zeros(ny)
+    for k, record in enumerate(records):
+        for i in range(ny):
+            seen = record.z[np.isfinite(record.z[:, i]), i]
+            if seen.size:
+                levels[k, i] = noise_level(seen)
+                span[i] = max(span[i], float(np.ptp(seen)))
+    return np.maximum(np.median(levels, axis=0), QUIETEST * np.maximum(span, 1e-9))
+
+
+def filtered_attitudes(records: Sequence[Record], outputs: Sequence[str], white: Array) -> tuple[str, ...]:
+    """Those attitudes among the outputs, of white noise `white` (ny,), that come from a filter which integrates the gyro.
+
+    From sample to sample they are smoother than one step of the gyro's own noise, which no independent measurement can be.
+    """
+    step = float(np.median(np.concatenate([np.diff(record.time) for record in records])))
+    found = []
+    for attitude, rate in RATE_OF.items():
+        if attitude in outputs:
+            given = [record.input_noise.get(rate, 0.0) for record in records]
+            noise = white[outputs.index(rate)] if rate in outputs else float(np.median(given))
+            if white[outputs.index(attitude)] <= noise * step:
+                found.append(attitude)
+    return tuple(found)
+
+
+def bank_error(records: Sequence[Record], outputs: Sequence[str], scatter: Array) -> Array:
+    """`scatter` with the noise of the bank angle replaced by its slow error where the bank angle is a filter's.
+
+    An attitude filter integrates the gyro and corrects slowly: from sample to sample its angle is smoother than one
+    step of the gyro's own noise, which no independent measurement can be. What is wrong with it is then not seen in
+    that smoothness but in how it parts from the integrated rates (without a constant and a drift) over the record.
+    """
+    if not {"p", "r"} <= set(outputs) or "phi" not in filtered_attitudes(records, outputs, scatter):
+        return scatter
+    p, r, phi = (outputs.index(n) for n in ("p", "r", "phi"))
+    errors = []
+    for record in records:
+        if not {"q", "theta"} <= set(record.inputs) or not np.isfinite(record.z[:, [p, r, phi]]).all():
+            continue
+        bank = record.z[:, phi]
+        turn = record.inputs["q"] * np.sin(bank) + record.z[:, r] * np.cos(bank)
+        rate = record.z[:, p] + np.tan(record.inputs["theta"]) * turn
+        dt = np.diff(record.time)
+        integrated = np.concatenate([[0.0], np.cumsum(0.5 * dt * (rate[1:] + rate[:-1]))])
+        line = np.polyfit(record.time, bank - integrated, 1)
+        errors.append(float(np.std(bank - integrated - np.polyval(line, record.time))))
+    if not errors:
+        return scatter
+    wider = scatter.copy()
+    wider[phi] = max(scatter[phi], float(np.median(errors)))
+    return wider
+
+
+def sample_interval(records: Sequence[Record]) -> float:
+    """Median over the records of their sample interval [s]."""
+    return float(np.median([np.median(np.diff(r.time)) for r in records]))

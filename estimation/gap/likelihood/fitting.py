@@ -1,0 +1,345 @@
+"""Joint fit of one model to many records, residuals weighted by the whitener: generalised output error.
+
+Shared parameters plus, per record, initial states (and local parameters such as instrument biases): the normal matrix
+has arrow structure and is reduced record by record (Schur complement), so cost is linear in the number of flights.
+The optimiser and the elimination are those of the estimators (`estimation.estimators`); here is what they are given.
+"""
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.interpolate import PchipInterpolator
+
+from estimation.engine.kernel import Array
+from estimation.engine.simulate import Segment, Simulator
+from estimation.estimators.arrow import FlightBlocks, pseudo_inverse, solved
+from estimation.estimators.gauss_newton import LoopOptions, Status, Step, minimise
+from estimation.gap.criteria import Criteria
+from estimation.gap.likelihood.whitening import Whitener
+from estimation.gap.records.flight_records import Record
+from estimation.models.base import Model, ParameterRole
+
+LARGEST = 1e9  # sensitivity beyond which the motion counts as running away: its square still fits beside 1 in a double
+SECANT = 0.25  # of a curvature unknown, in which the outputs are nearly linear
+ITERATIONS = 25  # a fit that takes more has not come to rest and is gone on with by the caller
+ENOUGH = 1e-3  # of the log-likelihood: steps below a twentieth of a standard deviation
+FLAT = 1e-6  # of the cost: a smaller decrease is rounding of sums over 10^4 residuals and of the integration
+
+
+@dataclass(frozen=True)
+class Local:
+    """Values of one record's own unknowns: initial states (nx,), then local parameters."""
+
+    x0: Array
+    parameters: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A fitted model.
+
+    values: shared parameters, held ones included. locals: per record. residuals: per record (N, ny), measured minus
+    model, NaN where not measured. cost: half the whitened sum of squares with priors. hessian: (n, n) of the shared
+    free parameters, everything local eliminated. converged, diverged: how it ended.
+    """
+
+    model: Model
+    free: tuple[str, ...]
+    values: Mapping[str, float]
+    locals: tuple[Local, ...]
+    residuals: tuple[Array, ...]
+    cost: float
+    hessian: Array
+    converged: bool
+    diverged: bool
+
+    def std(self) -> dict[str, float]:
+        """Cramer-Rao bounds of the shared parameters under the whitened likelihood."""
+        inverse = pseudo_inverse(self.hessian)[0]
+        return {n: float(np.sqrt(max(inverse[i, i], 0.0))) for i, n in enumerate(self.free)}
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A model bound to records and their whiteners. base: the model the records were prepared for.
+
+    Shared unknowns are the model's free parameters and one `curvature_<control>` for each control: how a surface moved
+    between two samples, from a straight line (-1) over a monotone cubic (0) to rounder than that.
+    """
+
+    model: Model
+    base: Model
+    records: tuple[Record, ...]
+    whiteners: tuple[Whitener, ...]
+    criteria: Criteria
+    work: float = 0.0  # how much simulation is coming: decides whether compiling repays
+
+    @cached_property
+    def coarse(self) -> tuple[Segment, ...]:
+        """The records as this model needs them, at the samples."""
+        return tuple(r.segment(self.model, self.base) for r in self.records)
+
+    @cached_property
+    def grids(self) -> "tuple[Grid, ...]":
+        """The same with one more instant in the middle of each interval."""
+        return tuple(fine_grid(s) for s in self.coarse)
+
+    @cached_property
+    def local_names(self) -> tuple[str, ...]:
+        return tuple(p.name for p in self.model.parameters if p.local and not p.fixed)
+
+    @cached_property
+    def curvatures(self) -> dict[str, int]:
+        """Curvature unknown -> column of the input it belongs to."""
+        return {f"curvature_{s.name}": i for i, s in enumerate(self.model.inputs) if s.control}
+
+    @cached_property
+    def parameters(self) -> tuple[str, ...]:
+        """Free shared parameters of the model itself."""
+        return tuple(n for n in self.model.free_names if n not in self.local_names)
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        """All shared unknowns, in the order of the columns."""
+        return (*self.parameters, *self.curvatures)
+
+    @cached_property
+    def simulator(self) -> Simulator:
+        return Simulator.build(
+            self.model, (*self.parameters, *self.local_names), substeps=1, work=self.work, hold="linear"
+        )
+
+    def starts(self) -> dict[str, float]:
+        """Start values of everything shared, held parameters included."""
+        return {**self.model.starts(), **dict.fromkeys(self.curvatures, 0.0)}
+
+    def starting_locals(self) -> tuple[Local, ...]:
+        starts = self.model.starts()
+        return tuple(Local(s.x0, {n: starts[n] for n in self.local_names}) for s in self.coarse)
+
+    def residual(
+        self, index: int, values: Mapping[str, float], local: Local, inputs: Array | None = None
+    ) -> Array | None:
+        """(N, ny) measured minus model of one record; None where the motion leaves the finite numbers.
+
+        inputs: (N, nu) other inputs than the record's own.
+        """
+        grid = self.grids[index] if inputs is None else fine_grid(replace(self.coarse[index], u=inputs))
+        motion = self.simulator.run(self.driven(grid, values), {**values, **local.parameters}, local.x0)
+        return self.coarse[index].z - motion.y[::2] if motion.finite else None
+
+    def linearised(self, index: int, values: Mapping[str, float], local: Local) -> tuple[Array, Array] | None:
+        """(residual (N, ny), sensitivities (N, ny, shared unknowns + local parameters + initial states)) of one record."""
+        segment = self.driven(self.grids[index], values)
+        motion = self.simulator.run(segment, {**values, **local.parameters}, local.x0, sensitivities=True)
+        if not motion.finite or motion.dy is None or not np.abs(motion.dy).max() < LARGEST:
+            return None
+        residual = self.coarse[index].z - motion.y[::2]
+        n = len(self.parameters)
+        columns = [motion.dy[::2, :, :n]]
+        for name in self.curvatures:
+            moved = self.residual(index, {**values, name: values[name] + SECANT}, local)
+            if moved is None:
+                return None
+            columns.append(np.nan_to_num((residual - moved) / SECANT)[:, :, None])
+        dy = np.concatenate([*columns, motion.dy[::2, :, n:]], axis=2)
+        dy[~np.isfinite(residual)] = 0.0
+        return residual, dy
+
+    def driven(self, grid: "Grid", values: Mapping[str, float]) -> Segment:
+        """A grid's inputs with the paths of the controls between samples as `values` say."""
+        u = grid.segment.u
+        shifts = [(i, values[name]) for name, i in self.curvatures.items() if values.get(name, 0.0) != 0.0]
+        if shifts:
+            u = u.copy()
+            for i, kappa in shifts:
+                u[:, i] += kappa * grid.rounding[:, i]
+        return replace(grid.segment, u=u)
+
+    def prior(self, name: str) -> tuple[float, float] | None:
+        """(mean, standard deviation) of what is believed of an unknown, or None."""
+        if name in self.curvatures:
+            return 0.0, self.criteria.curvature_spread
+        p = self.model.parameter(name)
+        return None if p.prior_mean is None or p.prior_std is None else (p.prior_mean, p.prior_std)
+
+    def nuisance(self, name: str) -> bool:
+        """Whether a shared unknown is only carried along: no effect may be named for it."""
+        return name in self.curvatures or self.model.parameter(name).role is ParameterRole.NUISANCE
+
+    def limits(self, name: str) -> tuple[float, float]:
+        if name in self.curvatures:
+            return -self.criteria.curvature_limit, self.criteria.curvature_limit
+        p = self.model.parameter(name)
+        return p.lower, p.upper
+
+
+@dataclass(frozen=True)
+class Grid:
+    """A segment with mid-interval samples, and how far its inputs there lie from a straight line, (2N - 1, nu)."""
+
+    segment: Segment
+    rounding: Array
+
+
+def fine_grid(segment: Segment) -> Grid:
+    """Time and inputs with one more sample in the middle of each interval.
+
+    Inputs pass through the middle by a monotone cubic (PCHIP), not by a straight line: surfaces driven by servos round
+    their steps, and straight lines bias the control and damping derivatives by some 2 % at 20 Hz.
+    """
+    time, u = segment.time, segment.u
+    middle = 0.5 * (time[1:] + time[:-1])
+    fine = np.empty(2 * time.size - 1)
+    fine[::2], fine[1::2] = time, middle
+    values, rounding = np.empty((fine.size, u.shape[1])), np.zeros((fine.size, u.shape[1]))
+    values[::2] = u
+    if u.shape[1]:
+        values[1::2] = PchipInterpolator(time, u, axis=0)(middle)
+        rounding[1::2] = values[1::2] - 0.5 * (u[1:] + u[:-1])
+    z = np.full((fine.size, segment.z.shape[1]), np.nan)
+    return Grid(replace(segment, time=fine, u=np.ascontiguousarray(values), z=z), rounding)
+
+
+def prior_terms(problem: Problem, names: Sequence[str], values: Mapping[str, float]) -> tuple[Array, Array]:
+    """(weights (n,), weighted distances (n,)) of the Gaussian priors of the named parameters."""
+    weight, distance = np.zeros(len(names)), np.zeros(len(names))
+    for i, name in enumerate(names):
+        believed = problem.prior(name)
+        if believed is not None:
+            weight[i] = 1.0 / believed[1] ** 2
+            distance[i] = weight[i] * (believed[0] - values[name])
+    return weight, distance
+
+
+def prior_cost(problem: Problem, names: Sequence[str], values: Mapping[str, float]) -> float:
+    weight, distance = prior_terms(problem, names, values)
+    return 0.5 * float(np.sum(distance[weight > 0] ** 2 / weight[weight > 0]))
+
+
+@dataclass(frozen=True)
+class Point:
+    """Values at which the whitened cost was computed; residuals: per record, none where the motion leaves the finite numbers."""
+
+    cost: float
+    residuals: tuple[Array, ...] = ()
+
+
+@dataclass
+class Unknowns:
+    """The problem as the optimiser sees it: one vector of the first n shared unknowns, then every record's own.
+
+    values: everything shared, where it starts. held: indices of shared unknowns that stay. hessian: of the last step.
+    """
+
+    problem: Problem
+    values: Mapping[str, float]
+    n: int
+    held: Sequence[int]
+    hessian: Array
+    runaway: bool = False
+
+    def packed(self, locals_: Sequence[Local]) -> Array:
+        own = [[*(local.parameters[n] for n in self.problem.local_names), *local.x0] for local in locals_]
+        return np.concatenate([[self.values[n] for n in self.problem.free[: self.n]], *own])
+
+    def unpacked(self, unknowns: Array) -> tuple[dict[str, float], tuple[Local, ...]]:
+        """Shared values by name, and every record's own."""
+        names, count = self.problem.local_names, len(self.problem.local_names)
+        shared = zip(self.problem.free[: self.n], unknowns[: self.n].tolist(), strict=True)
+        own = unknowns[self.n :].reshape(len(self.problem.records), -1)
+        locals_ = tuple(Local(row[count:].copy(), dict(zip(names, row[:count].tolist(), strict=True))) for row in own)
+        return {**self.values, **dict(shared)}, locals_
+
+    def clip(self, unknowns: Array) -> Array:
+        limits = np.array([self.problem.limits(n) for n in self.problem.free[: self.n]]).reshape(-1, 2).T
+        return np.concatenate([np.clip(unknowns[: self.n], *limits), unknowns[self.n :]])
+
+    def evaluate(self, unknowns: Array, derivatives: bool) -> Point:
+        """Cost and residuals; derivatives cost more and wait until a step is wanted."""
+        problem = self.problem
+        values, locals_ = self.unpacked(unknowns)
+        total, residuals = prior_cost(problem, problem.free, values), []
+        for i, local in enumerate(locals_):
+            residual = problem.residual(i, values, local)
+            if residual is None:
+                return Point(np.inf)
+            residuals.append(residual)
+            total += 0.5 * float(np.sum(problem.whiteners[i].rows(residual) ** 2))
+            total += prior_cost(problem, problem.local_names, local.parameters)
+        return Point(total, tuple(residuals))
+
+    def step(self, unknowns: Array, point: Point, damping: float) -> Step:
+        """Gauss-Newton step; none, and `runaway` set, where a sensitivity leaves the finite numbers."""
+        problem, n = self.problem, self.n
+        values, locals_ = self.unpacked(unknowns)
+        weight, distance = prior_terms(problem, problem.free[:n], values)
+        H, g, decrement, blocks = np.diag(weight), distance, 0.0, []
+        for i, local in enumerate(locals_):
+            block = record_blocks(problem, i, values, local, n)
+            if block is None:
+                self.runaway = True
+                return Step(np.zeros_like(unknowns), 0.0)
+            information, gradient = block.reduced()
+            H, g = H + information, g + gradient
+            decrement += 0.5 * float(block.gl @ block.ll_inverse @ block.gl)
+            blocks.append(block)
+        self.hessian = H
+        free = np.setdiff1d(np.arange(n), self.held)
+        shared = np.zeros(n)
+        shared[free] = solved(H[np.ix_(free, free)], g[free])
+        own = [block.local(shared) for block in blocks]
+        return Step(np.concatenate([shared, *own]), decrement + 0.5 * float(shared @ g))
+
+
+def record_blocks(
+    problem: Problem, index: int, values: Mapping[str, float], local: Local, n: int
+) -> FlightBlocks | None:
+    """Information of one record about the first n shared unknowns and its own; None where the motion runs away."""
+    found = problem.linearised(index, values, local)
+    if found is None:
+        return None
+    residual, dy = found
+    rows = problem.whiteners[index].rows(np.concatenate([dy, residual[:, :, None]], axis=2))
+    J, r = np.delete(rows[:, :-1], np.s_[n : len(problem.free)], axis=1), rows[:, -1]
+    weight, distance = local_prior(problem, local, J.shape[1] - n)
+    information, gradient = J.T @ J, J.T @ r
+    information[n:, n:] += np.diag(weight)
+    gradient[n:] += distance
+    return FlightBlocks.split(information, gradient, np.arange(n), np.arange(n, J.shape[1]))
+
+
+def local_prior(problem: Problem, local: Local, count: int) -> tuple[Array, Array]:
+    """(weights, weighted distances) of the priors of a record's own `count` unknowns; initial states have none."""
+    w, d = prior_terms(problem, problem.local_names, local.parameters)
+    return np.pad(w, (0, count - w.size)), np.pad(d, (0, count - d.size))
+
+
+def fit(
+    problem: Problem,
+    start: Mapping[str, float] | None = None,
+    locals_: Sequence[Local] | None = None,
+    iterations: int = ITERATIONS,
+    frozen: bool = False,
+    enough: float = ENOUGH,
+    held: Collection[str] = (),
+) -> Fit:
+    """Minimise the whitened cost from `start`. frozen: hold the shared parameters and fit only what is local.
+    enough: of the cost; iterations end where a step promises less. held: shared parameters that stay where they are."""
+    n = 0 if frozen else len(problem.free)
+    names = problem.free[:n]
+    values = {**problem.starts(), **(start or {})}
+    view = Unknowns(problem, values, n, [i for i, name in enumerate(names) if name in held], np.zeros((n, n)))
+    begin = view.packed(locals_ if locals_ is not None else problem.starting_locals())
+    options = LoopOptions(
+        iterations, enough, most_damping=0.0, near=0.0, relative=FLAT, gain=True, flat=0.0
+    )  # whitened residuals are nearly linear near the optimum: halving does, damping and combined steps repay nothing
+    outcome = minimise(view, begin, options)
+    point = outcome.point
+    assert isinstance(point, Point)
+    done, own = view.unpacked(outcome.unknowns)
+    converged = outcome.status is Status.CONVERGED and not view.runaway
+    diverged = outcome.status is Status.DIVERGED or view.runaway
+    return Fit(problem.model, names, done, own, point.residuals, point.cost, view.hessian, converged, diverged)

@@ -1,0 +1,164 @@
+"""How a surface moved between two samples is not recorded: an uncertainty that belongs to its steps, not to all time.
+
+A servo's step falls anywhere within an interval. Which way the surface went through the middle of that interval moves
+the aircraft as much as many a hidden effect does, and no stationary spectrum describes it. The middle of every interval
+in which a control moves much is given a prior displacement in proportion to the step; the proportion is estimated from
+the flights. An output that shows a control at once (side acceleration the rudder) jumps with it, one whose rate does
+(rolling with the ailerons) has a kink there, and what a sample next to it shows depends on the milliseconds between the two,
+on the instrument's filter and on how samples were brought to one time base: it too is given a displacement in proportion
+to the jump, or to what the kink makes in one interval. All of it is marginalised over by a correction of low rank behind
+the whitener.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import expm
+
+from estimation.engine.kernel import Array
+from estimation.engine.simulate import Segment
+from estimation.gap.criteria import Criteria
+from estimation.gap.likelihood.whitening import Linear, Slack, Whitener
+from estimation.models.base import Model
+from estimation.models.expressions import names_in
+
+GAUSSIAN = 1.4826  # standard deviation over median absolute deviation of normal noise
+NOTHING = 1e-30  # energy of steps that no output shows
+SEEN = 1e-8  # of the strongest direction's energy: weaker ones have nothing to forgive
+RUNAWAY = 1e6  # a motion that grows so far is no small motion any more
+
+
+@dataclass(frozen=True)
+class SurfaceSteps:
+    """What steps of surfaces leave open in one record.
+
+    name: (m,) the control whose middle of an interval is meant, or the output that jumps or bends with it and of which one
+    sample is meant; at: (m,) index of the sample before the middle, or of that sample; step: (m,) [rad] or [unit of the
+    output]; response: (N, ny, m) change of the outputs by a displacement of one step. jumping: the outputs among the names.
+    """
+
+    name: tuple[str, ...]
+    at: Array
+    step: Array
+    response: Array
+    criteria: Criteria
+    jumping: frozenset[str] = frozenset()
+
+    def spread(self, freedom: Mapping[str, float]) -> Array:
+        """(m,) prior standard deviations in steps."""
+        c = self.criteria
+        return np.array([freedom.get(n, c.jump_freedom if n in self.jumping else c.surface_freedom) for n in self.name])
+
+
+def find_surface_steps(model: Model, linear: Linear, segment: Segment, criteria: Criteria) -> SurfaceSteps:
+    """The largest steps of all controls in a record and what a displacement half-way, or of a jump, does to the outputs."""
+    found: list[tuple[float, str, int, float]] = []
+    for j, signal in enumerate(model.inputs):
+        if not signal.control or signal.name not in linear.controls:
+            continue
+        step = np.diff(segment.u[:, j])
+        scatter = GAUSSIAN * float(np.median(np.abs(step)))
+        power = float(np.abs(linear.C @ linear.B[:, linear.controls.index(signal.name)] / linear.scale).max())
+        for k in np.flatnonzero(np.abs(step) > criteria.surface_step * scatter):
+            found.append((power * abs(float(step[k])), signal.name, int(k), float(step[k])))
+    found = sorted(sorted(found, reverse=True)[: criteria.surface_steps_most], key=lambda e: (e[1], e[2]))
+    N, ny = len(segment), linear.C.shape[0]
+    replies = {c: _reply(linear, linear.controls.index(c), N) for c in {e[1] for e in found}}
+    places = [(control, k, step) for _, control, k, step in found]
+    sharp = np.abs(linear.D) + linear.dt * np.abs(
+        linear.C @ linear.B
+    )  # by unit step: the jump, the kink over one interval
+    outputs = []
+    for i, output in enumerate(model.output_names):
+        jumps = sample_jumps(sharp[i], linear.controls, places, N)
+        if jumps.max() > criteria.visible_jump * linear.scale[i]:
+            outputs.append(output)
+            places += [(output, int(k), float(jumps[k])) for k in np.flatnonzero(jumps)]
+    response = np.zeros((N, ny, len(places)))
+    for m, (name, at, size) in enumerate(places):
+        if name in replies:
+            response[at + 1 :, :, m] = size * replies[name][: N - at - 1]
+        else:
+            response[at, model.output_names.index(name), m] = size
+    instants = np.array([at for _, at, _ in places], dtype=int)
+    sizes = np.array([size for _, _, size in places], dtype=float)
+    return SurfaceSteps(tuple(name for name, _, _ in places), instants, sizes, response, criteria, frozenset(outputs))
+
+
+def jumping_outputs(model: Model) -> tuple[str, ...]:
+    """Outputs that a control reaches in the same instant, and not by way of a state (side acceleration: C_Y delta_r)."""
+    controls = {s.name for s in model.inputs if s.control}
+
+    def reaches(symbol: str, seen: set[str]) -> bool:
+        if symbol in controls:
+            return True
+        if symbol in seen or symbol not in model.definitions or symbol in model.state_names:
+            return False
+        return any(reaches(name, seen | {symbol}) for name in names_in(model.definitions[symbol]))
+
+    return tuple(n for n in model.output_names if reaches(n, set()))
+
+
+def sample_jumps(through: Array, controls: Sequence[str], steps: Sequence[tuple[str, int, float]], count: int) -> Array:
+    """(count,) size of the jumps of an output next to every sample.
+
+    through: (controls,) its change by each control. steps: (control, sample before, size) of each step, others are ignored.
+    """
+    jumps = np.zeros(count)
+    for control, k, step in steps:
+        if control not in controls:
+            continue
+        size = through[controls.index(control)] * step
+        jumps[k : k + 2] = np.hypot(jumps[k : k + 2], size)
+    return jumps
+
+
+def _reply(linear: Linear, control: int, count: int) -> Array:
+    """(count, ny) outputs at the samples after an interval in whose middle the control stood 1 off a straight line."""
+    h = linear.dt
+    x = expm(linear.A * (0.5 * h)) @ linear.B[:, control] * (0.5 * h)  # a triangle of width h: its area, at its middle
+    advance = expm(linear.A * h)
+    out = np.zeros((count, linear.C.shape[0]))
+    for k in range(count):
+        if not np.abs(x).max() < RUNAWAY:
+            break
+        out[k] = linear.C @ x
+        x = advance @ x
+    return out
+
+
+def loosened(whitener: Whitener, steps: SurfaceSteps, freedom: Mapping[str, float]) -> Whitener:
+    """`whitener` that also marginalises over the steps."""
+    if not steps.name:
+        return whitener
+    block = steps.response * steps.spread(freedom)
+    rows = whitener.rows(block)
+    values, vectors = np.linalg.eigh(rows.T @ rows)
+    good = values > SEEN * max(float(values.max()), NOTHING)
+    values, vectors = values[good], vectors[:, good]
+    turn = vectors / np.sqrt(values)
+    series = whitener.series(block).reshape(-1, block.shape[2])
+    return Whitener(whitener.root, whitener.count, Slack(rows @ turn, series @ turn, 1.0 - 1.0 / np.sqrt(1.0 + values)))
+
+
+def displaced(whitener: Whitener, steps: SurfaceSteps, freedom: Mapping[str, float], residual: Array
+              ) -> tuple[Array, Array]:  # fmt: skip
+    """(mean (m,), variance (m,)) of the displacements [steps] that a residual (N, ny) tells; `whitener` without slack."""
+    spread = steps.spread(freedom)
+    rows = whitener.rows(np.concatenate([steps.response, residual[:, :, None]], axis=2))
+    E, r = rows[:, :-1], rows[:, -1]
+    inverse = np.linalg.inv(E.T @ E + np.diag(1.0 / spread**2))
+    return inverse @ (E.T @ r), np.diag(inverse).copy()
+
+
+def freedom_of(steps: Sequence[SurfaceSteps], told: Sequence[tuple[Array, Array]]) -> dict[str, float]:
+    """Typical displacement of every control and of every jumping output in steps, from what all records tell."""
+    squares: dict[str, list[float]] = {}
+    jumping = frozenset[str]().union(*(e.jumping for e in steps))
+    for e, (mean, variance) in zip(steps, told, strict=True):
+        for name, m, v in zip(e.name, mean, variance, strict=True):
+            squares.setdefault(name, []).append(float(m * m + v))
+    c = steps[0].criteria
+    jump, move = (c.jump_freedom_least, c.jump_freedom_most), (c.surface_freedom_least, c.surface_freedom_most)
+    return {n: float(np.clip(np.sqrt(np.mean(s)), *(jump if n in jumping else move))) for n, s in squares.items()}

@@ -1,0 +1,280 @@
+"""The noise of the residuals, estimated from the flights given, and the operator that whitens them.
+
+Output-error residuals are coloured: gusts and leftover jitter of the surfaces pass through the aircraft's own modes.
+Their spectral matrix is written as a sum of parts of known shape and unknown strength,
+
+    S(f) = R + sum_j v_j g_j(f) g_j(f)^H,
+
+R diagonal (sensor noise), g_j the linearised response of all outputs to process noise on one force equation or to sample
+noise on one control. Where an attitude is itself the output of a filter, two more: gyro noise, which the rate shows and
+the attitude integrates, and the slow wandering of the attitude alone. All strengths are estimated by maximum likelihood in
+the frequency domain (Whittle 1953); nothing is assumed of the sensors or the weather. Multiplying by S(f)^(-1/2) makes
+residuals white and keeps them aligned in time and channel.
+"""
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import Enum
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimation.engine.kernel import Array
+from estimation.engine.simulate import Segment, Simulator
+from estimation.gap.criteria import Criteria
+from estimation.gap.records.nuisance import RATE_OF
+from estimation.models.base import Model
+from estimation.models.expressions import names_in
+
+Complex = NDArray[np.complex128]
+
+ITERATIONS = 60  # multiplicative steps: strengths of recorded flights settle to some 1 % in them
+FOLLOWING = 20  # steps from an earlier estimate
+LOWEST = 0.25  # of a record's own frequency, in place of none at all: it knows no lower than a part of its own
+BEGIN = 0.3  # of the measurement noise: where the strength of every part starts, from which the steps find their way
+FLOOR = 1e-7  # smallest share of the total a part keeps, so that the spectral matrix stays regular
+
+
+class Source(Enum):
+    """Where noise enters."""
+
+    RATE = "rate of a state"  # white, or with a memory: the derivative of coloured noise, as gusts have it
+    CONTROL = "control"  # of one sample
+    WANDERING = (
+        "error of an attitude filter"  # white noise on the rate of an error that is forgotten in `filter_memory`
+    )
+    GYRO = "gyro of an attitude filter"  # of one sample on the attitude's rate, integrated with the same forgetting
+
+
+@dataclass(frozen=True, slots=True)
+class NoisePart:
+    """One way in which noise enters. of: the state, control or attitude; memory: correlation time [s], 0 where white."""
+
+    source: Source
+    of: str
+    memory: float = 0.0
+
+
+@dataclass(frozen=True)
+class NoiseModel:
+    """Strengths of all parts, shared by the flights.
+
+    measurement: (ny,) variances of the outputs' own noise. process: part -> variance intensity.
+    freedom: control -> how far it strays half-way
+    between two samples, in steps (see `surface_steps`).
+    """
+
+    measurement: Array
+    process: Mapping[NoisePart, float]
+    freedom: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Shapes:
+    """Responses g_j of one record: part -> (frequencies, ny) complex, with the sample interval and count. louder: (ny,) variance
+    of the outputs' own noise over the usual one, or None."""
+
+    parts: Mapping[NoisePart, Complex]
+    count: int
+    step: float
+    louder: Array | None = None
+
+
+@dataclass(frozen=True)
+class Slack:
+    """What the whitener is to forgive: orthonormal directions as white rows (rows, m) and as white series (N ny, m), and the
+    share (m,) of each that is taken away."""
+
+    rows: Array
+    series: Array
+    share: Array
+
+
+@dataclass(frozen=True)
+class Whitener:
+    """Applies S^(-1/2) to residual-like columns of one record. root: (frequencies, ny, ny)."""
+
+    root: Complex
+    count: int
+    slack: Slack | None = None
+
+    def rows(self, columns: Array) -> Array:
+        """(N, ny, k) or (N, ny) -> (rows, k): whitened, as real rows of unit variance."""
+        block = columns[:, :, None] if columns.ndim == 2 else columns
+        spectrum = self.root @ np.fft.rfft(np.nan_to_num(block), axis=0)
+        scale = np.full(spectrum.shape[0], np.sqrt(2.0 / self.count))
+        scale[0] = np.sqrt(1.0 / self.count)
+        if self.count % 2 == 0:
+            scale[-1] = np.sqrt(1.0 / self.count)
+        spectrum *= scale[:, None, None]
+        n = spectrum.shape[0] * spectrum.shape[1]
+        rows = np.concatenate([spectrum.real.reshape(n, -1), spectrum.imag.reshape(n, -1)])
+        if self.slack is not None:
+            rows -= self.slack.rows @ (self.slack.share[:, None] * (self.slack.rows.T @ rows))
+        return rows
+
+    def series(self, residual: Array) -> Array:
+        """(N, ny) residuals, or (N, ny, k) many of them -> white series of the same shape, aligned in time and channel."""
+        block = residual[:, :, None] if residual.ndim == 2 else residual
+        spectrum = np.fft.rfft(np.nan_to_num(block), axis=0)
+        series = np.fft.irfft(self.root @ spectrum, n=self.count, axis=0)
+        if self.slack is not None:
+            flat = series.reshape(-1, block.shape[2])
+            forgiven = self.slack.series @ (self.slack.share[:, None] * (self.slack.series.T @ flat))
+            series -= forgiven.reshape(series.shape)
+        return series.reshape(residual.shape)
+
+
+def force_states(model: Model) -> tuple[str, ...]:
+    """States whose rate depends on a parameter: forces and moments act there, not in mere kinematics."""
+    parameters = set(model.parameter_names)
+
+    def reach(symbol: str, seen: set[str]) -> set[str]:
+        for name in names_in(model.definitions[symbol]) if symbol in model.definitions else ():
+            if name not in seen:
+                seen.add(name)
+                reach(name, seen)
+        return seen
+
+    return tuple(s for s in model.state_names if reach(f"{s}_dot", set()) & parameters)
+
+
+@dataclass(frozen=True)
+class Linear:
+    """Small motion of one record about its mean inputs: x' = A x + B u, y = C x + D u over `controls`, dt [s] between samples;
+    scale: (ny,) rms of the measured outputs."""
+
+    A: Array
+    B: Array
+    C: Array
+    D: Array
+    controls: tuple[str, ...]
+    dt: float
+    scale: Array
+
+
+def linear_motion(model: Model, simulator: Simulator, segment: Segment, values: Mapping[str, float]) -> Linear:
+    """Linearise a model at the mean inputs of a record and small motion."""
+    p = simulator.vector(values)
+    nx = len(model.states)
+    u0 = segment.u.mean(axis=0)
+    controls = [i for i, s in enumerate(model.inputs) if s.control]
+    step = 1e-4  # rad, rad/s: rounding 1e-12 of the motion, curvature as little
+    points_x = np.concatenate(
+        [np.zeros((1, nx)), step * np.eye(nx), -step * np.eye(nx), np.zeros((2 * len(controls), nx))]
+    )
+    points_u = np.repeat(u0[None], points_x.shape[0], axis=0)
+    for j, i in enumerate(controls):
+        points_u[1 + 2 * nx + 2 * j, i] += step
+        points_u[2 + 2 * nx + 2 * j, i] -= step
+    f, _, y, _ = simulator.kernel.evaluate(points_x, points_u, p)
+    first = 1 + 2 * nx
+
+    def by_controls(values: Array) -> Array:
+        return np.asarray((values[first::2] - values[first + 1 :: 2]).T / (2 * step))
+
+    return Linear(
+        A=(f[1 : 1 + nx] - f[1 + nx : first]).T / (2 * step),
+        B=by_controls(f),
+        C=(y[1 : 1 + nx] - y[1 + nx : first]).T / (2 * step),
+        D=by_controls(y),
+        controls=tuple(model.inputs[i].name for i in controls),
+        dt=float(np.median(np.diff(segment.time))),
+        scale=np.maximum(np.sqrt(np.nanmean(segment.z**2, axis=0)), 1e-9),
+    )
+
+
+def shapes_of(
+    model: Model, linear: Linear, count: int, criteria: Criteria, states: Sequence[str] | None = None
+) -> Shapes:
+    """Responses of a record of `count` samples to noise. states: where process noise may enter."""
+    nx, ny = len(model.states), len(model.outputs)
+    s = 2j * np.pi * np.fft.rfftfreq(count, linear.dt)
+    s[0] = 2j * np.pi * LOWEST / (count * linear.dt)
+    resolvent = np.linalg.inv(s[:, None, None] * np.eye(nx) - linear.A)
+    reply = linear.C @ resolvent  # (frequencies, ny, nx)
+    parts: dict[NoisePart, Complex] = {}
+    for name in force_states(model) if states is None else states:
+        i = model.state_names.index(name)
+        parts[NoisePart(Source.RATE, name)] = reply[:, :, i]
+        tau = criteria.gust_memory
+        parts[NoisePart(Source.RATE, name, tau)] = reply[:, :, i] * (s / (s + 1 / tau))[:, None]
+    for j, name in enumerate(linear.controls):
+        parts[NoisePart(Source.CONTROL, name)] = np.asarray(reply @ linear.B[:, j] + linear.D[:, j], complex)
+    for i, name in enumerate(model.output_names):
+        if name in RATE_OF:
+            before = np.exp(-s * linear.dt)  # one sample ago: a filter adds up sampled rates by straight lines
+            summed = (linear.dt / (1.0 - np.exp(-linear.dt / criteria.filter_memory) * before))[:, None] * np.eye(ny)[i]
+            parts[NoisePart(Source.WANDERING, name)] = summed
+            if RATE_OF[name] in model.output_names:
+                own = np.eye(ny)[model.output_names.index(RATE_OF[name])]
+                parts[NoisePart(Source.GYRO, name)] = own + 0.5 * (1.0 + before)[:, None] * summed
+    return Shapes({k: v.reshape(-1, ny) for k, v in parts.items()}, count, linear.dt)
+
+
+def spectral_matrix(noise: NoiseModel, shapes: Shapes) -> Complex:
+    """S(f), (frequencies, ny, ny); unit: output unit squared per sample."""
+    ny = noise.measurement.size
+    S = np.zeros(
+        (next(iter(shapes.parts.values())).shape[0] if shapes.parts else shapes.count // 2 + 1, ny, ny), complex
+    )
+    S += np.diag(noise.measurement if shapes.louder is None else noise.measurement * shapes.louder)
+    for name, strength in noise.process.items():
+        g = shapes.parts[name]
+        S += strength * g[:, :, None] * g[:, None, :].conj()
+    return S
+
+
+def whitener(noise: NoiseModel, shapes: Shapes) -> Whitener:
+    """The operator S^(-1/2) of one record."""
+    values, vectors = np.linalg.eigh(spectral_matrix(noise, shapes))
+    root = (vectors / np.sqrt(values)[:, None, :]) @ vectors.conj().transpose(0, 2, 1)
+    return Whitener(root, shapes.count)
+
+
+def estimate_noise(
+    residuals: Sequence[Array],
+    shapes: Sequence[Shapes],
+    start: Array,
+    floor: Array,
+    without: Collection[NoisePart] = (),
+    known: Mapping[NoisePart, float] = MappingProxyType({}),
+    begin: NoiseModel | None = None,
+) -> NoiseModel:
+    """Maximum-likelihood strengths of all parts from output residuals.
+
+    residuals: per record (N, ny), NaN where not measured. start: (ny,) first guess of the measurement variances;
+    floor: (ny,) smallest ones allowed. without: parts that are none. known: first guesses of strengths. begin: an earlier
+    estimate to go on from. Multiplicative minorise-maximise steps (monotone in likelihood).
+    """
+    names = [n for n in shapes[0].parts if n not in without]
+    ny = start.size
+    spectra = [np.fft.rfft(np.nan_to_num(r), axis=0) / np.sqrt(r.shape[0]) for r in residuals]
+    weights = [np.concatenate([[0.5], np.ones(s.shape[0] - 1)]) for s in spectra]
+    # each part begins with the strength at which it alone would double the measurement noise
+    power = np.array(
+        [np.mean([np.mean(np.sum(np.abs(sh.parts[n]) ** 2 / start, axis=1)) for sh in shapes]) / ny for n in names]
+    )
+    names, power = [n for n, p in zip(names, power, strict=True) if p > 0.0], power[power > 0.0]
+    R, v, turns = start.copy(), BEGIN / power, ITERATIONS
+    v = np.array([known.get(n, x) for n, x in zip(names, v, strict=True)])
+    if begin is not None and all(n in begin.process for n in names):
+        R, v, turns = begin.measurement.copy(), np.array([begin.process[n] for n in names]), FOLLOWING
+    blocks = [np.stack([sh.parts[n] for n in names], axis=2) if names else None for sh in shapes]
+    for _ in range(turns):
+        up_R, down_R = np.zeros(ny), np.zeros(ny)
+        up, down = np.zeros(len(names)), np.zeros(len(names))
+        at = NoiseModel(R, dict(zip(names, v, strict=True)))
+        for spectrum, shape, w, g in zip(spectra, shapes, weights, blocks, strict=True):
+            inverse = np.linalg.inv(spectral_matrix(at, shape))
+            a = (inverse @ spectrum[:, :, None])[:, :, 0]
+            own = 1.0 if shape.louder is None else shape.louder
+            up_R += own * (w @ (np.abs(a) ** 2))
+            down_R += own * (w @ np.einsum("fii->fi", inverse).real)
+            if g is not None:
+                up += w @ np.abs(np.einsum("fik,fi->fk", g.conj(), a)) ** 2
+                down += w @ np.sum(g.conj() * (inverse @ g), axis=1).real
+        R = np.maximum(R * np.sqrt(up_R / down_R), floor)
+        v = np.maximum(v * np.sqrt(up / down), FLOOR / power)
+    return NoiseModel(R, dict(zip(names, (float(x) for x in v), strict=True)))

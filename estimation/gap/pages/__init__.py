@@ -1,0 +1,1 @@
+"""Report, pictures, rerun recording and pages of the documentation."""

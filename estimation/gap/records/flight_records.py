@@ -1,0 +1,148 @@
+"""Flight records: flights prepared once for every model the workflow tries.
+
+De-noising the inputs is the costly part and does not depend on the hypothesis, so the union of all inputs that any
+candidate could bring in is prepared once; a model then takes the columns it needs.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from estimation.engine.data import prepare
+from estimation.engine.kernel import Array
+from estimation.engine.simulate import Segment
+from estimation.gap.criteria import Criteria
+from estimation.gap.effects.base import Effect, Form
+from estimation.models.base import Model, Signal
+from estimation.signals.preprocess import noise_level
+from groundstation.flight import Flight
+
+
+@dataclass(frozen=True)
+class Record:
+    """One unbroken stretch of one flight.
+
+    flight: index of the flight. first: index of the first sample in it. inputs: name -> (N,) de-noised; z: (N, ny)
+    measured outputs, NaN where not measured; x0: (nx,) guess of the initial state; both in the base model's order.
+    input_noise: name -> standard deviation of the noise found on an input. louder: (ny,) variance of the outputs' white
+    noise over the usual one, where this flight's is larger.
+    """
+
+    flight: int
+    first: int
+    time: Array
+    inputs: Mapping[str, Array]
+    z: Array
+    x0: Array
+    input_noise: Mapping[str, float]
+    louder: Array | None = None
+
+    def __len__(self) -> int:
+        return int(self.time.size)
+
+    def segment(self, model: Model, base: Model) -> Segment:
+        """This record as `model`, a descendant of `base`, needs it; inputs it does not have are zero."""
+        count = len(self)
+        still = np.zeros(count)
+        u = (
+            np.column_stack([self.inputs.get(n, still) for n in model.input_names])
+            if model.inputs
+            else np.zeros((count, 0))
+        )
+        return Segment(self.first, self.time, np.ascontiguousarray(u), self.z, self.start(model, base))
+
+    def start(self, model: Model, base: Model) -> Array:
+        """Guess of the initial state of `model`; states the base lacks start where their signal says."""
+        return started(model, dict(zip(base.state_names, self.x0, strict=True)))
+
+
+def started(model: Model, known: Mapping[str, float]) -> Array:
+    """(nx,) initial state of `model` from `known` states; others start where their signal says."""
+    at = dict(known)
+    for signal in model.states:
+        at.setdefault(
+            signal.name, at.get(signal.start, 0.0) if isinstance(signal.start, str) else float(signal.start or 0.0)
+        )
+    return np.array([at[n] for n in model.state_names])
+
+
+@dataclass(frozen=True)
+class FlightRecords:
+    """Records of the flights given, for one base model. names: of the flights; training, holdout: flight indices;
+    criteria: by which everything made of them is decided."""
+
+    base: Model
+    names: tuple[str, ...]
+    records: tuple[Record, ...]
+    training: tuple[int, ...]
+    holdout: tuple[int, ...]
+    available: frozenset[str]
+    notes: tuple[str, ...]
+    criteria: Criteria
+
+    def of(self, flights: Iterable[int]) -> tuple[Record, ...]:
+        """Records of the named flights."""
+        wanted = set(flights)
+        return tuple(r for r in self.records if r.flight in wanted)
+
+    def supports(self, form: Form) -> bool:
+        """Whether every flight has the inputs a form would bring in."""
+        return all(s.name in self.available for s in form.inputs)
+
+
+def prepare_flights(
+    base: Model, effects: Sequence[Effect], training: Sequence[Flight], holdout: Sequence[Flight], criteria: Criteria
+) -> FlightRecords:
+    """Prepare all flights for `base` and whatever `effects` may add to it.
+
+    Raises MissingColumnError or DataError (one sentence) where a flight cannot feed the base model at all.
+    """
+    flights = [*training, *holdout]
+    extra: dict[str, Signal] = {}
+    for effect in effects:
+        for form in effect.forms:
+            for signal in form.inputs:
+                extra.setdefault(signal.name, signal)
+    known = {*base.input_names, *base.state_names, *base.parameter_names, *base.constants, *base.definitions}
+    usable = [s for s in extra.values() if s.name not in known and all(f.measured(s.source) for f in flights)]
+    probe = base.plus(inputs=[replace(s, optional=False) for s in usable])
+    records: list[Record] = []
+    notes: list[str] = []
+    for index, flight in enumerate(flights):
+        data = prepare(probe, flight)
+        notes += [f"{flight.name}: {note}" for note in data.notes]
+        noise = {name: level for name, (level, _) in data.noise.items()}
+        for segment in data.segments:
+            inputs = {n: np.ascontiguousarray(segment.u[:, i]) for i, n in enumerate(probe.input_names)}
+            records.append(Record(index, segment.first, segment.time, inputs, segment.z, segment.x0, noise))
+    return FlightRecords(
+        base=base,
+        names=tuple(f.name for f in flights),
+        records=with_own_noise(records, len(training), criteria),
+        training=tuple(range(len(training))),
+        holdout=tuple(range(len(training), len(flights))),
+        available=frozenset(known | {s.name for s in usable}),
+        notes=tuple(notes),
+        criteria=criteria,
+    )
+
+
+def with_own_noise(records: Sequence[Record], training: int, criteria: Criteria) -> tuple[Record, ...]:
+    """The records, marked where an output is clearly noisier than usual on the training flights.
+
+    A quieter one is left as usual: the scatter of few samples may look quiet by chance, and trusting it too much names effects.
+    """
+    levels = np.array([[_level(r.z[:, c]) for c in range(r.z.shape[1])] for r in records])
+    usual = np.median([row for row, r in zip(levels, records, strict=True) if r.flight < training], axis=0)
+    marked = []
+    for record, row in zip(records, levels, strict=True):
+        ratio = np.divide(row, usual, out=np.ones_like(row), where=usual > 0.0)
+        louder = np.where(ratio > criteria.louder_channel, ratio, 1.0) ** 2
+        marked.append(replace(record, louder=louder) if (louder > 1.0).any() else record)
+    return tuple(marked)
+
+
+def _level(values: Array) -> float:
+    seen = values[np.isfinite(values)]
+    return noise_level(seen) if seen.size else 0.0

@@ -1,0 +1,44 @@
+"""Stale, clipped and missing samples of the channels a model needs, in words."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from estimation.engine.kernel import Array
+from estimation.gap.criteria import Criteria
+from groundstation.flight import Flight
+
+
+def sample_notes(flights: Sequence[Flight], columns: Sequence[str], criteria: Criteria) -> list[str]:
+    """One sentence for each channel of each flight that is stale, clipped or has holes."""
+    said = []
+    for flight in flights:
+        for name in columns:
+            if not flight.measured(name):
+                continue
+            said += [f"{flight.name}: {words}" for words in _channel(name, flight.columns[name], criteria)]
+    return said
+
+
+def _channel(name: str, values: Array, criteria: Criteria) -> list[str]:
+    seen = values[np.isfinite(values)]
+    said = []
+    if seen.size < (1.0 - criteria.missing_share) * values.size:
+        said.append(f"{name} is missing in {1 - seen.size / values.size:.0%} of the samples")
+    if seen.size < criteria.fewest_samples or float(np.ptp(seen)) == 0.0:
+        return said
+    ends = (float(seen.max()), float(seen.min()))
+    stuck = (np.diff(seen) == 0.0) & (seen[1:] < ends[0]) & (seen[1:] > ends[1])
+    if float(stuck.mean()) > criteria.stale_share:
+        said.append(f"{name} repeats its last value in {stuck.mean():.0%} of the samples: stale or coarsely rounded")
+        return said
+    for end, word in zip(ends, ("upper", "lower"), strict=True):
+        run = _longest((seen == end).astype(int))
+        if run >= criteria.clipped_run:
+            said.append(f"{name} stands at its {word} end {end:.4g} for {run} samples in a row: clipped")
+    return said
+
+
+def _longest(flags: Array) -> int:
+    changes = np.flatnonzero(np.diff(np.concatenate([[0], flags, [0]])))
+    return int((changes[1::2] - changes[::2]).max(initial=0))

@@ -1,0 +1,1 @@
+"""Rounds of screen, full fits and acceptance, until nothing is significant."""

@@ -1,0 +1,113 @@
+"""When a fitted hypothesis becomes an effect: significant, better than nameless, repeated, and held on unseen flights."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from estimation.gap.answer.result import Rejected
+from estimation.gap.criteria import Criteria
+from estimation.gap.likelihood.baseline import Baseline
+from estimation.gap.likelihood.fitting import prior_cost
+from estimation.gap.records.flight_records import FlightRecords
+from estimation.gap.search.confirm import Candidate
+from estimation.gap.search.search_state import Finding, Setting
+from estimation.gap.search.select import Choice
+from estimation.gap.tests_of_fit.calibration import Round
+from estimation.gap.tests_of_fit.measure import predictive_cost
+from estimation.gap.tests_of_fit.omnibus import Omnibus
+
+
+def accept(setting: Setting, round_: Round, choice: Choice, omnibus: Omnibus) -> tuple[Finding | None, list[Rejected]]:
+    """The best candidate that is significant, explains what a nameless term can, and holds on flights it was not fitted to."""
+    said: list[Rejected] = []
+    refused: set[tuple[str, str]] = set()
+    nameless = max((s.gain for s in omnibus.leading if s.kind == "term"), default=0.0)
+    for candidate in choice.candidates:
+        if candidate.score < round_.threshold:
+            break
+        child, why = confirmed(setting, round_, candidate, nameless)
+        if child is not None:
+            return Finding(round_, choice.without(refused), candidate, round_.baseline, child), said
+        refused.add(candidate.hypothesis.key)
+        said.append(Rejected(candidate.hypothesis.label, why))
+    return None, said
+
+
+def confirmed(setting: Setting, round_: Round, candidate: Candidate, nameless: float) -> tuple[Baseline | None, str]:
+    """The model with a significant candidate in it, or None and why not. nameless: gain of the best term without a name."""
+    criteria = round_.criteria
+    if not explains(candidate.gain, nameless, criteria):
+        return None, f"explains only {candidate.gain / nameless:.0%} of what a nameless term does"
+    strong = is_strong(candidate.score, round_.threshold, criteria)
+    timing = by_timing(round_, candidate)
+    cross = None
+    if not candidate.hypothesis.form.nonlinear:
+        cross = round_.screen.cross_gain(round_.screen.hypotheses.index(candidate.hypothesis))
+    if not repeats(cross, strong, timing, flight_gains(round_, candidate)):
+        return None, "does not hold on the training flights it was not fitted to"
+    child = setting.child(round_.baseline, candidate)
+    if not holds(held_gain(round_.baseline, child, setting.prepared), strong or timing, criteria):
+        return None, "does not hold on the held-out flights"
+    return child, ""
+
+
+def explains(gain: float, nameless: float, criteria: Criteria) -> bool:
+    """Whether a hypothesis gains nearly what the best nameless term does (both twice a log-likelihood)."""
+    return gain >= criteria.named_share * nameless
+
+
+def is_strong(score: float, threshold: float, criteria: Criteria) -> bool:
+    """Whether an effect may be beyond linear theory, and beyond what chance takes from it on held-out flights."""
+    return score > criteria.strong * threshold
+
+
+def repeats(cross: float | None, strong: bool, timing: bool, gains: Sequence[float]) -> bool:
+    """Whether an effect shows on more than one training flight.
+
+    cross: of effects linear in their unknowns, the gain on each flight with everything fitted to the others, summed, None for
+    one flight; where it is no gain only the joint fit of a strong effect can speak for it. gains: of the joint fit on each
+    flight; delays, lags and plays must gain without the flight that gains most. timing: the base followed the effect by its
+    surfaces, flight by flight, so that its residuals say nothing. One flight alone cannot be asked.
+    """
+    if cross is not None and cross > 0.0:
+        return True
+    if cross is not None and not strong:
+        return False
+    return timing or len(gains) < 2 or sum(gains) - max(gains) > 0.0
+
+
+def holds(held: float | None, trusted: bool, criteria: Criteria) -> bool:
+    """Whether an effect holds on the held-out flights, where there are any. held: twice the log-likelihood gained there;
+    trusted: strong, or followed by the timing of surfaces, so that chance may take a little."""
+    return held is None or held > (-criteria.held_slack if trusted else 0.0)
+
+
+def flight_gains(round_: Round, candidate: Candidate) -> list[float]:
+    """Twice the log-likelihood that a fitted candidate gains on each training flight."""
+    gains: dict[int, float] = {}
+    pairs = zip(round_.baseline.fit.residuals, candidate.fit.residuals, strict=True)
+    for w, flight, (one, two) in zip(round_.baseline.problem.whiteners, round_.screen.flights, pairs, strict=True):
+        gains[flight] = gains.get(flight, 0.0) + float(np.sum(w.rows(one) ** 2) - np.sum(w.rows(two) ** 2))
+    return list(gains.values())
+
+
+def by_timing(round_: Round, candidate: Candidate) -> bool:
+    """Whether the base had to move its surfaces in time by more than the sampling leaves open to follow the flights.
+
+    Then the base fits as well as the effect does, flight by flight; what it cannot explain is that shift.
+    """
+    problem, names = round_.baseline.problem, round_.baseline.problem.free
+    freed = prior_cost(problem, names, round_.baseline.fit.values) - prior_cost(problem, names, candidate.fit.values)
+    return follows(2.0 * freed, candidate.gain, round_.criteria)
+
+
+def follows(freed: float, gain: float, criteria: Criteria) -> bool:
+    """Whether so much of an effect's gain (both twice a log-likelihood) is what surfaces moved in time are freed of."""
+    return freed > criteria.followed_gain * gain
+
+
+def held_gain(parent: Baseline, child: Baseline, prepared: FlightRecords) -> float | None:
+    """Twice the log-likelihood the child gains on the held-out flights, both weighed with the child's noise, the fitted
+    parameters uncertain as the training flights leave them."""
+    before, after = predictive_cost(parent, prepared, child.noise), predictive_cost(child, prepared, child.noise)
+    return None if before is None or after is None else 2.0 * (before - after)

@@ -1,0 +1,142 @@
+"""Full fits of the leading hypotheses and what they weigh against each other.
+
+A screen is linear; a delay of 60 ms or a backlash is not. Each leading hypothesis is fitted together with all base
+parameters on the training flights. Weights follow from the evidence (Laplace approximation): gain in log-likelihood,
+divided by the inflation found on the nulls, the price of an estimate far from its usual size, and the width of the prior
+against the bound.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from estimation.engine.kernel import Array
+from estimation.gap.criteria import Criteria
+from estimation.gap.effects.base import EffectParameter
+from estimation.gap.likelihood.fitting import Fit, Problem, fit
+from estimation.gap.records.candidate_model import awakened
+from estimation.gap.tests_of_fit.hypotheses import Hypothesis, extended, one_sided
+from estimation.gap.tests_of_fit.screen import Screen, equivalent_z
+
+FIRST_STEPS = 5  # from every start; the better end goes on
+STEPS = 12  # in all: a candidate that takes more is no explanation anyone would find first
+ENOUGH = 0.02  # of the log-likelihood: rivals are weighed by whole units of it
+NEAREST, FARTHEST = 0.3, 3.0  # usual sizes from no effect, between which a fit starts: at none a play has no slope
+AT_LIMIT = 1e-6  # of a parameter's range: an estimate so near its end was stopped there
+AT_NOTHING = 1e-3  # usual sizes: so near to none it has shrunk to nothing, and the words say so
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One fitted hypothesis. gain: twice the log-likelihood gained over the base fit with the same whitening.
+    evidence: log evidence relative to the base. why_not: reason for rejection, or empty."""
+
+    hypothesis: Hypothesis
+    fit: Fit
+    gain: float
+    score: float
+    evidence: float
+    estimates: Mapping[str, tuple[float, float]]
+    size: float  # largest distance from no effect, in usual sizes
+    why_not: str = ""
+
+
+def fit_hypothesis(
+    problem: Problem, base_fit: Fit, hypothesis: Hypothesis, guess: Mapping[str, float]
+) -> tuple[Problem, Fit]:
+    """Fit base and hypothesis together from `guess`; (problem, fit).
+
+    Delays, lags and plays are also started at their usual size, and the better end is kept: far from no effect the base
+    parameters sit elsewhere, and a small step does not find the way.
+    """
+    starts = [_inside(hypothesis, problem, guess)]
+    if hypothesis.form.nonlinear:
+        usual = {p.name: p.null_value(problem.model) + p.typical for p in hypothesis.form.parameters}
+        starts.append(_inside(hypothesis, problem, usual))
+    done = []
+    for start in starts:
+        model = awakened(problem.model, hypothesis.form, start)
+        trial = replace(problem, model=model)
+        locals_ = [extended(local, base_fit.model, model) for local in base_fit.locals]
+        first = {**model.starts(), **base_fit.values, **start}
+        done.append((trial, fit(trial, first, locals_, iterations=FIRST_STEPS, enough=ENOUGH)))
+    trial, best = min(done, key=lambda pair: pair[1].cost if not pair[1].diverged else np.inf)
+    if best.converged or best.diverged:
+        return trial, best
+    return trial, fit(trial, best.values, best.locals, iterations=STEPS - FIRST_STEPS, enough=ENOUGH)
+
+
+def _inside(hypothesis: Hypothesis, problem: Problem, guess: Mapping[str, float]) -> dict[str, float]:
+    """Start values inside the physical range and not exactly at no effect, where one-sided effects have no slope."""
+    start = {}
+    for p in hypothesis.form.parameters:
+        none = p.null_value(problem.model)
+        value = guess.get(p.name, none)
+        least = none + NEAREST * p.typical if one_sided(p, none, problem.criteria) else -np.inf
+        width = FARTHEST * p.typical
+        start[p.name] = float(np.clip(max(value, least), max(p.lower, none - width), min(p.upper, none + width)))
+    return start
+
+
+def assess(
+    problem: Problem, base_fit: Fit, hypothesis: Hypothesis, found: Fit, inflation: float, own: float | None = None
+) -> Candidate:
+    """Gain, score, evidence and admissibility of a fitted hypothesis.
+
+    inflation: by which rivals' gains are divided alike for the evidence; own: the hypothesis' own, for its score.
+    """
+    criteria = problem.criteria
+    gain = 2.0 * (base_fit.cost - found.cost) if not found.diverged else 0.0
+    std = found.std() if not found.diverged else {}
+    evidence = 0.5 * gain / inflation - float(np.log(len(hypothesis.effect.forms)))  # forms share their effect's prior
+    estimates: dict[str, tuple[float, float]] = {}
+    why_not, size = "the fit diverges" if found.diverged else "", 0.0
+    for p in hypothesis.form.parameters:
+        none = p.null_value(problem.model)
+        value, bound = float(found.values[p.name]), float(std.get(p.name, np.inf)) * np.sqrt(inflation)
+        estimates[p.name] = (value, bound)
+        size = max(size, abs(value - none) / p.typical)
+        evidence -= price(value - none, bound, criteria.prior_width * p.typical)
+        why_not = why_not or impossible(p, value, none)
+    score = equivalent_z(gain / (inflation if own is None else own), len(hypothesis.form.parameters))
+    return Candidate(hypothesis, found, gain, score, evidence, estimates, size, why_not)
+
+
+def price(distance: float, bound: float, width: float) -> float:
+    """What an estimate costs in log evidence (Laplace): its distance from no effect in widths of the prior, and the width of
+    the prior against the bound."""
+    if not np.isfinite(bound):
+        return 0.0
+    return float(0.5 * (distance / width) ** 2 + max(np.log(width / max(bound, 1e-12)), 0.0))
+
+
+def impossible(p: EffectParameter, value: float, none: float) -> str:
+    """Why an estimate is none, or nothing: it ended at a limit of what is physically possible."""
+    edge = AT_LIMIT * (p.upper - p.lower)
+    if p.lower + edge < value < p.upper - edge:
+        return ""
+    if abs(value - none) < AT_NOTHING * p.typical:
+        return f"{p.name} shrinks to nothing"
+    return f"{p.name} = {value:.3g} {p.unit} is outside what is physically possible ({p.lower:g} to {p.upper:g})"
+
+
+def leading(screen: Screen, gains: Array, criteria: Criteria) -> list[int]:
+    """Indices of the hypotheses worth a full fit: the best by linear score and what is tied to the very best.
+
+    Of those linear in their unknowns, which a full fit hardly changes, only the ones within sight of the best. Plays always: a
+    play smaller than the noise of a surface changes nothing, so that a small step says nothing of one of usual size.
+    """
+    order = [int(h) for h in np.argsort(-gains)]
+    least = criteria.in_sight * float(gains[order[0]])
+    always = set(order[: criteria.always_fitted])
+    chosen = [
+        h for h in order[: criteria.full_fits] if h in always or screen.hypotheses[h].form.nonlinear or gains[h] > least
+    ]
+    cosines = np.abs(screen.projected().cosines())
+    best = screen.span(order[0])
+    for h in order[len(chosen) :]:
+        if h not in chosen and cosines[np.ix_(best, screen.span(h))].max() > criteria.fitted_tie:
+            chosen.append(h)
+    plays = [h for h, hypothesis in enumerate(screen.hypotheses) if hypothesis.form.play and h not in chosen]
+    return [*chosen, *plays]

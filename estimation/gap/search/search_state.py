@@ -1,0 +1,106 @@
+"""State of the search: what its rounds share (options, the setting) and what they leave (findings, the rest)."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from estimation.engine.kernel import Array
+from estimation.gap.answer.result import Rejected
+from estimation.gap.criteria import AS_SET, Criteria
+from estimation.gap.effects.base import Effect
+from estimation.gap.likelihood.baseline import Baseline, fit_baseline
+from estimation.gap.random_streams import ROUND
+from estimation.gap.records.flight_records import FlightRecords
+from estimation.gap.search.confirm import Candidate
+from estimation.gap.search.select import Choice
+from estimation.gap.tests_of_fit.calibration import Round, name_threshold, screen_round
+from estimation.gap.tests_of_fit.nulls import InputErrors
+from estimation.gap.tests_of_fit.omnibus import Omnibus
+from estimation.models.base import Model
+
+LOOK = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class Options:
+    """seed: of every random draw. nulls: simulated baselines per round. most: effects added at the most. criteria: every
+    number that decides."""
+
+    seed: int = 1
+    nulls: int = 200
+    most: int = 4
+    criteria: Criteria = AS_SET
+
+
+AS_USUAL = Options()
+
+
+@dataclass(frozen=True)
+class Finding:
+    """An effect accepted in some round: the hypothesis, its rivals, the model before and after."""
+
+    round_: Round
+    choice: Choice
+    candidate: Candidate
+    parent: Baseline
+    child: Baseline
+
+
+@dataclass(frozen=True)
+class SearchState:
+    """All that the rounds left. omnibus: what is still there without a name; rejected: hypotheses that were turned down."""
+
+    findings: tuple[Finding, ...]
+    rounds: tuple[Round, ...]
+    omnibus: Omnibus
+    rejected: tuple[Rejected, ...]
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What stays the same over all rounds."""
+
+    base: Model
+    clean: Model
+    working: Model
+    prepared: FlightRecords
+    effects: tuple[Effect, ...]
+    errors: tuple[InputErrors, ...]
+    scatter: Array
+    options: Options
+    tell: LOOK
+
+    def child(self, parent: Baseline, candidate: Candidate) -> Baseline:
+        """The parent with a candidate's form, fitted afresh with its own noise."""
+        at = {n: v for n, (v, _) in candidate.estimates.items()}
+        clean = candidate.hypothesis.form.added_to(parent.clean, at)
+        return fit_baseline(
+            candidate.fit.model,
+            clean,
+            self.prepared,
+            self.scatter,
+            candidate.fit.values,
+            candidate.fit.locals,
+            parent.noise,
+        )
+
+    def screened(self, baseline: Baseline, number: int) -> Round:
+        """One round of nulls and screen about a fitted model."""
+        start = 0.1 + 0.8 * number / (self.options.most + 1)
+
+        def tick(done: int) -> None:
+            if done % 10 == 0:
+                self.tell(
+                    f"round {number + 1}: null {done} of {self.options.nulls}", start + 0.1 * done / self.options.nulls
+                )
+
+        seed = self.options.seed + ROUND * number
+        return screen_round(
+            baseline,
+            self.prepared,
+            self.effects,
+            self.errors,
+            self.options.nulls,
+            seed,
+            name_threshold,
+            tick,
+        )

@@ -1,0 +1,165 @@
+"""Choose what explains the flights: full fits, evidence, set, held-out test, exchange and backward checks."""
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from estimation.engine.kernel import Array
+from estimation.gap.answer.result import Rejected
+from estimation.gap.criteria import Criteria
+from estimation.gap.likelihood.baseline import whiteners_for
+from estimation.gap.likelihood.fitting import fit
+from estimation.gap.records.flight_records import FlightRecords
+from estimation.gap.search.confirm import ENOUGH, Candidate, assess, fit_hypothesis, leading
+from estimation.gap.tests_of_fit.calibration import Round
+from estimation.gap.tests_of_fit.screen import linear_guess
+
+AGAIN = 8  # steps from where the first fit ended, with another whitening
+
+
+@dataclass(frozen=True)
+class Choice:
+    """The outcome of one round: ranked candidates with weights over effects, and what was rejected."""
+
+    candidates: tuple[Candidate, ...]
+    weights: Mapping[str, float]
+    rejected: tuple[Rejected, ...]
+
+    @property
+    def best(self) -> Candidate | None:
+        return self.candidates[0] if self.candidates else None
+
+    def without(self, refused: Collection[tuple[str, str]]) -> "Choice":
+        """The same without candidates that a later check refused; the weights count the others only."""
+        kept = tuple(c for c in self.candidates if c.hypothesis.key not in refused)
+        return replace(self, candidates=kept, weights=_weights(kept))
+
+
+def choose(round_: Round, prepared: FlightRecords) -> Choice:
+    """Fit the leading hypotheses in full and weigh them."""
+    problem, base_fit, screen = round_.baseline.problem, round_.baseline.fit, round_.screen
+    criteria = round_.criteria
+    if not screen.hypotheses:
+        return Choice((), {}, ())
+    inflation, own = comparable(round_), alone(round_)
+    first = []
+    for h in leading(screen, promise(round_), criteria):
+        hypothesis = screen.hypotheses[h]
+        _, found = fit_hypothesis(problem, base_fit, hypothesis, linear_guess(screen, problem, h))
+        first.append(assess(problem, base_fit, hypothesis, found, inflation[hypothesis.key], own[hypothesis.key]))
+    interval = float(np.median([np.median(np.diff(s.time)) for s in problem.coarse]))
+    judged = [material(c, interval, criteria) for c in first]
+    sound = sorted((c for c in judged if not c.why_not), key=lambda c: -c.evidence)
+    rejected = [Rejected(c.hypothesis.label, c.why_not) for c in judged if c.why_not]
+    close = worth_comparing(sound, criteria)
+    ranked = _compared_again(round_, prepared, close, inflation) if close else tuple(sound)
+    return Choice(ranked, _weights(ranked), tuple(rejected))
+
+
+def worth_comparing(sound: Sequence[Candidate], criteria: Criteria) -> Sequence[Candidate]:
+    """The candidates, best evidence first, that are compared again with sharper noise; none where the best is nothing yet."""
+    return sound[: criteria.compared] if sound and sound[0].score >= criteria.promising else ()
+
+
+def promise(round_: Round) -> Array:
+    """(hypotheses,) standardised gains by which full fits are chosen: effects that a small step cannot judge (delays, lags,
+    plays) count with either sign."""
+    projected, screen = round_.screen.projected(), round_.screen
+    either = np.array([
+        projected.gain(screen.span(h)) if hypothesis.form.nonlinear else round_.gains[h]
+        for h, hypothesis in enumerate(screen.hypotheses)
+    ])  # fmt: skip
+    # nor does the scatter of a small step on the nulls count against them
+    nonlinear = np.array([h.form.nonlinear for h in screen.hypotheses])
+    shared = float(np.median(round_.inflation))
+    return either / np.where(nonlinear, np.minimum(round_.inflation, shared), round_.inflation)
+
+
+def comparable(round_: Round) -> dict[tuple[str, str], float]:
+    """Inflation by which the gains of the hypotheses are divided when they are weighed against each other.
+
+    Rivals with nearly the same signature must be divided by the same number, or its chance differences decide between
+    them: that of the leading hypothesis, unless a hypothesis' own is more than twice as large. Delays, lags and plays
+    always take the common one: their scatter on the nulls is that of a small step, not of the full fit they are judged by.
+    """
+    common = float(round_.inflation[int(np.argmax(round_.gains / round_.inflation))])
+    return {
+        h.key: float(own) if own > round_.criteria.common_inflation * common and not h.form.nonlinear else common
+        for h, own in zip(round_.screen.hypotheses, round_.inflation, strict=True)
+    }
+
+
+def alone(round_: Round) -> dict[tuple[str, str], float]:
+    """Inflation by which a hypothesis' gain is divided when it is held against the null threshold: its own. Delays, lags and
+    plays, for which the nulls know only the small step, take the one that rivals share where that is larger."""
+    shared = comparable(round_)
+    return {
+        h.key: max(1.0, shared[h.key]) if h.form.nonlinear else float(own)
+        for h, own in zip(round_.screen.hypotheses, round_.inflation, strict=True)
+    }
+
+
+def material(candidate: Candidate, interval: float, criteria: Criteria) -> Candidate:
+    """The candidate, rejected where its estimate is far below the size at which the effect matters, or where a surface would
+    be late by so little of the sample `interval` [s] that nobody sampled it finely enough to tell."""
+    if candidate.why_not:
+        return candidate
+    if candidate.size < criteria.immaterial:
+        return replace(candidate, why_not=f"fits {candidate.size:.0%} of its usual size: too small to matter")
+    late = [t.parameters[0] for t in candidate.hypothesis.form.transforms if t.kind in ("delay", "lag")]
+    if late and all(abs(candidate.estimates[n][0]) < criteria.unsampled * interval for n in late):
+        return replace(
+            candidate, why_not=f"is less than {criteria.unsampled:.0%} of a sample interval: sampling does the same"
+        )
+    return candidate
+
+
+def _compared_again(
+    round_: Round, prepared: FlightRecords, sound: Sequence[Candidate], inflation: Mapping[tuple[str, str], float]
+) -> tuple[Candidate, ...]:
+    """The candidates with the noise re-estimated from the best one's residuals: sharper, and the same for all."""
+    best, problem = sound[0], round_.baseline.problem
+    _, whiteners = whiteners_for(
+        best.fit.model,
+        prepared,
+        problem.records,
+        {**best.fit.model.starts(), **best.fit.values},
+        None,
+        best.fit.residuals,
+        round_.baseline.scatter,
+        round_.baseline.noise,
+    )
+    sharper = replace(problem, whiteners=whiteners)
+    base_fit = fit(sharper, round_.baseline.fit.values, round_.baseline.fit.locals, iterations=AGAIN)
+    result = []
+    for candidate in sound:
+        trial = replace(sharper, model=candidate.fit.model)
+        found = fit(trial, candidate.fit.values, candidate.fit.locals, iterations=AGAIN, enough=ENOUGH)
+        fresh = assess(sharper, base_fit, candidate.hypothesis, found, inflation[candidate.hypothesis.key])
+        result.append(replace(fresh, score=candidate.score, gain=candidate.gain))
+    return tuple(sorted((c for c in result if not c.why_not), key=lambda c: -c.evidence))
+
+
+def _weights(candidates: Sequence[Candidate]) -> dict[str, float]:
+    """Weight of each effect: the evidence of its forms together."""
+    if not candidates:
+        return {}
+    top = max(c.evidence for c in candidates)
+    weights: dict[str, float] = {}
+    for c in candidates:
+        name = c.hypothesis.effect.name
+        weights[name] = weights.get(name, 0.0) + float(np.exp(c.evidence - top))
+    total = sum(weights.values())
+    return dict(sorted(((n, w / total) for n, w in weights.items()), key=lambda item: -item[1]))
+
+
+def credible_set(weights: Mapping[str, float], criteria: Criteria) -> list[tuple[str, float]]:
+    """Smallest set of effects that holds nearly all of the weight, best first."""
+    chosen, total = [], 0.0
+    for name, weight in weights.items():
+        chosen.append((name, weight))
+        total += weight
+        if total >= criteria.set_weight:
+            break
+    return chosen

@@ -1,0 +1,95 @@
+"""A screen of all hypotheses about a fitted baseline, its scores calibrated on simulated nulls: one round of the search."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import gumbel_r
+
+from estimation.engine.kernel import Array
+from estimation.gap.criteria import Criteria
+from estimation.gap.effects.base import Effect
+from estimation.gap.errors import GapError
+from estimation.gap.likelihood.baseline import Baseline
+from estimation.gap.records.flight_records import FlightRecords
+from estimation.gap.tests_of_fit.hypotheses import hypotheses_for
+from estimation.gap.tests_of_fit.nulls import InputErrors, NullFlyer, columns_of, fly_nulls
+from estimation.gap.tests_of_fit.screen import Screen, build_screen, linear_gains
+
+
+@dataclass(frozen=True)
+class Round:
+    """A baseline with its screen and its nulls.
+
+    gains: (hypotheses,) twice the log-likelihood by linear theory; null_gains: (nulls, hypotheses) the same on the nulls.
+    inflation: (hypotheses,) variance of the score on the nulls, at least 1. threshold: family-wise quantile of the
+    largest standardised score on the nulls, with a margin.
+    """
+
+    baseline: Baseline
+    screen: Screen
+    gains: Array
+    null_gains: Array
+    inflation: Array
+    threshold: float
+    null_residuals: tuple[tuple[Array, ...], ...]
+
+    @property
+    def criteria(self) -> Criteria:
+        return self.baseline.criteria
+
+    def standardised(self) -> Array:
+        """(hypotheses,) scores of the data in units of their scatter on the nulls."""
+        return np.sqrt(self.gains / self.inflation)
+
+
+def screen_round(
+    baseline: Baseline,
+    prepared: FlightRecords,
+    effects: Sequence[Effect],
+    errors: Sequence[InputErrors],
+    nulls: int,
+    seed: int,
+    threshold: Callable[[Array, Criteria], float],
+    tell: Callable[[int], None] = lambda done: None,
+) -> Round:
+    """Screen every applicable hypothesis and calibrate the scores on simulated nulls; threshold: rule for the largest ones."""
+    problem = baseline.problem
+    flyer = NullFlyer.build(problem, baseline.fit, baseline.noise, errors)
+    flown = fly_nulls(flyer, nulls, seed, tell)
+    if len(flown) < nulls:
+        raise GapError(
+            f"only {len(flown)} of {nulls} simulated nulls stay finite: the fitted baseline is barely stable"
+        )
+    hypotheses = hypotheses_for(baseline.clean, effects, prepared.available)
+    screen = build_screen(problem, baseline.fit, hypotheses, columns_of(flown))
+    gains = linear_gains(screen, problem, 0)
+    null_gains = linear_gains(screen, problem, slice(1, 1 + nulls))
+    inflation = null_inflation(screen, nulls)
+    largest = np.sqrt(null_gains / inflation).max(axis=1) if screen.hypotheses else np.zeros(nulls)
+    limit = threshold(largest, baseline.criteria)
+    return Round(baseline, screen, gains, null_gains, inflation, limit, tuple(flown))
+
+
+def name_threshold(largest: Array, criteria: Criteria) -> float:
+    """Score from which an effect gets a name, from the largest score of every null, (nulls,)."""
+    return criteria.null_margin * upper_quantile(largest, criteria.null_level)
+
+
+def kinematic_threshold(largest: Array, criteria: Criteria) -> float:
+    """The same for the kinematic check, which says no more than sensor or physics."""
+    return criteria.null_margin * upper_quantile(largest, criteria.kinematic_level)
+
+
+def null_inflation(screen: Screen, nulls: int) -> Array:
+    """(hypotheses,) variance of the signed scores on the nulls, at least 1."""
+    power = screen.projected().scores()[:, 1 : 1 + nulls] ** 2
+    return np.array([max(1.0, float(np.mean(power[screen.span(h)]))) for h in range(len(screen.hypotheses))])
+
+
+def upper_quantile(values: Array, level: float) -> float:
+    """Upper quantile of the largest of many scores, by a Gumbel law fitted to its moments and the sample's own quantile,
+    whichever is larger: two hundred nulls alone know a 95 % point only to some 3 %."""
+    spread = float(np.std(values)) / float(gumbel_r.std())
+    law = gumbel_r(loc=float(np.mean(values)) - spread * float(gumbel_r.mean()), scale=spread)
+    return max(float(law.ppf(level)) if spread > 0.0 else 0.0, float(np.quantile(values, level)))

@@ -1,0 +1,132 @@
+"""The kinematic check: is it an instrument or the aircraft?
+
+Flight-path reconstruction without any aerodynamics: sideslip and bank integrated from measured rates and side
+acceleration must agree with the vane and the attitude. Scale, lag, position and timing errors of instruments show here;
+aerodynamic, inertial and actuator effects cannot. Scored and calibrated on nulls like everything else.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from estimation.gap.criteria import Criteria
+from estimation.gap.effects.base import Effect, Group
+from estimation.gap.errors import GapError
+from estimation.gap.likelihood.baseline import fit_baseline
+from estimation.gap.likelihood.channel_noise import channel_noise, filtered_attitudes, sample_interval
+from estimation.gap.likelihood.whitening import force_states
+from estimation.gap.random_streams import KINEMATIC, Stream
+from estimation.gap.records.candidate_model import with_dormant
+from estimation.gap.records.flight_records import prepare_flights
+from estimation.gap.records.nuisance import with_nuisance
+from estimation.gap.tests_of_fit.calibration import Round, kinematic_threshold, screen_round
+from estimation.gap.tests_of_fit.nulls import input_errors
+from estimation.models.base import Model, Parameter, ParameterRole, Signal
+from groundstation.flight import Flight
+
+GRAVITY = 9.80665
+NEEDED = ("beta", "phi", "p", "q", "r", "ay", "V", "alpha", "theta")
+
+
+def kinematic_model(criteria: Criteria) -> Model:
+    """Sideslip and bank from measured rates and side acceleration; biases and scale errors with priors."""
+    gyro, scale, accelerometer = (
+        criteria.kinematic_gyro_bias,
+        criteria.kinematic_gyro_scale,
+        criteria.kinematic_accelerometer_bias,
+    )
+    return Model(
+        name="kinematic",
+        title="sideslip and bank from measured rates and side acceleration, no aerodynamics",
+        states=(Signal("beta", "rad"), Signal("phi", "rad")),
+        inputs=tuple(Signal(n) for n in ("p", "q", "r", "ay", "V", "alpha", "theta", "V_dot")),
+        outputs=(Signal("beta", "rad"), Signal("phi", "rad")),
+        parameters=(
+            _instrument("bias_gyro_p", "rad/s", gyro, local=True),
+            _instrument("bias_gyro_r", "rad/s", gyro, local=True),
+            _instrument("bias_accelerometer_y", "m/s2", accelerometer, local=True),
+            _instrument("scale_gyro_p", "1", scale),
+            _instrument("scale_gyro_r", "1", scale),
+        ),
+        constants={"g": GRAVITY},
+        equations=(
+            "p_true = p*(1 + scale_gyro_p) + bias_gyro_p",
+            "r_true = r*(1 + scale_gyro_r) + bias_gyro_r",
+            "beta_dot = p_true*sin(alpha) - r_true*cos(alpha)"
+            " + (ay + bias_accelerometer_y + g*cos(theta)*sin(phi))/(V*cos(beta)) - V_dot/V*tan(beta)",
+            "phi_dot = p_true + tan(theta)*(q*sin(phi) + r_true*cos(phi))",
+        ),
+    )
+
+
+def _instrument(name: str, unit: str, width: float, local: bool = False) -> Parameter:
+    return Parameter(name, unit, prior_mean=0.0, prior_std=width, local=local, role=ParameterRole.INSTRUMENT)
+
+
+@dataclass(frozen=True)
+class KinematicCheck:
+    """origin: sensor | physics | undecided. best: the instrument error that fits the kinematics best."""
+
+    origin: str
+    best: str
+    score: float
+    threshold: float
+    why: str
+
+    def to_json(self) -> dict[str, Any]:
+        return {
+            "origin": self.origin,
+            "best": self.best,
+            "score": round(self.score, 2),
+            "threshold": round(self.threshold, 2),
+            "why": self.why,
+        }
+
+
+def kinematic_check(
+    flights: Sequence[Flight], effects: Sequence[Effect], nulls: int, seed: int, criteria: Criteria
+) -> KinematicCheck:
+    """Score every instrument error on the kinematics of the training flights alone, on `nulls` of them at the most."""
+    lacking = sorted({n for f in flights for n in NEEDED if not f.measured(n)})
+    if lacking:
+        return KinematicCheck("undecided", "", 0.0, 0.0, f"not measured: {', '.join(lacking)}")
+    instruments = tuple(e for e in effects if e.group is Group.SENSOR and not e.tied_to)
+    base = kinematic_model(criteria)
+    prepared = prepare_flights(base, instruments, flights, (), criteria)
+    scatter = channel_noise(prepared.records)
+    filtered = filtered_attitudes(prepared.records, base.output_names, scatter)
+    noise, interval = dict(zip(base.output_names, scatter, strict=True)), sample_interval(prepared.records)
+    clean = with_nuisance(base, noise, interval, criteria, filtered)
+    working = with_dormant(clean, instruments, prepared.available, force_states(base))
+    errors = [
+        input_errors(r, clean, Stream.KINEMATIC_INPUT_ERRORS.generator(seed, i)) for i, r in enumerate(prepared.records)
+    ]
+    count = null_count(nulls, criteria)
+    try:
+        baseline = fit_baseline(working, clean, prepared, scatter)
+        return judged(
+            screen_round(baseline, prepared, instruments, errors, count, seed + KINEMATIC, kinematic_threshold)
+        )
+    except GapError as error:  # the check alone cannot say: the search among the hypotheses goes on without it
+        return KinematicCheck("undecided", "", 0.0, 0.0, str(error))
+
+
+def null_count(wanted: int, criteria: Criteria) -> int:
+    """Nulls of the check when the search takes so many."""
+    return min(wanted, criteria.kinematic_nulls)
+
+
+def judged(round_: Round) -> KinematicCheck:
+    """Sensor where an instrument error stands out of the nulls, physics where none does."""
+    scores = round_.standardised()
+    if not scores.size:
+        return KinematicCheck("undecided", "", 0.0, round_.threshold, "no instrument error applies")
+    best = int(np.argmax(scores))
+    label, score = round_.screen.hypotheses[best].label, float(scores[best])
+    if score > round_.threshold:
+        return KinematicCheck(
+            "sensor", label, score, round_.threshold, "measured motion contradicts its own kinematics"
+        )
+    return KinematicCheck("physics", label, score, round_.threshold, "measured motion agrees with its kinematics")

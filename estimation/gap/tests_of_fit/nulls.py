@@ -1,0 +1,185 @@
+"""What the whole chain shows when nothing is hidden: the fitted baseline flown again, many times.
+
+Each null flies the fitted model through the recorded inputs with process noise of the strength found in these flights,
+adds sensor noise to the outputs, takes the inputs as a de-noised noisy measurement of the true ones, and is analysed by
+the same linear algebra as the flights. Thresholds, floors and inflation factors come from here; none is assumed.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from estimation.engine.kernel import Array
+from estimation.gap.likelihood.fitting import Fit, Problem
+from estimation.gap.likelihood.surface_steps import find_surface_steps
+from estimation.gap.likelihood.whitening import NoiseModel, NoisePart, Source, linear_motion
+from estimation.gap.random_streams import Stream
+from estimation.gap.records.candidate_model import DISTURBANCE
+from estimation.gap.records.flight_records import Record
+from estimation.gap.records.nuisance import RATE_OF
+from estimation.models.base import Model
+from estimation.signals.preprocess import denoise_many
+
+BANK = 6  # de-noised realisations kept per input; a null draws one of them and its sign: 12 courses of each
+
+
+@dataclass(frozen=True)
+class InputErrors:
+    """What de-noising leaves wrong in the inputs of one record: name -> (realisations, N)."""
+
+    bank: Mapping[str, Array]
+
+    def draw(self, names: Sequence[str], count: int, rng: np.random.Generator) -> Array:
+        """(count, names) errors: every input from its own realisation, with its own sign."""
+        errors = np.zeros((count, len(names)))
+        for j, name in enumerate(names):
+            which, sign = rng.integers(BANK), rng.choice((-1.0, 1.0))
+            if name in self.bank:
+                errors[:, j] = sign * self.bank[name][which]
+        return errors
+
+
+def input_errors(record: Record, model: Model, rng: np.random.Generator) -> InputErrors:
+    """Add the noise found on each input to its de-noised course, de-noise again, and keep the difference."""
+    bank = {}
+    for signal in model.inputs:
+        sigma = record.input_noise.get(signal.name, 0.0)
+        if sigma <= 0.0 or signal.name not in record.inputs:
+            continue
+        clean = record.inputs[signal.name]
+        noisy = [clean + sigma * rng.standard_normal(clean.size) for _ in range(BANK)]
+        done = denoise_many(noisy, order=1 if signal.control else 2, noise=sigma)
+        bank[signal.name] = np.stack([d.values - clean for d in done])
+    return InputErrors(bank)
+
+
+@dataclass(frozen=True)
+class NullFlyer:
+    """Flies nulls of one fitted model. errors: of each record's inputs. jumps: per record sample, output column and standard
+    deviation of what a sample next to a jump may be off. states: whose rates are disturbed, and the input column that does it."""
+
+    problem: Problem
+    fit: Fit
+    noise: NoiseModel
+    errors: tuple[InputErrors, ...]
+    jumps: tuple[tuple[NDArray[np.int64], NDArray[np.int64], Array], ...]
+    states: Mapping[str, int]
+
+    @classmethod
+    def build(cls, problem: Problem, fit: Fit, noise: NoiseModel, errors: Sequence[InputErrors]) -> "NullFlyer":
+        names = problem.model.input_names
+        disturbed = {part.of for part in noise.process if part.source is Source.RATE}
+        states = {s: names.index(DISTURBANCE.format(s)) for s in sorted(disturbed) if DISTURBANCE.format(s) in names}
+        jumps = []
+        outputs = {n: i for i, n in enumerate(problem.model.output_names)}
+        for segment in problem.coarse:
+            linear = linear_motion(problem.model, problem.simulator, segment, fit.values)
+            steps = find_surface_steps(problem.model, linear, segment, problem.criteria)
+            own = np.array([n in steps.jumping for n in steps.name], dtype=bool)
+            column = np.array([outputs[n] for n in steps.name if n in steps.jumping], dtype=int)
+            jumps.append((steps.at[own], column, (steps.step * steps.spread(noise.freedom))[own]))
+        return cls(problem, fit, noise, tuple(errors), tuple(jumps), states)
+
+    def fly(self, index: int, rng: np.random.Generator) -> Array | None:
+        """(N, ny) residual of one null of one record at the fitted parameters; None where it diverges."""
+        problem, local = self.problem, self.fit.locals[index]
+        grid, coarse = problem.grids[index], problem.coarse[index]
+        driven = problem.driven(grid, self.fit.values)
+        shaken = driven.u.copy()
+        self._loosen_surfaces(shaken, rng)
+        self._disturb(shaken, grid.segment.time, rng)
+        motion = problem.simulator.run(replace(driven, u=shaken), {**self.fit.values, **local.parameters}, local.x0)
+        if not motion.finite:
+            return None
+        louder = problem.records[index].louder
+        noise = np.sqrt(self.noise.measurement * (1.0 if louder is None else louder)) * rng.standard_normal(
+            coarse.z.shape
+        )
+        self._wander(noise, coarse.time, rng)
+        at, output, size = self.jumps[index]
+        np.add.at(noise, (at, output), size * rng.standard_normal(size.size))
+        seen = coarse.u + self.errors[index].draw(problem.model.input_names, len(coarse), rng)
+        modelled = problem.residual(index, self.fit.values, local, inputs=seen)
+        if modelled is None:
+            return None
+        residual = motion.y[::2] + noise - (coarse.z - modelled)
+        residual[~np.isfinite(coarse.z)] = np.nan
+        return residual
+
+    def _wander(self, noise: Array, time: Array, rng: np.random.Generator) -> None:
+        """Add what filtered attitudes do to the noise of the outputs (N, ny): gyro noise and its integral, slow wandering."""
+        outputs, process = self.problem.model.output_names, self.noise.process
+        h, memory = float(np.median(np.diff(time))), self.problem.criteria.filter_memory
+        for c, name in enumerate(outputs):
+            strength = process.get(NoisePart(Source.WANDERING, name), 0.0)
+            if strength > 0.0:  # density strength h on the rate
+                noise[:, c] += _forgetting(np.sqrt(strength) * rng.standard_normal(time.size), h, memory, rng)
+            strength = process.get(NoisePart(Source.GYRO, name), 0.0)
+            if strength > 0.0:
+                white = np.sqrt(strength) * rng.standard_normal(time.size)
+                noise[:, outputs.index(RATE_OF[name])] += white
+                noise[:, c] += _forgetting(0.5 * (white + np.concatenate([white[:1], white[:-1]])), h, memory, rng)
+
+    def _loosen_surfaces(self, u: Array, rng: np.random.Generator) -> None:
+        """Move the controls' mid-interval values (odd rows of (2N - 1, nu)) at random between their neighbours."""
+        for j, signal in enumerate(self.problem.model.inputs):
+            if signal.control:
+                step = u[2::2, j] - u[:-2:2, j]
+                freedom = self.noise.freedom.get(signal.name, self.problem.criteria.surface_freedom)
+                u[1::2, j] += freedom * rng.standard_normal(step.size) * step
+
+    def _disturb(self, u: Array, time: Array, rng: np.random.Generator) -> None:
+        """Add disturbances of the rates with the spectra of the noise model to the inputs (2N - 1, nu)."""
+        h = float(np.median(np.diff(time)))
+        for part, strength in self.noise.process.items():
+            if part.source is not Source.RATE or part.of not in self.states:
+                continue
+            # strength counts per sample of the record (2 h); white noise sampled every h has variance density / h
+            white = np.sqrt(strength * 2.0) * rng.standard_normal(time.size)
+            if part.memory:
+                white = white - _slow(white, h, part.memory)
+            u[:, self.states[part.of]] += white
+
+
+def _slow(white: Array, h: float, tau: float) -> Array:
+    """First-order low-pass of time constant tau [s], started in its steady state of no motion."""
+    a = np.exp(-h / tau)
+    return np.asarray(lfilter([1 - a], [1, -a], white))
+
+
+def _forgetting(rate: Array, h: float, memory: float, rng: np.random.Generator) -> Array:
+    """A sampled rate (N,) integrated over steps h [s] with the forgetting of an attitude filter (time constant `memory` [s]),
+    begun in its steady state."""
+    keep = float(np.exp(-h / memory))
+    begin = float(np.std(rate)) * h / np.sqrt(1.0 - keep**2) * rng.standard_normal()
+    drive = h * rate
+    drive[0] = begin
+    return np.asarray(lfilter([1.0], [1.0, -keep], drive))
+
+
+def fly_nulls(
+    flyer: NullFlyer, count: int, seed: int, tell: Callable[[int], None] = lambda done: None
+) -> list[tuple[Array, ...]]:
+    """`count` nulls, each a tuple of residuals per record. The same seed gives the same nulls in any process."""
+    return list(_nulls(flyer, count, seed, tell))
+
+
+def _nulls(flyer: NullFlyer, count: int, seed: int, tell: Callable[[int], None]) -> Iterator[tuple[Array, ...]]:
+    made = 0
+    for number in range(2 * count):
+        if made == count:
+            return
+        rng = Stream.NULLS.generator(seed, number)
+        residuals = [flyer.fly(i, rng) for i in range(len(flyer.problem.records))]
+        if all(r is not None for r in residuals):
+            made += 1
+            tell(made)
+            yield tuple(r for r in residuals if r is not None)
+
+
+def columns_of(nulls: Sequence[tuple[Array, ...]]) -> list[list[Array]]:
+    """Nulls per record: record -> list of residual columns, as `build_screen` takes them."""
+    return [[null[i] for null in nulls] for i in range(len(nulls[0]))] if nulls else []

@@ -1,0 +1,214 @@
+"""Is anything left that no named effect explains? Nameless terms, restless times and restless regimes.
+
+Three families of statistics on the residuals of a fitted model, each calibrated on the same simulated nulls:
+nameless terms (simple functions of the motion added to an output or to a force equation), energy in a second of flight,
+and energy that follows some activity (a clipped, stale or sticking sensor errs where its signal moves most).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from estimation.engine.kernel import Array
+from estimation.estimators.arrow import solved
+from estimation.gap.criteria import Criteria
+from estimation.gap.likelihood.fitting import Fit, Problem
+from estimation.gap.likelihood.surface_steps import jumping_outputs
+from estimation.gap.records.candidate_model import DISTURBANCE
+from estimation.gap.tests_of_fit.calibration import Round, upper_quantile
+from estimation.gap.tests_of_fit.screen import Projected, reduce_record, shared_prior
+
+SHAPES = {"linear": "{}", "odd": "{0}|{0}|", "even": "{}^2", "rate": "d{}/dt"}
+LEADING = 8  # signals kept for the answer
+SMALL_MOMENT, SMALL_TURN = 0.05, 0.005  # rad/s2 and rad/s, rms: disturbances in which the motion is linear
+TENTH = 0.1  # of an output's scatter: the size of an addition to it, which no score depends on
+NOTHING = 1e-12  # energy of a window without samples
+RESTLESS = 3  # windows kept of a record, most restless first
+FEWEST = 4  # samples a window has at the least
+
+
+@dataclass(frozen=True)
+class Signal:
+    """What stood out. kind: term | time | activity. place: channel or equation. what: words. score: in units of its
+    scatter on nulls. gain: twice the log-likelihood (terms only). span: seconds in a flight (time only)."""
+
+    kind: str
+    place: str
+    what: str
+    score: float
+    gain: float = 0.0
+    flight: int = -1
+    span: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True)
+class Omnibus:
+    """Strongest signal of the data over all families, its family-wise threshold from nulls, and the leading ones."""
+
+    score: float
+    threshold: float
+    leading: tuple[Signal, ...]
+
+    @property
+    def significant(self) -> bool:
+        return self.score > self.threshold
+
+
+def examine(round_: Round) -> Omnibus:
+    """All three families on the residuals of a round's baseline."""
+    problem, found, criteria = round_.baseline.problem, round_.baseline.fit, round_.criteria
+    nulls = len(round_.null_residuals)
+    terms, term_null = _terms(problem, found, round_.null_residuals)
+    white = whitened(problem, found, round_)
+    times, time_null = restless_times(problem, white, nulls)
+    activity, activity_null = scatter_with_activity(problem, found, white, nulls)
+    return summed_up([*terms, *times, *activity], np.max([term_null, time_null, activity_null], axis=0), criteria)
+
+
+def summed_up(signals: Sequence[Signal], largest: Array, criteria: Criteria) -> Omnibus:
+    """The strongest signals against the largest score of every null, (nulls,)."""
+    ranked = tuple(sorted(signals, key=lambda s: -s.score)[:LEADING])
+    threshold = upper_quantile(largest, criteria.nameless_level)
+    return Omnibus(ranked[0].score if ranked else 0.0, threshold, ranked)
+
+
+def _regressors(problem: Problem, found: Fit, index: int) -> dict[tuple[str, str], Array]:
+    """(signal, shape) -> (N,) functions of the fitted motion and the controls, of unit rms."""
+    residual = found.residuals[index]
+    coarse = problem.coarse[index]
+    shown = np.nan_to_num(coarse.z - np.nan_to_num(residual))
+    signals = {n: shown[:, i] for i, n in enumerate(problem.model.output_names)}
+    signals |= {s.name: coarse.u[:, i] for i, s in enumerate(problem.model.inputs) if s.control}
+    made = {}
+    for name, s in signals.items():
+        for shape, values in (
+            ("linear", s), ("odd", s * np.abs(s)), ("even", s**2), ("rate", np.gradient(s, coarse.time)),
+        ):  # fmt: skip
+            rms = float(np.sqrt(np.mean(values**2)))
+            if rms > 0.0:
+                made[(name, shape)] = values / rms
+    return made
+
+
+def _terms(problem: Problem, found: Fit, nulls: Sequence[tuple[Array, ...]]) -> tuple[list[Signal], Array]:
+    """Scores of nameless terms on the data, and the largest standardised score of every null."""
+    doors = {n: n.removeprefix(DISTURBANCE.format("")) + "_dot" for n in problem.model.input_names if is_door(n)}
+    places = {**{n: n for n in problem.model.output_names}, **doors}
+    regressors = [_regressors(problem, found, i) for i in range(len(problem.records))]
+    common = sorted(set.intersection(*(set(r) for r in regressors)))
+    keys = [(place, *k) for place in places for k in common if not (place == k[0] and k[1] == "linear")]
+    grams = []
+    for i, own in enumerate(regressors):
+        changes = [_change(problem, found, i, place, own[(signal, shape)]) for place, signal, shape in keys]
+        grams.append(reduce_record(problem, found, i, changes, [null[i] for null in nulls]).gram)
+    gram = np.sum(grams, axis=0)
+    gram += shared_prior(problem, found, len(gram), len(keys))
+    z, standard = standardised(Projected.of(gram, len(problem.free), len(keys)), problem.criteria)
+    signals = [
+        Signal("term", places[p], SHAPES[shape].format(s), float(standard[j, 0]), float(z[j, 0] ** 2))
+        for j, (p, s, shape) in enumerate(keys)
+    ]
+    return signals, standard[:, 1:].max(axis=0)
+
+
+def standardised(projected: Projected, criteria: Criteria) -> tuple[Array, Array]:
+    """(k, 1 + nulls) signed scores, and their sizes in units of the scatter on the nulls; zero where the base absorbs all."""
+    z = projected.scores()
+    standard = np.abs(z) / np.sqrt(np.maximum(1.0, np.mean(z[:, 1:] ** 2, axis=1)))[:, None]
+    standard[np.diag(projected.B) <= criteria.nameless_seen * projected.raw] = 0.0
+    return z, standard
+
+
+def is_door(name: str) -> bool:
+    """Whether an input is one through which a force equation can be disturbed."""
+    return name.startswith(DISTURBANCE.format(""))
+
+
+def _change(problem: Problem, found: Fit, index: int, place: str, regressor: Array) -> Array:
+    """(N, ny) change of the outputs by a regressor of unit rms added to an output or to the rate of a state."""
+    coarse = problem.coarse[index]
+    if place in problem.model.output_names:
+        change = np.zeros_like(coarse.z)
+        column = problem.model.output_names.index(place)
+        change[:, column] = regressor * (TENTH * float(np.nanstd(coarse.z[:, column])) or 1.0)
+        return change
+    u = coarse.u.copy()
+    step = SMALL_TURN if place == DISTURBANCE.format("beta") else SMALL_MOMENT
+    u[:, problem.model.input_names.index(place)] = step * regressor
+    moved = problem.residual(index, found.values, found.locals[index], inputs=u)
+    return np.zeros_like(coarse.z) if moved is None else np.nan_to_num(found.residuals[index] - moved) / step
+
+
+def whitened(problem: Problem, found: Fit, round_: Round) -> list[Array]:
+    """Per record (N, ny, 1 + nulls): whitened residuals of the data and the nulls, local unknowns taken out."""
+    result = []
+    for i in range(len(problem.records)):
+        linear = problem.linearised(i, found.values, found.locals[i])
+        assert linear is not None, "a converged fit can be linearised"
+        residual, dy = linear
+        stack = np.concatenate([residual[:, :, None], *(null[i][:, :, None] for null in round_.null_residuals)], axis=2)
+        stack = np.nan_to_num(stack)
+        rows = problem.whiteners[i].rows(np.concatenate([dy, stack], axis=2))
+        J = rows[:, : dy.shape[2]]
+        theta = solved(J.T @ J, J.T @ rows[:, dy.shape[2] :])
+        left = stack - np.einsum("tyn,nm->tym", dy, theta)
+        result.append(problem.whiteners[i].series(left))
+    return result
+
+
+def restless_times(problem: Problem, white: Sequence[Array], nulls: int) -> tuple[list[Signal], Array]:
+    """Energy of every channel in windows of a second, standardised by the same window on the nulls."""
+    signals: list[Signal] = []
+    largest = np.zeros(nulls)
+    for i, series in enumerate(white):
+        time = problem.coarse[i].time
+        width = max(round(problem.criteria.nameless_window / float(np.median(np.diff(time)))), FEWEST)
+        energy, z = window_energy(series, width)
+        largest = np.maximum(largest, z[:, :, 1:].max(axis=(0, 1)))
+        for w, c in zip(*np.unravel_index(np.argsort(-z[:, :, 0].ravel())[:RESTLESS], z.shape[:2]), strict=True):
+            span = (float(time[w * width]), float(time[(w + 1) * width - 1]))
+            what = f"residual {float(np.exp(energy[w, c, 0] / 2)):.1f} times its usual size"
+            place, flight = problem.model.output_names[c], problem.records[i].flight
+            signals.append(Signal("time", place, what, float(z[w, c, 0]), flight=flight, span=span))
+    return signals, largest
+
+
+def window_energy(series: Array, width: int) -> tuple[Array, Array]:
+    """(windows, ny, 1 + nulls) logarithm of the energy in windows of `width` samples over its median on the nulls, and the
+    same in units of its scatter there."""
+    count = series.shape[0] // width
+    energy = np.log(np.sum((series[: count * width] ** 2).reshape(count, width, *series.shape[1:]), axis=1) + NOTHING)
+    energy -= np.median(energy[:, :, 1:], axis=2)[:, :, None]
+    return energy, energy / np.maximum(np.std(energy[:, :, 1:], axis=2), 1e-9)[:, :, None]
+
+
+def scatter_with_activity(
+    problem: Problem, found: Fit, white: Sequence[Array], nulls: int
+) -> tuple[list[Signal], Array]:
+    """Does the energy of a channel follow the size or the rate of some signal?"""
+    total: dict[tuple[int, str], Array] = {}
+    jumping = {s.name for s in problem.model.inputs if s.control} | set(jumping_outputs(problem.model))
+    for i, series in enumerate(white):
+        for (name, shape), values in _regressors(problem, found, i).items():
+            # fast surfaces between two samples leave scatter of their own, and so does what jumps with them: rates of
+            # theirs say nothing here, nor does the scatter of an output that jumps
+            if shape not in ("even", "rate") or (shape == "rate" and name in jumping):
+                continue
+            for c in (c for c, output in enumerate(problem.model.output_names) if output not in jumping):
+                key = (c, f"|{name}|" if shape == "even" else f"|d{name}/dt|")
+                total[key] = total.get(key, 0.0) + follows(values, series[:, c], problem.criteria)
+    signals = []
+    largest = np.zeros(nulls)
+    for (c, what), values in total.items():
+        centre, spread = float(np.mean(values[1:])), float(np.std(values[1:])) + NOTHING
+        z = (values - centre) / spread
+        largest = np.maximum(largest, z[1:])
+        signals.append(Signal("activity", problem.model.output_names[c], f"scatter grows with {what}", float(z[0])))
+    return signals, largest
+
+
+def follows(activity: Array, white: Array, criteria: Criteria) -> Array:
+    """(1 + nulls,) how much of the energy of whitened series (N, 1 + nulls) comes with an activity (N,) of unit rms."""
+    weight = np.minimum(np.abs(activity), criteria.activity_cap)
+    return np.asarray((weight - weight.mean()) @ np.minimum(white**2, criteria.energy_cap))

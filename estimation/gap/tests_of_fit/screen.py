@@ -1,0 +1,211 @@
+"""Score-test screen: what each hypothesis would leave in the residuals, with everything the base can absorb taken out.
+
+All hypotheses are linearised at the fitted baseline. Per record the whitened sensitivities of shared parameters, of all
+hypotheses and the residuals are reduced to one small Gram matrix with the record's own unknowns (initial states, biases)
+eliminated. From then on scores, ties, detectable sizes, pairs, nulls and held-out predictions are small linear algebra.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2, norm
+
+from estimation.engine.kernel import Array
+from estimation.estimators.arrow import eliminated, solved
+from estimation.gap.likelihood.fitting import Fit, Problem, prior_terms
+from estimation.gap.tests_of_fit.hypotheses import Column, Hypothesis, one_sided, sensitivity
+
+TINY = 1e-300  # keeps a column without length from dividing by zero
+
+
+@dataclass(frozen=True)
+class Reduced:
+    """Gram matrix of one record's whitened columns [shared | hypotheses | residuals], local unknowns eliminated."""
+
+    gram: Array
+    rows: int
+
+
+@dataclass(frozen=True)
+class Screen:
+    """The linearised problem. shared: (n,) names; columns: of the hypotheses; reduced: per record; prior: Gram matrix of
+    the shared priors, of the same size."""
+
+    shared: tuple[str, ...]
+    hypotheses: tuple[Hypothesis, ...]
+    columns: tuple[Column, ...]
+    reduced: tuple[Reduced, ...]
+    prior: Array
+    flights: tuple[int, ...]  # of each record
+
+    @property
+    def n(self) -> int:
+        return len(self.shared)
+
+    @property
+    def k(self) -> int:
+        return len(self.columns)
+
+    def total(self, flights: Sequence[int] | None = None) -> Array:
+        """Sum of the Gram matrices of the records of `flights` (default all), with the priors."""
+        grams = [r.gram for r, f in zip(self.reduced, self.flights, strict=True) if flights is None or f in flights]
+        return np.sum(grams, axis=0) + self.prior
+
+    def projected(self, flights: Sequence[int] | None = None) -> "Projected":
+        """Hypotheses and residuals with the shared parameters projected out."""
+        return Projected.of(self.total(flights), self.n, self.k)
+
+    def cross_gain(self, hypothesis: int, column: int = 0) -> float | None:
+        """Twice the log-likelihood gained on each flight by a hypothesis fitted to all the others, summed; linear theory.
+
+        None where there is only one flight.
+        """
+        names = sorted(set(self.flights))
+        if len(names) < 2:
+            return None
+        n, r = self.n, self.n + self.k + column
+        theta = list(range(n))
+        both = theta + [n + c for c in self.span(hypothesis)]
+        total = 0.0
+        for held in names:
+            others = self.total([f for f in names if f != held])
+            own = self.total([held]) - self.prior
+            costs = []
+            for index in (theta, both):
+                x = solved(others[np.ix_(index, index)], others[index, r])
+                costs.append(x @ own[np.ix_(index, index)] @ x - 2 * x @ own[index, r])
+            total += float(costs[0] - costs[1])
+        return total
+
+    def span(self, hypothesis: int) -> list[int]:
+        """Column indices of one hypothesis."""
+        return [i for i, c in enumerate(self.columns) if c.hypothesis == hypothesis]
+
+
+@dataclass(frozen=True)
+class Projected:
+    """B: (k, k) Gram matrix, b: (k, m) correlations with each of m residual columns, energy: (m,) what is left of each
+    residual, raw: (k,) squared length of each hypothesis before projection."""
+
+    B: Array
+    b: Array
+    energy: Array
+    raw: Array
+
+    @classmethod
+    def of(cls, gram: Array, n: int, k: int) -> "Projected":
+        """From a Gram matrix of n columns to project out, k hypotheses and the residuals."""
+        rest = eliminated(gram, n)
+        return cls(rest[:k, :k], rest[:k, k:], np.diag(rest)[k:].copy(), np.diag(gram)[n : n + k].copy())
+
+    def scores(self) -> Array:
+        """(k, m) signed scores of single columns: unit variance where the noise model is right and nothing is hidden."""
+        return self.b / np.sqrt(np.maximum(np.diag(self.B), TINY))[:, None]
+
+    def gain(self, subset: Sequence[int], column: int = 0) -> float:
+        """Twice the log-likelihood that a set of columns gains."""
+        return float(self.gains(subset, slice(column, column + 1))[0])
+
+    def gains(self, subset: Sequence[int], columns: slice) -> Array:
+        """(residual columns,) twice the log-likelihood that a set of columns gains on each of them."""
+        index = list(subset)
+        b = self.b[index, columns]
+        return np.asarray(np.sum(b * solved(self.B[np.ix_(index, index)], b), axis=0))
+
+    def cosines(self) -> Array:
+        """(k, k) cosines between the signatures of the columns."""
+        scale = 1 / np.sqrt(np.maximum(np.diag(self.B), TINY))
+        return np.clip(self.B * scale[:, None] * scale[None, :], -1.0, 1.0)
+
+
+def equivalent_z(gain: float, unknowns: int) -> float:
+    """The |z| of one unknown that is as improbable as a gain in twice the log-likelihood with several."""
+    if unknowns == 1:
+        return float(np.sqrt(max(gain, 0.0)))
+    tail = chi2.logsf(max(gain, 0.0), unknowns)
+    return float(-norm.ppf(np.exp(max(tail, -700.0)) / 2)) if tail > -650 else float(np.sqrt(gain))
+
+
+def build_screen(
+    problem: Problem, fit: Fit, hypotheses: Sequence[Hypothesis], extra: Sequence[Sequence[Array]] = ()
+) -> Screen:
+    """Linearise all hypotheses at `fit`. extra: more residual columns per record, each (N, ny) (nulls)."""
+    columns: list[Column] = []
+    changes: list[list[Array]] = []
+    kept: list[Hypothesis] = []
+    for hypothesis in hypotheses:
+        found = [(p, sensitivity(problem, fit, fit.residuals, hypothesis, p)) for p in hypothesis.form.parameters]
+        if any(c is None or max(np.abs(x).max() for x in c) == 0.0 for _, c in found):
+            continue  # diverges, or these flights do not excite it at all
+        for parameter, change in found:
+            columns.append(Column(len(kept), parameter))
+            changes.append(change or [])
+        kept.append(hypothesis)
+    reduced = tuple(
+        reduce_record(problem, fit, i, [c[i] for c in changes], extra[i] if extra else ())
+        for i in range(len(problem.records))
+    )
+    prior = shared_prior(problem, fit, reduced[0].gram.shape[0], len(columns))
+    return Screen(problem.free, tuple(kept), tuple(columns), reduced, prior, tuple(r.flight for r in problem.records))
+
+
+def shared_prior(problem: Problem, fit: Fit, size: int, k: int) -> Array:
+    """(size, size) Gram matrix of the priors of the shared parameters, the data's residual behind k hypotheses."""
+    prior, n = np.zeros((size, size)), len(problem.free)
+    weight, distance = prior_terms(problem, problem.free, fit.values)
+    prior[:n, :n] = np.diag(weight)
+    prior[:n, n + k] = prior[n + k, :n] = distance
+    return prior
+
+
+def reduce_record(problem: Problem, fit: Fit, index: int, changes: Sequence[Array], extra: Sequence[Array]) -> Reduced:
+    """Gram matrix of one record with its own unknowns eliminated; residual columns: the data's, then `extra`."""
+    shared = len(problem.free)
+    found = problem.linearised(index, fit.values, fit.locals[index])
+    assert found is not None, "a converged fit can be linearised"
+    residual, dy = found
+    missing = ~np.isfinite(residual)
+    block = np.concatenate(
+        [dy, *(c[:, :, None] for c in changes), residual[:, :, None], *(e[:, :, None] for e in extra)], axis=2
+    )
+    block[missing] = 0.0
+    rows = problem.whiteners[index].rows(block)
+    own = rows[:, shared : dy.shape[2]]
+    outer = np.concatenate([rows[:, :shared], rows[:, dy.shape[2] :]], axis=1)
+    w, d = prior_terms(problem, problem.local_names, fit.locals[index].parameters)
+    Hll = own.T @ own
+    Hll[np.arange(w.size), np.arange(w.size)] += w
+    cross = own.T @ outer
+    cross[: d.size, shared + len(changes)] += d
+    return Reduced(outer.T @ outer - cross.T @ solved(Hll, cross), rows.shape[0])
+
+
+def linear_gains(
+    screen: Screen, problem: Problem, column: int | slice = 0, flights: Sequence[int] | None = None
+) -> Array:
+    """Gains in twice the log-likelihood by linear theory, (hypotheses,) for one residual column, (columns, hypotheses)
+    for a slice of them; zero where the sign is physically impossible."""
+    projected = screen.projected(flights)
+    chosen = column if isinstance(column, slice) else slice(column, column + 1)
+    gains = np.zeros((projected.b[:, chosen].shape[1], len(screen.hypotheses)))
+    for h in range(len(screen.hypotheses)):
+        span = screen.span(h)
+        gains[:, h] = projected.gains(span, chosen)
+        if len(span) == 1:
+            p = screen.columns[span[0]].parameter
+            none = p.null_value(problem.model)
+            if one_sided(p, none, problem.criteria):
+                gains[projected.b[span[0], chosen] < 0, h] = 0.0
+    return gains if isinstance(column, slice) else gains[0]
+
+
+def linear_guess(screen: Screen, problem: Problem, hypothesis: int) -> dict[str, float]:
+    """Parameter values of a hypothesis by linear theory."""
+    projected = screen.projected()
+    span = screen.span(hypothesis)
+    eta = solved(projected.B[np.ix_(span, span)], projected.b[span, 0])
+    return {
+        screen.columns[c].parameter.name: screen.columns[c].parameter.null_value(problem.model) + float(e)
+        for c, e in zip(span, eta, strict=True)
+    }

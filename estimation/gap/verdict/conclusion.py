@@ -1,0 +1,145 @@
+"""From the state of the search to the answer: facts, decision, steps, models before and after, histories for pictures."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from estimation.gap.answer.result import Gap, GapResult, Histories, Rejected, Step, Verdict
+from estimation.gap.answer.words import conclude, describe_step
+from estimation.gap.effects.base import Effect
+from estimation.gap.likelihood.baseline import Baseline
+from estimation.gap.search.search_state import Finding, SearchState, Setting
+from estimation.gap.tests_of_fit.calibration import Round
+from estimation.gap.tests_of_fit.kinematic_check import KinematicCheck
+from estimation.gap.tests_of_fit.measure import Floors, floors, on_holdout, rms_over_noise
+from estimation.gap.tests_of_fit.repeatability import repeatability
+from estimation.gap.verdict.decide import Decision, Facts, Named, decide
+from estimation.gap.verdict.disagreement import views
+from estimation.gap.verdict.lineage import fitted
+from estimation.gap.verdict.steps import step_of, unknown_step
+from estimation.gap.verdict.tables import detectable_sizes, effect_scores, nominal_threshold, ties_of, undetectable
+from estimation.models.base import Model
+
+BAND = 20  # nulls from which the band of the floor in pictures is taken
+LEFT = 5  # nameless signals in the JSON file
+
+
+def concluded(setting: Setting, search: SearchState, check: KinematicCheck) -> GapResult:
+    """Verdict, steps and words from what the rounds left."""
+    prepared, first, last = setting.prepared, search.rounds[0], search.rounds[-1]
+    held_errors = setting.errors[len(prepared.of(prepared.training)) :]
+    floor = floors(last, on_holdout(last.baseline, prepared), held_errors, setting.options.seed)
+    named = [step_of(setting, f, floor) for f in search.findings]
+    left = rms_over_noise(last.baseline.problem, last.baseline.fit, setting.scatter)
+    cannot = undetectable(first)
+    decision = decide(facts_of(search, named, floor.covers(left), cannot), setting.options.criteria)
+    steps = told(decision, named, search, check, left, floor)
+    kept = search.findings[: decision.kept]
+    after = kept[-1].child if kept else first.baseline
+    seen = views(first.baseline, after, prepared, bool(kept))
+    detectable = detectable_sizes(last)
+    repeats = repeatability(last, prepared.names)
+    asked = {h.effect.name for h in first.screen.hypotheses}
+    tied = tuple(e for e in setting.effects if e.tied_to and e.name in asked)
+    odd = [r.flight for r in repeats if r.odd]
+    before_model, after_model = models(setting.base, first.baseline, kept)
+    return GapResult(
+        verdict=decision.verdict,
+        text=conclude(decision.verdict, steps, detectable, cannot, tied, bool(prepared.holdout), odd),
+        minimum_detectable=detectable,
+        steps=steps,
+        scores=effect_scores(first),
+        threshold=first.threshold,
+        nominal_threshold=nominal_threshold(len(first.screen.hypotheses), setting.options.criteria),
+        rejected=(*search.rejected, *(Rejected(effect, why) for effect, why in decision.withdrawn)),
+        ties=ties_of(first),
+        model_before=before_model,
+        model_after=after_model,
+        notes=prepared.notes,
+        outputs=setting.base.output_names,
+        views=seen,
+        histories=histories(setting, first.baseline, after, last),
+        details={
+            "kinematic_gate": check.to_json(),
+            "cannot_tell": [{"effect": e.name, "separate_by": e.separate_by} for e in cannot],
+            "left": [
+                {"kind": s.kind, "place": s.place, "what": s.what, "score": round(s.score, 2)}
+                for s in search.omnibus.leading[:LEFT]
+            ],
+            "left_threshold": round(float(search.omnibus.threshold), 2),
+            "where": [v.to_json() for v in seen],
+            "repeatability": [r.to_json() for r in repeats],
+            "nulls": setting.options.nulls,
+            "seed": setting.options.seed,
+        },
+    )
+
+
+def facts_of(search: SearchState, named: Sequence[Step], covered: bool, cannot: Sequence[Effect]) -> Facts:
+    """What decides, taken from the state of the search and from the steps of all accepted effects."""
+    forms = [f.candidate.hypothesis.form for f in search.findings]
+    hypotheses = search.rounds[0].screen.hypotheses
+    return Facts(
+        named=tuple(
+            Named(s.effect, s.score, s.gap, s.holdout, frozenset((*form.outputs, *form.output_delays)))
+            for s, form in zip(named, forms, strict=True)
+        ),
+        rest=search.omnibus.score,
+        rest_threshold=search.omnibus.threshold,
+        rest_place=search.omnibus.leading[0].place if search.omnibus.leading else "",
+        covered=covered,
+        blind=len(cannot),
+        asked=len({h.effect.name for h in hypotheses if not h.effect.tied_to}),
+    )
+
+
+def told(
+    decision: Decision, named: Sequence[Step], search: SearchState, check: KinematicCheck, left: float, floor: Floors
+) -> tuple[Step, ...]:
+    """The steps of the answer in words: those of the names that stand, and the nameless rest where that is the verdict. The
+    kinematic check saw the flights as they are: it speaks of the first."""
+    steps = list(named[: decision.kept])
+    if decision.verdict is Verdict.UNKNOWN:
+        steps.append(unknown_step(search.omnibus, Gap(left, left, floor.training_median)))
+    if steps:
+        steps[0] = replace(steps[0], where=replace(steps[0].where, origin=check.origin))
+    return tuple(replace(s, text=describe_step(s)) for s in steps)
+
+
+def models(base: Model, first: Baseline, kept: Sequence[Finding]) -> tuple[Model, Model]:
+    """The base as fitted, and the child with the effects that stand (the same where none does)."""
+    before = fitted(base, first.fit.values)
+    if not kept:
+        return before, before
+    child = base
+    for f in kept:
+        child = f.candidate.hypothesis.form.added_to(child)
+    names = "+".join(f.candidate.hypothesis.effect.name for f in kept)
+    return before, replace(fitted(child, kept[-1].child.fit.values), name=f"{base.name}+{names}")
+
+
+def histories(setting: Setting, before: Baseline, after: Baseline, last: Round) -> tuple[Histories, ...]:
+    """Measured, before and after over time for every flight, training and held out."""
+    band = np.array([np.nanstd(np.concatenate([n[i][:, c] for n in last.null_residuals[:BAND] for i in range(len(n))]))
+                     for c in range(len(setting.base.outputs))])  # fmt: skip
+    prepared, made = setting.prepared, []
+    pairs = [(before.problem, before.fit, after.fit, False)]
+    held_before, held_after = on_holdout(before, prepared), on_holdout(after, prepared)
+    if held_before is not None and held_after is not None:
+        pairs.append((held_before[0], held_before[1], held_after[1], True))
+    for problem, one, two, held in pairs:
+        for i, record in enumerate(problem.records):
+            z = problem.coarse[i].z
+            made.append(
+                Histories(
+                    prepared.names[record.flight],
+                    held,
+                    record.time,
+                    z,
+                    z - one.residuals[i],
+                    z - two.residuals[i],
+                    band,
+                )
+            )
+    return tuple(made)

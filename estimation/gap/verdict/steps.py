@@ -1,0 +1,145 @@
+"""One found effect, or the nameless rest, as a person reads it: set, size, place, gap closed, worth in simulator tolerances."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from estimation.gap.answer.result import Gap, Migration, Step, Weighed, Where
+from estimation.gap.criteria import Criteria
+from estimation.gap.effects.base import Effect
+from estimation.gap.likelihood.baseline import Baseline
+from estimation.gap.likelihood.fitting import fit
+from estimation.gap.search.accept import by_timing
+from estimation.gap.search.search_state import Finding, Setting
+from estimation.gap.search.select import credible_set
+from estimation.gap.tests_of_fit.measure import Floors, on_holdout, rms_over_noise
+from estimation.gap.tests_of_fit.omnibus import Omnibus
+from estimation.gap.verdict.effect_location import SPANS, locate
+from estimation.models.base import ParameterRole
+
+TOLD = 3  # nameless signals in the words; the JSON file has more
+
+
+def unknown_step(omnibus: Omnibus, gap: Gap) -> Step:
+    """Where and how the nameless rest shows."""
+    leading = [s for s in omnibus.leading if s.score > omnibus.threshold]
+    shown = leading[:TOLD]
+    channels = tuple(dict.fromkeys(s.place for s in leading))
+    spans = tuple(s.span for s in leading if s.span is not None)
+    shape = "; ".join(f"{s.place}: like {s.what}" if s.kind == "term" else f"{s.place}: {s.what}" for s in shown)
+    return Step(
+        effect="unknown", title="an effect the catalogue does not hold", form="", confidence=0.0, members=(),
+        separate_by="repeat the manoeuvre and vary one signal at a time around the regime named here", estimates={}, units={},
+        score=omnibus.score, threshold=omnibus.threshold,
+        where=Where(leading[0].place if leading else "", channels, spans[:SPANS], shape),
+        gap=gap, holdout=None, migrated={},
+    )  # fmt: skip
+
+
+def step_of(setting: Setting, finding: Finding, floor: Floors) -> Step:
+    prepared, criteria = setting.prepared, setting.options.criteria
+    effect, form = finding.candidate.hypothesis.effect, finding.candidate.hypothesis.form
+    members = credible_set(finding.choice.weights, criteria)
+    if effect.name not in dict(members):
+        members = [(effect.name, finding.choice.weights.get(effect.name, 0.0)), *members]
+    members.sort(key=lambda m: m[0] != effect.name)
+    followed = followed_by_timing(finding)
+    parent, child = as_sampled(finding.parent) if followed else finding.parent, finding.child
+    held_before, held_after = on_holdout(parent, prepared), on_holdout(child, prepared)
+    scatter = setting.scatter
+    gap = Gap(rms_over_noise(parent.problem, parent.fit, scatter), rms_over_noise(child.problem, child.fit, scatter),
+              floor.training_median)  # fmt: skip
+    held = None
+    if held_before is not None and held_after is not None and floor.holdout_median is not None:
+        held = Gap(rms_over_noise(*held_before, scatter), rms_over_noise(*held_after, scatter), floor.holdout_median)
+    std = child.fit.std()
+    inflation = {h.key: v for h, v in zip(finding.round_.screen.hypotheses, finding.round_.inflation, strict=True)}
+    wider = float(np.sqrt(inflation.get(finding.candidate.hypothesis.key, 1.0)))
+    titles = {e.name: e for e in setting.effects}
+    return Step(
+        effect=effect.name, title=effect.title, form=form.label,
+        confidence=dict(members)[effect.name],
+        members=tuple(Weighed(n, w, titles[n].title, titles[n].separate_by) for n, w in members),
+        separate_by=_separate(effect, [n for n, _ in members]),
+        estimates={p.name: (float(child.fit.values[p.name]), wider * float(std[p.name])) for p in form.parameters},
+        units={p.name: p.unit for p in form.parameters},
+        score=finding.candidate.score, threshold=finding.round_.threshold,
+        where=locate(parent, child, form),
+        gap=gap, holdout=held, migrated=migrated(parent, child), absorbed=_absorbed(finding), equation=effect.equation,
+        practical=practical(parent, child), followed=followed,
+    )  # fmt: skip
+
+
+def followed_by_timing(finding: Finding) -> dict[str, float]:
+    """Control -> time [s] by which the base had moved it where it followed the effect in that way."""
+    if not by_timing(finding.round_, finding.candidate):
+        return {}
+    values = finding.parent.fit.values
+    moved = {s.name: values.get(f"timing_{s.name}", 0.0) for s in finding.parent.model.inputs if s.control}
+    return followers(moved, finding.round_.criteria)
+
+
+def followers(moved: Mapping[str, float], criteria: Criteria) -> dict[str, float]:
+    """Those of the surfaces that moved in time [s] by about as much as the one that moved most."""
+    least = criteria.followed_share * max(map(abs, moved.values()), default=0.0)
+    return {n: v for n, v in moved.items() if abs(v) > least}
+
+
+def as_sampled(parent: Baseline) -> Baseline:
+    """The parent with its surfaces moving when they are seen to, and its attitudes shown when they are."""
+    problem = parent.problem
+    late = [p.name for p in problem.model.parameters if p.role is ParameterRole.NUISANCE and p.unit == "s"]
+    values = {**parent.fit.values, **dict.fromkeys(late, 0.0)}
+    return replace(parent, fit=fit(problem, values, parent.fit.locals, held=late))
+
+
+def _separate(effect: Effect, names: Sequence[str]) -> str:
+    """What tells the effect from the other members of its set."""
+    return next((effect.confusions[n] for n in names if n in effect.confusions), effect.separate_by)
+
+
+def _absorbed(finding: Finding) -> float | None:
+    """Share of the effect's whitened signature that the base's own parameters can take over."""
+    screen = finding.round_.screen
+    if finding.candidate.hypothesis not in screen.hypotheses:
+        return None
+    span = screen.span(screen.hypotheses.index(finding.candidate.hypothesis))
+    projected = screen.projected()
+    return 1.0 - float(np.diag(projected.B)[span].sum()) / max(float(projected.raw[span].sum()), 1e-300)
+
+
+def practical(parent: Baseline, child: Baseline) -> str:
+    """What the effect is worth against the tolerances of flight-simulator qualification."""
+    pairs = list(zip(parent.fit.residuals, child.fit.residuals, strict=True))
+    worth = {
+        name: float(np.degrees(np.nanmax(np.abs(np.concatenate([(p - q)[:, c] for p, q in pairs])))))
+        for c, name in enumerate(parent.model.output_names)
+    }
+    return worth_in_words(worth, parent.criteria)
+
+
+def worth_in_words(worth: Mapping[str, float], criteria: Criteria) -> str:
+    """Largest change of outputs [deg, deg/s] beside the tolerances that there are."""
+    bands = {
+        "p": (criteria.tolerance_rate, "deg/s"), "r": (criteria.tolerance_rate, "deg/s"),
+        "beta": (criteria.tolerance_sideslip, "deg"), "phi": (criteria.tolerance_bank, "deg"),
+    }  # fmt: skip
+    judged = [(n, worth[n], *bands[n]) for n in bands if n in worth]
+    words = [f"{n} {w:.2g} against {b:g} {unit}" + (" (beyond it)" if w > b else "") for n, w, b, unit in judged]
+    beyond = any(w > b for _, w, b, _ in judged)
+    return ("matters: " if beyond else "real but within simulator tolerances: ") + ", ".join(words)
+
+
+def migrated(parent: Baseline, child: Baseline) -> dict[str, Migration]:
+    """Base derivatives that had absorbed part of the effect, farthest moved first."""
+    std = child.fit.std()
+    found = {}
+    for name in parent.fit.free:
+        if child.problem.nuisance(name) or name not in std:
+            continue
+        before, after = parent.fit.values[name], child.fit.values[name]
+        bounds = abs(after - before) / max(std[name], 1e-300)
+        if bounds > child.criteria.migrated_bounds:
+            found[name] = Migration(before, after, bounds, parent.model.parameter(name).reference)
+    return dict(sorted(found.items(), key=lambda item: -item[1].bounds))

@@ -1,0 +1,113 @@
+"""The record of deciding numbers: whole, carried into every room by the run, and written down where a person finds it."""
+
+import ast
+import json
+from collections.abc import Iterator
+from dataclasses import FrozenInstanceError, replace
+from pathlib import Path
+
+import pytest
+
+from estimation.gap.criteria import AS_SET, BENCHMARK, Criteria
+from estimation.gap.pages.criteria_page import SENSITIVITY, page
+from estimation.gap.search.search_state import Options
+from tests.studies.gap_mutation import Outcome, moved
+from tests.studies.gap_mutation import page as mutation_page
+from tests.studies.gap_sensitivity import cases, summed_up
+from tests.studies.gap_sensitivity import moved as shifted
+
+ROOMS = Path("estimation/gap")
+CATALOGUE = ROOMS / "effects"  # sizes of effects are physics, not decisions
+
+
+def test_every_criterion_says_what_it_is_and_where_it_comes_from() -> None:
+    every = list(AS_SET.described())
+    assert len(every) > 60
+    assert all(c.meaning and c.unit and c.origin for c in every)
+    with pytest.raises(FrozenInstanceError):
+        AS_SET.strong = 2.0  # type: ignore[misc]
+
+
+def test_the_page_of_criteria_is_up_to_date() -> None:
+    assert Path("docs/gap-criteria.md").read_text(encoding="utf-8") == page()
+
+
+def test_the_page_shows_what_a_study_measured() -> None:
+    assert "| 0.7: 3 right of 4 |\n" in page(AS_SET, {"strong": "0.7: 3 right of 4"})
+    assert set(json.loads(SENSITIVITY.read_text(encoding="utf-8"))) <= {c.name for c in AS_SET.described()}
+
+
+def test_the_page_of_mutations_has_both_moves_of_every_criterion_and_a_test_for_each() -> None:
+    text = Path("docs/gap-mutation.md").read_text(encoding="utf-8")
+    rows = [
+        tuple(cell.strip() for cell in line.split("|")[1:4]) for line in text.splitlines() if line.startswith("| `")
+    ]
+    assert rows == [(f"`{c.name}`", f"{c.value:g}", f"{v:.4g}") for c in AS_SET.described() for v in moved(c)]
+    assert "**none**" not in text
+
+
+def test_a_criterion_that_no_test_notices_is_shown() -> None:
+    (one,) = (c for c in AS_SET.described() if c.name == "strong")
+    text = mutation_page([Outcome(one, 1.05, ""), Outcome(one, 1.95, "test_x")])
+    assert "| `strong` | 1.5 | 1.05 | **none** |" in text
+    assert "1 of 2 changes turn a test red" in text
+
+
+def test_whole_numbers_move_by_one_and_quantiles_by_what_is_beyond_them() -> None:
+    known = {c.name: c for c in AS_SET.described()}
+    assert moved(known["rivals"]) == (5, 7)
+    assert moved(known["floor_level"]) == pytest.approx((0.9675, 0.9825))
+    assert moved(known["strong"]) == pytest.approx((1.05, 1.95))
+    assert [shifted(known["always_fitted"], f) for f in (0.7, 1.4)] == [2, 6]
+    assert [shifted(known["floor_level"], f) for f in (0.7, 1.4)] == pytest.approx([0.9825, 0.965])
+
+
+def test_sensitivity_counts_the_same_flights_as_set_and_moved() -> None:
+    def row(flights: str, criterion: str, factor: float, right: bool, verdict: str = "no_gap") -> dict[str, object]:
+        return {
+            "flights": flights,
+            "criterion": criterion,
+            "factor": factor,
+            "right": right,
+            "verdict": verdict,
+            "named": [],
+        }
+
+    rows = [row("a", "", 1.0, True), row("b", "", 1.0, True), row("a", "strong", 0.7, False, "gap_closed"),
+            row("b", "strong", 0.7, True), row("c", "strong", 0.7, True), row("a", "strong", 1.4, True)]  # fmt: skip
+    assert summed_up(rows) == {
+        "strong": "0.7: 1 right of 2 sets (as set 2), 1 answers other; 1.4: 1 right of 1 sets (as set 1), 0 answers other"
+    }
+    assert [(c.criterion, c.factor) for c in cases(["a"], ["strong"])] == [("", 1.0), ("strong", 0.7), ("strong", 1.4)]
+
+
+def sources() -> Iterator[tuple[Path, ast.Module]]:
+    for path in sorted(ROOMS.rglob("*.py")):
+        if CATALOGUE not in path.parents:
+            yield path, ast.parse(path.read_text(encoding="utf-8"))
+
+
+def test_rooms_get_the_criteria_from_the_run_and_have_none_of_their_own() -> None:
+    """Only what a run begins with, and the page, may name the record as set."""
+    users = [
+        str(path.relative_to(ROOMS))
+        for path, tree in sources()
+        if any(isinstance(n, ast.Name) and n.id == "AS_SET" for n in ast.walk(tree)) and path.name != "criteria.py"
+    ]
+    assert users == ["pages/criteria_page.py", "search/search_state.py"]
+    assert Options().criteria == AS_SET
+    assert replace(Criteria(), strong=2.0) != AS_SET
+    assert BENCHMARK.startswith("set by hand")
+
+
+def test_no_comparison_in_the_rooms_has_a_number_of_its_own() -> None:
+    """Nothing, everything and none are no decisions; other numbers have a name and a reason."""
+    found = [
+        f"{path}:{node.lineno}"
+        for path, tree in sources()
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Compare)
+        for part in (n for side in (node.left, *node.comparators) for n in ast.walk(side))
+        if isinstance(part, ast.Constant) and isinstance(part.value, float) and part.value not in (0.0, 1.0)
+    ]
+    assert not found

@@ -1,0 +1,132 @@
+"""From the state of the search to the answer, on searches made by hand: what is confirmed, which facts count, what is told."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from estimation.gap.answer.result import Gap, Step, Verdict, Where
+from estimation.gap.criteria import AS_SET
+from estimation.gap.effects import catalogue
+from estimation.gap.search import accept as accepting
+from estimation.gap.search.accept import confirmed
+from estimation.gap.tests_of_fit.omnibus import Omnibus, Signal
+from estimation.gap.verdict.conclusion import facts_of, models, told
+from estimation.gap.verdict.decide import Decision
+from estimation.gap.verdict.steps import unknown_step
+from estimation.models.load import load_model
+
+EFFECTS = {e.name: e for e in catalogue()}
+
+
+def stub(**fields: Any) -> Any:
+    """As much of a search as a rule looks at."""
+    return SimpleNamespace(**fields)
+
+
+# ------------------------------------------------------------------------------------------------ confirmation
+def asked(
+    patch: pytest.MonkeyPatch, score: float = 5.0, gain: float = 100.0, cross: float | None = 1.0, held: float | None = 1.0,
+    timing: bool = False,
+) -> tuple[Any, str]:  # fmt: skip
+    """A linear candidate beside a nameless term that gains 100, threshold 4."""
+    patch.setattr(accepting, "held_gain", lambda *given: held)
+    patch.setattr(accepting, "by_timing", lambda *given: timing)
+    patch.setattr(accepting, "flight_gains", lambda *given: [50.0, 50.0])
+    hypothesis = stub(form=stub(nonlinear=False), label="x")
+    round_ = stub(
+        criteria=AS_SET, threshold=4.0, baseline=None, screen=stub(hypotheses=[hypothesis], cross_gain=lambda h: cross)
+    )
+    setting = stub(child=lambda *given: "child", prepared=None)
+    return confirmed(setting, round_, stub(score=score, gain=gain, hypothesis=hypothesis), 100.0)
+
+
+@pytest.mark.parametrize(
+    ("known", "why"),
+    [
+        ({}, ""),
+        ({"gain": 60.0}, "explains only 60%"),
+        ({"cross": -1.0}, "does not hold on the training flights"),
+        ({"cross": -1.0, "score": 7.0}, ""),
+        ({"held": -1.0}, "does not hold on the held-out flights"),
+        ({"held": -1.0, "score": 7.0}, ""),
+        ({"held": -1.0, "timing": True}, ""),
+        ({"held": -10.0, "score": 7.0}, "does not hold on the held-out flights"),
+        ({"held": None}, ""),
+    ],
+)
+def test_what_is_refused_says_why(monkeypatch: pytest.MonkeyPatch, known: dict[str, Any], why: str) -> None:
+    child, said = asked(monkeypatch, **known)
+    assert said.startswith(why)
+    assert (child == "child") is (why == "")
+
+
+# ------------------------------------------------------------------------------------------------ facts and words
+def step(effect: str, score: float = 20.0) -> Step:
+    return Step(
+        effect=effect, title=effect, form=effect, confidence=1.0, members=(), separate_by="", estimates={}, units={},
+        score=score, threshold=4.0, where=Where("Cn", ("r",), (), "everywhere"), gap=Gap(3.0, 1.2, 1.0),
+        holdout=Gap(2.8, 1.1, 1.0), migrated={},
+    )  # fmt: skip
+
+
+def search(*names: str) -> Any:
+    findings = [stub(candidate=stub(hypothesis=stub(effect=EFFECTS[n], form=EFFECTS[n].forms[0]))) for n in names]
+    hypotheses = [stub(effect=EFFECTS[n]) for n in ("Cn_da", "Cn_da", "beta_lag", "beta_bias")]
+    leading = (
+        Signal("time", "beta", "burst", 9.0, span=(3.0, 4.0)),
+        Signal("term", "r_dot", "p|p|", 8.0),
+        Signal("activity", "p", "quiet", 3.0),
+    )
+    return stub(
+        findings=findings, rounds=[stub(screen=stub(hypotheses=hypotheses))], omnibus=Omnibus(9.0, 5.0, leading)
+    )
+
+
+def test_facts_know_whose_instrument_a_name_blames_and_how_many_effects_were_asked() -> None:
+    facts = facts_of(search("Cn_da", "beta_lag"), [step("Cn_da"), step("beta_lag", 7.0)], True, [EFFECTS["Cn_da"]])
+    assert [(n.effect, n.score, n.instruments) for n in facts.named] == [
+        ("Cn_da", 20.0, frozenset()),
+        ("beta_lag", 7.0, frozenset({"beta"})),
+    ]
+    assert (facts.rest, facts.rest_threshold, facts.rest_place) == (9.0, 5.0, "beta")
+    assert (facts.covered, facts.blind) == (True, 1)
+    assert facts.asked == 2, "beta_bias is carried by derivatives and asked of no flight"
+
+
+def test_an_answer_tells_the_names_that_stand_and_then_the_rest() -> None:
+    named = [step("Cn_da"), step("beta_lag")]
+    check, floor = stub(origin="sensor"), stub(training_median=1.0)
+    steps = told(Decision(Verdict.UNKNOWN, 1, ()), named, search("Cn_da", "beta_lag"), check, 1.4, floor)
+    assert [s.effect for s in steps] == ["Cn_da", "unknown"]
+    assert [s.where.origin for s in steps] == ["sensor", ""]
+    assert all(s.text for s in steps)
+    assert steps[1].gap == Gap(1.4, 1.4, 1.0)
+    assert [s.effect for s in told(Decision(Verdict.GAP_CLOSED, 2, ()), named, search(), check, 1.0, floor)] == [
+        "Cn_da",
+        "beta_lag",
+    ]
+    assert told(Decision(Verdict.NO_GAP, 0, ()), [], search(), check, 1.0, floor) == ()
+
+
+def test_the_rest_is_placed_by_the_signals_above_the_threshold() -> None:
+    found = unknown_step(search().omnibus, Gap(1.4, 1.4, 1.0))
+    assert found.where == Where("beta", ("beta", "r_dot"), ((3.0, 4.0),), "beta: burst; r_dot: like p|p|")
+    assert (found.score, found.threshold) == (9.0, 5.0)
+
+
+def test_the_child_has_the_effects_that_stand_at_their_fitted_values() -> None:
+    base = load_model("lateral", "cdfp")
+    form = EFFECTS["Cn_da"].forms[0]
+    first: Any = stub(fit=stub(values={"Cl_p": -0.5}))
+    kept: Any = stub(
+        candidate=stub(hypothesis=stub(effect=EFFECTS["Cn_da"], form=form)),
+        child=stub(fit=stub(values={"Cl_p": -0.4, "Cn_da": -0.01})),
+    )
+    before, after = models(base, first, [kept])
+    assert before.parameter("Cl_p").start == -0.5
+    assert after.name == "lateral+Cn_da"
+    assert (after.parameter("Cl_p").start, after.parameter("Cn_da").start) == (-0.4, -0.01)
+    assert models(base, first, [])[1] == before
+    assert np.isfinite(after.parameter("Cn_da").lower)

@@ -1,0 +1,145 @@
+"""Rules by which something does not fit: thresholds from nulls, nameless signals, repeatability, the kinematic check."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.stats import gumbel_r
+
+from estimation.engine.kernel import Array
+from estimation.gap.criteria import AS_SET
+from estimation.gap.effects.base import EffectParameter
+from estimation.gap.tests_of_fit.calibration import kinematic_threshold, name_threshold, null_inflation
+from estimation.gap.tests_of_fit.hypotheses import one_sided
+from estimation.gap.tests_of_fit.kinematic_check import judged, kinematic_model, null_count
+from estimation.gap.tests_of_fit.measure import Floors
+from estimation.gap.tests_of_fit.omnibus import Signal, follows, restless_times, standardised, summed_up, window_energy
+from estimation.gap.tests_of_fit.repeatability import usual_and_limit
+from estimation.gap.tests_of_fit.screen import Projected
+
+
+def stub(**fields: Any) -> Any:
+    """As much of a round, problem or hypothesis as a rule looks at."""
+    return SimpleNamespace(**fields)
+
+
+GRID = (np.arange(4000) + 0.5) / 4000
+LARGEST = np.asarray(gumbel_r.ppf(GRID, loc=3.0, scale=0.3))  # largest scores of nulls, exactly of that law
+
+
+# ------------------------------------------------------------------------------------------------ thresholds
+def test_a_name_needs_a_quarter_more_than_one_set_of_nulls_in_forty_shows() -> None:
+    assert name_threshold(LARGEST, AS_SET) == pytest.approx(1.25 * (3.0 - 0.3 * np.log(-np.log(0.975))), abs=0.005)
+
+
+def test_the_kinematic_check_needs_a_quarter_more_than_one_in_twenty() -> None:
+    assert kinematic_threshold(LARGEST, AS_SET) == pytest.approx(1.25 * (3.0 - 0.3 * np.log(-np.log(0.95))), abs=0.005)
+
+
+def test_a_nameless_signal_is_significant_above_one_set_of_nulls_in_a_hundred() -> None:
+    signals = [Signal("term", "p", "beta", 4.0), Signal("time", "r", "burst", 6.0)]
+    omnibus = summed_up(signals, LARGEST, AS_SET)
+    assert omnibus.threshold == pytest.approx(3.0 - 0.3 * np.log(-np.log(0.99)), abs=0.005)
+    assert omnibus.score == 6.0
+    assert [s.place for s in omnibus.leading] == ["r", "p"]
+    assert omnibus.significant
+    assert not summed_up([], LARGEST, AS_SET).significant
+
+
+def test_the_scatter_on_nulls_inflates_and_never_deflates() -> None:
+    b = np.concatenate([np.zeros((2, 1)), np.array([[3.0, -3.0], [0.5, -0.5]])], axis=1)
+    projected = Projected(np.eye(2), b, np.zeros(3), np.ones(2))
+    screen = stub(hypotheses=(1, 2), projected=lambda: projected, span=lambda h: [h])
+    assert null_inflation(screen, 2) == pytest.approx([9.0, 1.0])
+
+
+@pytest.mark.parametrize(("lower", "one"), [(-0.22, True), (-0.28, False)])
+def test_an_effect_that_can_hardly_go_the_other_way_has_one_sign(lower: float, one: bool) -> None:
+    assert one_sided(EffectParameter("x", "1", 2.0, 2.0 * lower, 9.0), 0.0, AS_SET) is one
+
+
+@pytest.mark.parametrize(("gap", "covered"), [(0.974, True), (0.976, False)])
+def test_a_gap_is_nothing_where_39_of_40_nulls_leave_as_much(gap: float, covered: bool) -> None:
+    assert Floors(np.linspace(0.0, 1.0, 1001), np.zeros(0), AS_SET).covers(gap) is covered
+
+
+# ------------------------------------------------------------------------------------------------ the kinematic check
+def test_gyros_and_accelerometer_are_believed_to_their_usual_errors() -> None:
+    model = kinematic_model(AS_SET)
+    names = ("bias_gyro_p", "bias_gyro_r", "scale_gyro_p", "scale_gyro_r", "bias_accelerometer_y")
+    assert [model.parameter(n).prior_std for n in names] == [0.02, 0.02, 0.005, 0.005, 0.2]
+
+
+def test_the_check_takes_no_more_than_a_hundred_nulls() -> None:
+    assert null_count(200, AS_SET) == 100
+    assert null_count(40, AS_SET) == 40
+
+
+@pytest.mark.parametrize(("score", "origin"), [(4.1, "sensor"), (3.9, "physics")])
+def test_an_instrument_error_above_its_threshold_is_a_sensor_s(score: float, origin: str) -> None:
+    hypotheses = (stub(label="gyro_scale"), stub(label="beta_lag"))
+    round_ = stub(threshold=4.0, standardised=lambda: np.array([1.0, score]), screen=stub(hypotheses=hypotheses))
+    found = judged(round_)
+    assert (found.origin, found.best, found.score) == (origin, "beta_lag", score)
+
+
+def test_without_an_instrument_to_ask_the_check_is_undecided() -> None:
+    assert judged(stub(threshold=4.0, standardised=lambda: np.zeros(0))).origin == "undecided"
+
+
+# ------------------------------------------------------------------------------------------------ nameless signals
+@pytest.mark.parametrize(("left", "seen"), [(0.9e-3, False), (1.1e-3, True)])
+def test_a_term_that_the_base_absorbs_says_nothing(left: float, seen: bool) -> None:
+    projected = Projected(np.array([[left]]), np.array([[1.0, 0.01, -0.01]]), np.zeros(3), np.ones(1))
+    z, standard = standardised(projected, AS_SET)
+    assert z[0, 0] == pytest.approx(1.0 / np.sqrt(left))
+    assert bool(standard[0, 0] > 0.0) is seen
+
+
+def test_energy_is_looked_at_second_by_second() -> None:
+    rng = np.random.default_rng(0)
+    time = 0.05 * np.arange(400)
+    series = rng.standard_normal((400, 1, 41))
+    series[200:220, :, 0] *= 8.0  # from 10 to 11 s
+    problem = stub(
+        criteria=AS_SET, coarse=[stub(time=time)], records=[stub(flight=2)], model=stub(output_names=("beta",))
+    )
+    signals, largest = restless_times(problem, [series], 40)
+    assert signals[0].span == pytest.approx((10.0, 10.95))
+    assert (signals[0].flight, signals[0].place) == (2, "beta")
+    assert signals[0].score > largest.max()
+
+
+def test_window_energy_is_standardised_on_the_nulls_of_the_same_window() -> None:
+    series = np.ones((20, 1, 4))
+    series[:, :, 0], series[:, :, 1], series[:, :, 3] = np.e**2, np.exp(-0.5), np.exp(0.5)
+    energy, z = window_energy(series, 10)
+    assert energy[:, 0, 0] == pytest.approx([4.0, 4.0])
+    assert z[:, 0, 0] == pytest.approx(4.0 / np.std([-1.0, 0.0, 1.0]))
+
+
+def scatter_with(activity: float, white: float) -> float:
+    """What one sample of that activity and whitened size adds, the 99 others still and quiet."""
+    active, series = np.zeros(100), np.zeros((100, 1))
+    active[7], series[7] = activity, white
+    return float(follows(active, series, AS_SET)[0])
+
+
+def test_activity_and_energy_of_single_samples_count_up_to_a_limit() -> None:
+    assert scatter_with(2.0, 3.0) == pytest.approx(2.0 * 0.99 * 9.0)
+    assert scatter_with(50.0, 1.0) == pytest.approx(3.0 * 0.99)
+    assert scatter_with(1.0, 50.0) == pytest.approx(0.99 * 16.0)
+
+
+# ------------------------------------------------------------------------------------------------ repeatability
+def test_a_flight_does_not_repeat_the_others_where_it_does_so_on_one_set_of_nulls_in_two_hundred() -> None:
+    nulls = np.array([np.linspace(0.0, 2.0, 2001), np.ones(2001)])  # usual 1 and 1, largest from 1 to 2
+    usual, limit = usual_and_limit(np.array([2.0, 3.0])[:, None] * nulls, AS_SET)
+    assert usual == pytest.approx([2.0, 3.0])
+    assert limit == pytest.approx(usual * 1.99, abs=1e-6)
+
+
+def test_largest_scores_are_of_the_law_the_tests_believe() -> None:
+    values: Array = LARGEST
+    assert float(np.std(values)) == pytest.approx(0.3 * np.pi / np.sqrt(6.0), rel=0.01)

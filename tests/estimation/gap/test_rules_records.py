@@ -1,0 +1,210 @@
+"""Rules that decide before and within every fit, each at its limit: samples, priors, noise, steps of surfaces."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from estimation.engine.kernel import Array
+from estimation.gap.criteria import AS_SET
+from estimation.gap.likelihood.baseline import estimated_noise, noise_parts
+from estimation.gap.likelihood.fitting import Problem
+from estimation.gap.likelihood.surface_steps import SurfaceSteps, find_surface_steps, freedom_of
+from estimation.gap.likelihood.whitening import Linear, NoisePart, Shapes, Source, shapes_of
+from estimation.gap.records.flight_records import Record, with_own_noise
+from estimation.gap.records.nuisance import with_nuisance
+from estimation.gap.records.sample_faults import sample_notes
+from estimation.models.base import Model, Parameter, ParameterRole, Signal
+from estimation.models.load import load_model
+from groundstation.flight import Flight
+
+STEP = 0.05
+ROLL = Model(
+    name="roll",
+    states=(Signal("p", "rad/s"),),
+    inputs=(Signal("delta_a", "rad", control=True),),
+    outputs=(Signal("p", "rad/s"),),
+    parameters=(Parameter("L_p", start=-6.0), Parameter("L_a", start=40.0)),
+    equations=("p_dot = L_p*p + L_a*delta_a",),
+)
+
+
+# ------------------------------------------------------------------------------------------------ sample faults
+def notes(values: Array) -> list[str]:
+    flight = Flight.build("f", STEP * np.arange(values.size), {"p": np.asarray(values, dtype=np.float64)})
+    return sample_notes([flight], ["p"], AS_SET)
+
+
+def wave(count: int) -> Array:
+    return np.sin(0.7 * np.arange(count)) + 0.001 * np.arange(count)
+
+
+@pytest.mark.parametrize(("repeats", "stale"), [(185, False), (215, True)])
+def test_a_channel_that_repeats_a_fifth_of_its_samples_is_stale(repeats: int, stale: bool) -> None:
+    values = wave(1001)
+    at = 4 * np.arange(repeats) + 2
+    values[at] = values[at - 1]
+    assert bool(notes(values)) is stale
+
+
+@pytest.mark.parametrize(("run", "clipped"), [(3, False), (4, True)])
+def test_four_samples_at_the_end_of_the_range_are_clipped(run: int, clipped: bool) -> None:
+    values = wave(200)
+    values[50 : 50 + run] = 5.0
+    assert bool(notes(values)) is clipped
+
+
+@pytest.mark.parametrize(("holes", "told"), [(18, False), (22, True)])
+def test_a_channel_that_lacks_two_samples_in_a_hundred_is_named(holes: int, told: bool) -> None:
+    values = wave(1000)
+    values[100 : 100 + holes] = np.nan
+    assert bool(notes(values)) is told
+
+
+@pytest.mark.parametrize(("count", "told"), [(9, False), (10, True)])
+def test_fewer_than_ten_samples_are_not_judged(count: int, told: bool) -> None:
+    values = wave(count)
+    values[:4] = 5.0
+    assert bool(notes(values)) is told
+
+
+@pytest.mark.parametrize(("ratio", "marked"), [(1.4, False), (1.6, True)])
+def test_a_channel_half_as_noisy_again_has_a_noise_of_its_own(ratio: float, marked: bool) -> None:
+    noise = np.random.default_rng(0).standard_normal((300, 1))
+    records = [
+        Record(i, 0, STEP * np.arange(300), {}, size * noise, np.zeros(1), {})
+        for i, size in enumerate((1.0, 1.0, ratio))
+    ]
+    louder = with_own_noise(records, 2, AS_SET)[2].louder
+    assert (louder is not None) is marked
+    if louder is not None:
+        assert louder[0] == pytest.approx(ratio**2)
+
+
+# ------------------------------------------------------------------------------------------------ nuisances
+def test_nuisances_are_as_wide_as_what_no_flight_is_free_of() -> None:
+    noise = dict.fromkeys(("beta", "p", "r", "phi", "ay"), 0.02)
+    believed = Parameter("Cl_p", start=-0.4, reference=-0.4, reference_std=0.1)
+    base = load_model("lateral", "cdfp")
+    base = replace(base, parameters=tuple(believed if p.name == "Cl_p" else p for p in base.parameters))
+    made = with_nuisance(base, noise, STEP, AS_SET, ("phi",))
+    widths = {
+        n: made.parameter(n).prior_std for n in ("bias_beta", "timing_delta_a", "timing_phi", "plumb_phi", "Cl_p")
+    }
+    assert widths == pytest.approx(
+        {"bias_beta": 0.02, "timing_delta_a": 0.005, "timing_phi": 0.005, "plumb_phi": 0.02, "Cl_p": 0.3}
+    )
+    assert made.parameter("rounding_phi").prior_std == pytest.approx(STEP**2 / 12)
+
+
+def test_a_user_s_own_parameter_of_that_name_is_the_user_s() -> None:
+    own = replace(ROLL, parameters=(*ROLL.parameters, Parameter("bias_p"), Parameter("timing_x")),
+                  equations=("p_dot = L_p*p + L_a*delta_a + bias_p + timing_x",))  # fmt: skip
+    made = with_nuisance(own, {"p": 0.01}, STEP, AS_SET)
+    problem = Problem(made, own, (), (), AS_SET)
+    assert made.parameter("bias_p").role is ParameterRole.DERIVATIVE
+    assert [n for n in problem.free if problem.nuisance(n)] == ["timing_delta_a", "curvature_delta_a"]
+
+
+def test_how_a_surface_moves_between_samples_is_believed_and_limited() -> None:
+    problem = Problem(ROLL, ROLL, (), (), AS_SET)
+    assert problem.prior("curvature_delta_a") == (0.0, 1.5)
+    assert problem.limits("curvature_delta_a") == (-6.0, 6.0)
+    assert problem.prior("L_p") is None
+
+
+# ------------------------------------------------------------------------------------------------ noise
+def linear(outputs: int, states: int) -> Linear:
+    """A motion that decays in a second and shows nothing of its controls."""
+    return Linear(
+        A=-np.eye(states), B=np.zeros((states, 0)), C=np.ones((outputs, states)), D=np.zeros((outputs, 0)), controls=(),
+        dt=STEP, scale=np.ones(outputs),
+    )  # fmt: skip
+
+
+def test_the_error_of_an_attitude_filter_is_forgotten_in_three_seconds() -> None:
+    shapes = shapes_of(load_model("lateral", "cdfp"), linear(5, 4), 1200, AS_SET, ())
+    s = 2j * np.pi / (1200 * STEP)  # the lowest frequency of the record
+    slowest = np.abs(shapes.parts[NoisePart(Source.WANDERING, "phi")][1, 3])
+    assert slowest == pytest.approx(np.abs(1.0 / (s + 1.0 / 3.0)), rel=0.02)
+
+
+def test_gusts_have_a_memory_of_a_second() -> None:
+    shapes = shapes_of(ROLL, linear(1, 1), 1200, AS_SET, ("p",))
+    coloured = NoisePart(Source.RATE, "p", 1.0)
+    s = 2j * np.pi * 10 / (1200 * STEP)
+    ratio = shapes.parts[coloured][10, 0] / shapes.parts[NoisePart(Source.RATE, "p")][10, 0]
+    assert ratio == pytest.approx(s / (s + 1.0))
+
+
+def nowhere(count: int) -> SurfaceSteps:
+    return SurfaceSteps((), np.zeros(0, dtype=int), np.zeros(0), np.zeros((count, 1, 0)), AS_SET)
+
+
+def test_no_channel_is_trusted_more_than_half_its_scatter() -> None:
+    shapes = Shapes({}, 100, STEP)
+    noise = estimated_noise([np.zeros((100, 1))], [shapes], [nowhere(100)], np.array([0.2]), (), {}, None)
+    assert np.sqrt(noise.measurement) == pytest.approx([0.5 * 0.2])
+
+
+def test_a_filtered_attitude_shares_most_of_its_gyro_s_noise() -> None:
+    rng = np.random.default_rng(1)
+    p = 0.01 * rng.standard_normal(400)
+    z = np.column_stack([p, np.cumsum(p) * STEP])
+    record = Record(0, 0, STEP * np.arange(400), {}, z, np.zeros(2), {})
+    scatter = np.array([0.01, 0.003])
+    own, without, known = noise_parts([record], ("p", "phi"), scatter, AS_SET)
+    assert own == pytest.approx([0.5 * 0.01, 0.003])
+    assert known[NoisePart(Source.GYRO, "phi")] == pytest.approx(0.75 * 0.01**2)
+    assert known[NoisePart(Source.WANDERING, "phi")] == pytest.approx(0.003**2 / (3.0 * STEP))
+    assert not [name for name in without if name.of == "phi"]
+
+
+# ------------------------------------------------------------------------------------------------ steps of surfaces
+def moved(u: Array, jump: float = 0.0, scale: float = 1.0) -> SurfaceSteps:
+    """Steps found in the course (N,) of one control that an output of rms `scale` shows by `jump` per radian."""
+    one = Linear(
+        np.array([[-1.0]]), np.array([[1e-9]]), np.eye(1), np.array([[jump]]), ("delta_a",), STEP, np.array([scale])
+    )
+    from estimation.engine.simulate import Segment
+
+    segment = Segment(0, STEP * np.arange(u.size), u[:, None], np.ones((u.size, 1)), np.zeros(1))
+    return find_surface_steps(ROLL, one, segment, AS_SET)
+
+
+def jittery(count: int) -> Array:
+    """A course that moves by 0.001 up or down in every interval: a scatter of 0.0014826."""
+    return 0.001 * (np.arange(count) % 2)
+
+
+@pytest.mark.parametrize(("times", "found"), [(3.6, 0), (4.4, 1)])
+def test_a_step_of_four_times_the_scatter_is_one(times: float, found: int) -> None:
+    u = jittery(201)
+    u[101:] += times * 1.4826 * 0.001 - 0.001  # from a high sample to a low one
+    assert len(moved(u).name) == found
+
+
+def test_the_largest_forty_eight_steps_of_a_record_are_left_open() -> None:
+    u = np.cumsum(np.where(np.arange(600) % 10 == 0, 0.01 + 1e-5 * np.arange(600), 0.0))
+    steps = moved(u)
+    assert len(steps.name) == 48
+    assert min(steps.step) == pytest.approx(0.01 + 1e-5 * 120)
+
+
+@pytest.mark.parametrize(("share", "found"), [(0.045, 0), (0.055, 2)])
+def test_a_jump_of_a_twentieth_of_an_output_is_seen(share: float, found: int) -> None:
+    u = np.where(np.arange(200) < 100, 0.0, 0.1)
+    assert moved(u, jump=share / 0.1).name.count("p") == found
+
+
+def test_surfaces_and_jumps_are_as_free_as_usual_where_flights_do_not_tell() -> None:
+    one = replace(nowhere(10), name=("delta_a", "ay"), jumping=frozenset({"ay"}))
+    assert one.spread({}) == pytest.approx([0.2, 0.1])
+    assert one.spread({"delta_a": 0.3, "ay": 0.02}) == pytest.approx([0.3, 0.02])
+
+
+@pytest.mark.parametrize(("told", "free"), [(1e-4, (0.03, 0.005)), (5.0, (0.6, 0.6)), (0.1, (0.1, 0.1))])
+def test_the_freedom_that_flights_tell_stays_within_its_limits(told: float, free: tuple[float, float]) -> None:
+    one = replace(nowhere(10), name=("delta_a", "ay"), jumping=frozenset({"ay"}))
+    found = freedom_of([one], [(np.full(2, told), np.zeros(2))])
+    assert (found["delta_a"], found["ay"]) == pytest.approx(free)

@@ -1,0 +1,336 @@
+"""Rules of the search, each at its limit, on rounds and candidates made by hand: which are fitted, weighed and accepted."""
+
+from collections.abc import Sequence
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from estimation.engine.kernel import Array
+from estimation.gap.answer.result import Rejected
+from estimation.gap.criteria import AS_SET
+from estimation.gap.effects.base import Effect, EffectParameter, Form, Group
+from estimation.gap.search import accept as accepting
+from estimation.gap.search import backward_check as checking
+from estimation.gap.search import rounds as searching
+from estimation.gap.search.accept import accept, by_timing, explains, follows, holds, is_strong, repeats
+from estimation.gap.search.backward_check import best_rival, idle, questioners
+from estimation.gap.search.confirm import Candidate, assess, impossible, leading, price
+from estimation.gap.search.rounds import run_rounds
+from estimation.gap.search.search_state import Finding, Options
+from estimation.gap.search.select import Choice, comparable, credible_set, material, promise, worth_comparing
+from estimation.gap.tests_of_fit.hypotheses import Column, Hypothesis
+from estimation.gap.tests_of_fit.omnibus import Omnibus, Signal
+from estimation.gap.tests_of_fit.screen import Projected, Reduced, Screen
+from estimation.models.base import InputTransform, Model, Parameter
+from estimation.models.base import Signal as Variable
+
+BASE = Model("none", (Variable("p"),), (), (Variable("p"),), (Parameter("a"),), ("p_dot = a*p",))
+
+
+def stub(**fields: Any) -> Any:
+    """As much of a round, problem or setting as a rule looks at."""
+    return SimpleNamespace(**fields)
+
+
+def hypothesis(name: str, kind: str = "linear", forms: int = 1) -> Hypothesis:
+    """One unknown of usual size 2, between -10 and 10; kind: linear, delay or backlash."""
+    parameter = EffectParameter(name, "s", 2.0, -10.0, 10.0)
+    transforms = () if kind == "linear" else (InputTransform(kind, "delta_a", (name,)),)
+    made = tuple(Form(f"{name}{i or ''}", (parameter,), transforms=transforms) for i in range(forms))
+    effect = Effect(name, name, Group.ACTUATOR, "", "", "", "", {}, "fly it", made)
+    return Hypothesis(effect, made[0])
+
+
+def candidate(name: str = "x", kind: str = "linear", **known: Any) -> Candidate:
+    given: dict[str, Any] = {
+        "gain": 100.0,
+        "score": 10.0,
+        "evidence": 50.0,
+        "estimates": {},
+        "size": 1.0,
+        "why_not": "",
+    }
+    return Candidate(hypothesis(name, kind), stub(values={}, residuals=(), diverged=False), **(given | known))
+
+
+def screen(hypotheses: Sequence[Hypothesis], gram: Array | None = None, flights: tuple[int, ...] = (0,)) -> Screen:
+    """Every hypothesis with one column of unit length; the last column of `gram` is the residual."""
+    k = len(hypotheses)
+    columns = tuple(Column(h, x.form.parameters[0]) for h, x in enumerate(hypotheses))
+    whole = np.eye(k + 1) if gram is None else gram
+    return Screen((), tuple(hypotheses), columns, (Reduced(whole, k),) * len(flights), np.zeros_like(whole), flights)
+
+
+# ------------------------------------------------------------------------------------------------ which are fitted in full
+def test_the_ten_best_get_a_full_fit() -> None:
+    delays = [hypothesis(f"d{i}", "delay") for i in range(15)]
+    assert leading(screen(delays), 100.0 - np.arange(15.0), AS_SET) == list(range(10))
+
+
+def test_four_get_one_however_weak_and_others_where_they_gain_a_share_of_the_best() -> None:
+    linear = screen([hypothesis(f"x{i}") for i in range(9)])
+    weak = np.array([100.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0])
+    assert leading(linear, weak, AS_SET) == [0, 1, 2, 3]
+    near = np.array([100.0, 99.0, 98.0, 97.0, 17.0, 16.0, 14.0, 13.0, 12.0])
+    assert leading(linear, near, AS_SET) == [0, 1, 2, 3, 4, 5]
+
+
+@pytest.mark.parametrize(("cosine", "fitted"), [(0.88, False), (0.92, True)])
+def test_what_is_tied_to_the_best_is_fitted_too(cosine: float, fitted: bool) -> None:
+    gram = np.eye(13)
+    gram[0, 11] = gram[11, 0] = cosine
+    chosen = leading(screen([hypothesis(f"x{i}") for i in range(12)], gram), 100.0 - np.arange(12.0), AS_SET)
+    assert (11 in chosen) is fitted
+
+
+def test_a_play_is_always_fitted() -> None:
+    hypotheses = [*(hypothesis(f"x{i}") for i in range(12)), hypothesis("play", "backlash")]
+    assert 12 in leading(screen(hypotheses), np.array([*(100.0 - np.arange(12.0)), 0.0]), AS_SET)
+
+
+def test_nonlinear_hypotheses_promise_either_sign_and_are_not_held_against_their_scatter() -> None:
+    gram = np.eye(3)
+    gram[:2, 2] = gram[2, :2] = -6.0
+    one = screen([hypothesis("x"), hypothesis("late", "delay")], gram)
+    round_ = stub(screen=one, gains=np.zeros(2), inflation=np.array([1.0, 9.0]))
+    assert promise(round_) == pytest.approx([0.0, 36.0 / 5.0])
+
+
+# ------------------------------------------------------------------------------------------------ how they are weighed
+@pytest.mark.parametrize(("own", "used"), [(1.9, 1.0), (2.1, 2.1)])
+def test_rivals_share_one_inflation_unless_theirs_is_twice_as_large(own: float, used: float) -> None:
+    one = screen([hypothesis("best"), hypothesis("x"), hypothesis("late", "delay")])
+    round_ = stub(screen=one, gains=np.array([100.0, 50.0, 50.0]), inflation=np.array([1.0, own, 5.0]), criteria=AS_SET)
+    found = comparable(round_)
+    assert found[("x", "x")] == used
+    assert found[("late", "late")] == 1.0, "what is judged by a full fit takes the common one"
+
+
+def test_the_price_of_an_estimate_is_its_distance_and_the_width_of_the_prior() -> None:
+    assert price(3.0, 0.3, 3.0) == pytest.approx(0.5 + np.log(10.0))
+    assert price(0.0, 30.0, 3.0) == 0.0
+    assert price(3.0, np.inf, 3.0) == 0.0
+
+
+def assessed(value: float, forms: int = 1) -> Candidate:
+    fitted = stub(values={"x": value}, cost=40.0, diverged=False, std=lambda: {"x": 0.03})
+    return assess(stub(model=BASE, criteria=AS_SET), stub(cost=100.0), hypothesis("x", forms=forms), fitted, 4.0, 1.0)
+
+
+def test_evidence_is_the_gain_over_the_inflation_less_the_price_of_the_size() -> None:
+    """Prior three wide (1.5 usual sizes of 2), bound 0.03 inflated twice."""
+    found = assessed(3.0)
+    assert found.gain == pytest.approx(120.0)
+    assert found.score == pytest.approx(np.sqrt(120.0))
+    assert found.size == 1.5
+    assert found.evidence == pytest.approx(0.5 * 120.0 / 4.0 - 0.5 - np.log(3.0 / 0.06))
+    assert found.evidence - assessed(3.0, forms=2).evidence == pytest.approx(np.log(2.0))
+
+
+@pytest.mark.parametrize(("value", "why"), [(9.9, ""), (10.0, "outside"), (-10.0, "outside")])
+def test_an_estimate_at_a_physical_limit_is_none(value: float, why: str) -> None:
+    assert why in assessed(value).why_not
+    assert bool(assessed(value).why_not) is bool(why)
+
+
+def test_an_estimate_at_a_limit_that_is_no_effect_has_shrunk_to_nothing() -> None:
+    assert impossible(EffectParameter("x", "s", 2.0, 0.0, 10.0), 0.0, 0.0) == "x shrinks to nothing"
+
+
+@pytest.mark.parametrize(("size", "called"), [(0.14, False), (0.16, True)])
+def test_an_effect_of_a_seventh_of_its_usual_size_is_immaterial(size: float, called: bool) -> None:
+    assert (not material(candidate(size=size), 0.05, AS_SET).why_not) is called
+
+
+@pytest.mark.parametrize(("late", "called"), [(0.23, False), (0.27, True)])
+def test_a_surface_late_by_a_quarter_sample_was_sampled_so(late: float, called: bool) -> None:
+    found = candidate("late", "delay", estimates={"late": (late * 0.05, 0.001)})
+    assert (not material(found, 0.05, AS_SET).why_not) is called
+    assert not material(candidate("play", "backlash", estimates={"play": (0.0, 0.1)}), 0.05, AS_SET).why_not
+
+
+def test_the_six_best_are_compared_again_where_the_best_is_promising() -> None:
+    many = [candidate(f"x{i}", score=2.2) for i in range(9)]
+    assert list(worth_comparing(many, AS_SET)) == many[:6]
+    assert not worth_comparing([candidate(score=1.8), *many], AS_SET)
+    assert not worth_comparing([], AS_SET)
+
+
+def test_the_set_holds_nineteen_twentieths_of_the_weight() -> None:
+    assert [n for n, _ in credible_set({"a": 0.94, "b": 0.05, "c": 0.01}, AS_SET)] == ["a", "b"]
+    assert [n for n, _ in credible_set({"a": 0.96, "b": 0.04}, AS_SET)] == ["a"]
+
+
+def test_a_refused_candidate_takes_its_weight_with_it() -> None:
+    one, other = candidate("a", evidence=3.0), candidate("b", evidence=3.0)
+    left = Choice((one, other), {"a": 0.5, "b": 0.5}, ()).without({("a", "a")})
+    assert left.candidates == (other,)
+    assert left.weights == {"b": 1.0}
+
+
+# ------------------------------------------------------------------------------------------------ when one is accepted
+@pytest.mark.parametrize(("gain", "enough"), [(73.0, False), (77.0, True)])
+def test_a_name_gains_three_quarters_of_what_a_nameless_term_does(gain: float, enough: bool) -> None:
+    assert explains(gain, 100.0, AS_SET) is enough
+
+
+@pytest.mark.parametrize(("score", "strong"), [(5.8, False), (6.2, True)])
+def test_half_as_much_again_as_the_threshold_is_strong(score: float, strong: bool) -> None:
+    assert is_strong(score, 4.0, AS_SET) is strong
+
+
+@pytest.mark.parametrize(
+    ("cross", "strong", "timing", "gains", "repeated"),
+    [
+        (1.0, False, False, (9.0, -5.0, -9.0), True),  # gains on flights it was not fitted to
+        (-1.0, False, False, (9.0, 9.0), False),
+        (-1.0, True, False, (9.0, 9.0), True),  # beyond linear theory: the joint fit speaks
+        (-1.0, True, False, (90.0, -1.0), False),
+        (None, False, False, (90.0, 1.0), True),  # nonlinear: without the flight that gains most
+        (None, False, False, (90.0, -1.0), False),
+        (None, False, True, (90.0, -1.0), True),  # the base had followed it by timing
+        (None, False, False, (90.0,), True),  # one flight cannot be asked
+    ],
+)
+def test_an_effect_repeats(
+    cross: float | None, strong: bool, timing: bool, gains: tuple[float, ...], repeated: bool
+) -> None:
+    assert repeats(cross, strong, timing, gains) is repeated
+
+
+@pytest.mark.parametrize(
+    ("held", "trusted", "stands"),
+    [(None, False, True), (0.5, False, True), (-0.5, False, False), (-8.0, True, True), (-10.0, True, False)],
+)
+def test_chance_may_take_a_little_on_held_out_flights_from_what_is_trusted(
+    held: float | None, trusted: bool, stands: bool
+) -> None:
+    assert holds(held, trusted, AS_SET) is stands
+
+
+@pytest.mark.parametrize(("freed", "followed"), [(45.0, False), (55.0, True)])
+def test_the_base_had_followed_where_timing_frees_half_of_the_gain(freed: float, followed: bool) -> None:
+    assert follows(freed, 100.0, AS_SET) is followed
+
+
+@pytest.mark.parametrize(("moved", "followed"), [(0.04, False), (0.06, True)])
+def test_timing_is_freed_of_its_prior(moved: float, followed: bool) -> None:
+    """A tenth of a second wide; 0.06 s costs 0.18 of the log-likelihood: 0.36 of a gain of 0.5 in twice of it."""
+    problem = stub(free=("timing_delta_a",), prior=lambda name: (0.0, 0.1))
+    baseline = stub(problem=problem, fit=stub(values={"timing_delta_a": moved}))
+    found = candidate(gain=0.5)
+    found.fit.values["timing_delta_a"] = 0.0
+    assert by_timing(stub(baseline=baseline, criteria=AS_SET), found) is followed
+
+
+ROUND = stub(threshold=4.0, baseline="base", criteria=AS_SET)
+REST = Omnibus(9.0, 5.0, (Signal("term", "r", "beta", 9.0, gain=80.0), Signal("time", "r", "burst", 8.0, gain=1e9)))
+
+
+def test_the_first_candidate_that_is_confirmed_becomes_the_effect(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[tuple[str, float]] = []
+
+    def confirmed(setting: Any, round_: Any, one: Candidate, nameless: float) -> tuple[Any, str]:
+        asked.append((one.hypothesis.label, nameless))
+        return ("child", "") if one.hypothesis.label == "b" else (None, "no")
+
+    monkeypatch.setattr(accepting, "confirmed", confirmed)
+    rivals = tuple(candidate(n, evidence=50.0) for n in ("a", "b", "c"))
+    finding, said = accept(stub(), ROUND, Choice(rivals, {}, ()), REST)
+    assert asked == [("a", 80.0), ("b", 80.0)], "a nameless term is the strongest term, not a burst"
+    assert finding is not None
+    assert (finding.candidate, finding.child) == (rivals[1], "child")
+    assert finding.choice.weights == pytest.approx({"b": 0.5, "c": 0.5})
+    assert said == [Rejected("a", "no")]
+
+
+def test_nothing_below_the_threshold_is_asked() -> None:
+    rivals = (candidate(score=3.9),)
+    assert accept(stub(), ROUND, Choice(rivals, {}, ()), REST) == (None, [])
+
+
+# ------------------------------------------------------------------------------------------------ earlier effects again
+@pytest.mark.parametrize(("gain", "needless"), [(15.0, True), (17.0, False), (-3.0, True)])
+def test_an_effect_that_would_not_pass_beside_the_others_is_idle(gain: float, needless: bool) -> None:
+    assert idle(gain, 4.0) is needless
+
+
+def test_six_hypotheses_question_an_earlier_effect() -> None:
+    assert questioners(np.arange(9.0), AS_SET) == [8, 7, 6, 5, 4, 3]
+
+
+def test_a_rival_must_beat_an_accepted_effect_clearly() -> None:
+    better, best, bad = candidate("a", gain=108.5), candidate("b", gain=109.0), candidate("c", gain=999.0, why_not="no")
+    assert best_rival([better, best, bad], 100.0, AS_SET) is best
+    assert best_rival([candidate(gain=107.0)], 100.0, AS_SET) is None
+    assert best_rival([], 100.0, AS_SET) is None
+
+
+def finding(name: str, cost: float = 50.0) -> Finding:
+    child: Any = stub(fit=stub(cost=cost), noise=None)
+    return Finding(ROUND, Choice((), {}, ()), candidate(name), stub(), child)
+
+
+@pytest.mark.parametrize(
+    ("cost", "rival", "left", "why"),
+    [
+        (57.0, None, ["b"], "no longer needed"),
+        (70.0, "c", ["b", "c"], "c explains the same better"),
+        (70.0, None, None, ""),
+    ],
+)
+def test_an_earlier_effect_is_dropped_exchanged_or_stands(
+    monkeypatch: pytest.MonkeyPatch, cost: float, rival: str | None, left: list[str] | None, why: str
+) -> None:
+    """Threshold 4, so a gain of 2 (57 - 50) = 14 is too little and 40 enough."""
+    without = stub(fit=stub(cost=cost, values={}, locals=()), noise=None, model=None, clean=None)
+    monkeypatch.setattr(checking, "_without", lambda *given: without)
+    monkeypatch.setattr(checking, "_rival", lambda *given: None if rival is None else candidate(rival))
+    monkeypatch.setattr(checking, "fit_baseline", lambda *given: "fresh")
+    setting = stub(prepared=None, scatter=None, child=lambda *given: "child")
+    answer = checking.backward_check(setting, [finding("a"), finding("b")])
+    if left is None:
+        assert answer is None
+        return
+    assert answer is not None
+    assert [f.candidate.hypothesis.label for f in answer[0]] == left
+    assert answer[1][0].effect == "a"
+    assert answer[1][0].why.startswith(why)
+
+
+# ------------------------------------------------------------------------------------------------ rounds
+def test_rounds_go_on_until_nothing_is_accepted_or_enough_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = [finding("a"), finding("b"), None]
+    monkeypatch.setattr(searching, "examine", lambda round_: REST)
+    monkeypatch.setattr(searching, "choose", lambda *given: Choice((), {}, (Rejected("z", "weak"),)))
+    monkeypatch.setattr(searching, "backward_check", lambda *given: None)
+    seen: list[int] = []
+
+    def screened(baseline: Any, number: int) -> Any:
+        seen.append(number)
+        return ROUND
+
+    def run(most: int) -> Any:
+        seen.clear()
+        answers = iter(found)
+        monkeypatch.setattr(searching, "accept", lambda *given: (next(answers), []))
+        setting: Any = stub(screened=screened, options=Options(most=most), tell=lambda *given: None, prepared=None)
+        return run_rounds(setting, stub())
+
+    every = run(4)
+    assert [f.candidate.hypothesis.label for f in every.findings] == ["a", "b"]
+    assert seen == [0, 1, 2]
+    assert len(every.rejected) == 3
+    assert [f.candidate.hypothesis.label for f in run(1).findings] == ["a"]
+    assert seen == [0, 1], "a last round examines what is left"
+
+
+def test_projection_takes_out_what_the_base_can_absorb() -> None:
+    rng = np.random.default_rng(0)
+    rows = rng.standard_normal((50, 4))
+    projected = Projected.of(rows.T @ rows, 2, 1)
+    left = rows[:, 2:] - rows[:, :2] @ np.linalg.lstsq(rows[:, :2], rows[:, 2:], rcond=None)[0]
+    assert projected.B[0, 0] == pytest.approx(left[:, 0] @ left[:, 0])
+    assert projected.scores()[0, 0] == pytest.approx(left[:, 0] @ left[:, 1] / np.linalg.norm(left[:, 0]))

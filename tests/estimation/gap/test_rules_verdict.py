@@ -1,0 +1,280 @@
+"""Rules of the verdict, each at its limit: the decision table, names beside a rest, tables, places."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from estimation.gap.answer.result import Gap, Verdict
+from estimation.gap.criteria import AS_SET
+from estimation.gap.effects.base import Effect, EffectParameter, Form, Group
+from estimation.gap.tests_of_fit.hypotheses import Column, Hypothesis
+from estimation.gap.tests_of_fit.screen import Reduced, Screen
+from estimation.gap.verdict.decide import TABLE, Facts, Named, closed_by, decide, outweighs
+from estimation.gap.verdict.disagreement import binned, windows
+from estimation.gap.verdict.effect_location import channels_that_gain, regime, spans_of
+from estimation.gap.verdict.steps import followers, migrated, worth_in_words
+from estimation.gap.verdict.tables import detectable_sizes, nominal_threshold, ties_of, undetectable
+
+
+def stub(**fields: Any) -> Any:
+    """As much of a round or baseline as a rule looks at."""
+    return SimpleNamespace(**fields)
+
+
+def gap(closed: float) -> Gap:
+    """From an excess of 3 (before 2, floor 1) down to what is left of it."""
+    return Gap(2.0, float(np.sqrt(1.0 + 3.0 * (1.0 - closed))), 1.0)
+
+
+def named(
+    effect: str = "Cn_da", score: float = 20.0, closed: float = 0.95, held: float | None = None, *places: str
+) -> Named:
+    return Named(effect, score, gap(closed), None if held is None else gap(held), frozenset(places))
+
+
+QUIET = Facts(named=(), rest=3.0, rest_threshold=5.0, rest_place="r", covered=True, blind=0, asked=50)
+
+
+def verdict(facts: Facts) -> Verdict:
+    return decide(facts, AS_SET).verdict
+
+
+# ------------------------------------------------------------------------------------------------ the table
+def test_every_combination_of_facts_has_exactly_one_verdict() -> None:
+    for number in range(16):
+        found = [bool(number >> bit & 1) for bit in range(4)]
+        fitting = [row for row in TABLE if all(w is None or w == f for w, f in zip(row[:-1], found, strict=True))]
+        assert len(fitting) == 1
+    assert {row[-1] for row in TABLE} == set(Verdict)
+
+
+def test_nothing_found_and_nothing_left_is_no_gap() -> None:
+    assert verdict(QUIET) is Verdict.NO_GAP
+
+
+@pytest.mark.parametrize(("blind", "word"), [(5, Verdict.NO_GAP), (7, Verdict.CANNOT_TELL)])
+def test_flights_that_hide_one_effect_in_eight_cannot_tell(blind: int, word: Verdict) -> None:
+    assert verdict(replace(QUIET, blind=blind)) is word
+    assert verdict(replace(QUIET, blind=blind, named=(named(),))) is Verdict.GAP_CLOSED, "what they show they show"
+
+
+@pytest.mark.parametrize(("rest", "word"), [(6.2, Verdict.NO_GAP), (6.8, Verdict.UNKNOWN)])
+def test_a_rest_well_above_its_threshold_is_an_unknown_effect(rest: float, word: Verdict) -> None:
+    assert verdict(replace(QUIET, rest=rest)) is word
+
+
+@pytest.mark.parametrize(("rest", "word"), [(9.5, Verdict.GAP_CLOSED), (10.5, Verdict.UNKNOWN)])
+def test_beside_names_that_close_the_gap_a_rest_is_restless_scatter_up_to_twice_its_threshold(
+    rest: float, word: Verdict
+) -> None:
+    facts = replace(QUIET, rest=rest, named=(named(score=50.0),))
+    assert verdict(facts) is word
+    assert verdict(replace(facts, covered=False)) is Verdict.UNKNOWN
+    assert verdict(replace(facts, named=())) is Verdict.UNKNOWN
+
+
+@pytest.mark.parametrize(("closed", "word"), [(0.68, Verdict.GAP_REDUCED), (0.72, Verdict.GAP_CLOSED)])
+def test_a_gap_is_closed_where_seven_tenths_of_it_are_gone(closed: float, word: Verdict) -> None:
+    assert verdict(replace(QUIET, named=(named(closed=closed),))) is word
+
+
+def test_the_held_out_gap_decides_where_there_is_one() -> None:
+    assert verdict(replace(QUIET, named=(named(closed=0.99, held=0.5),))) is Verdict.GAP_REDUCED
+    assert verdict(replace(QUIET, named=(named(closed=0.5, held=0.9),))) is Verdict.GAP_CLOSED
+
+
+def test_names_close_together_what_lay_before_the_first_and_after_the_last() -> None:
+    first, last = Named("a", 9.0, Gap(3.0, 2.0, 1.0), None), Named("b", 9.0, Gap(2.0, 1.0, 1.0), None)
+    assert closed_by([first]) == pytest.approx(1.0 - 3.0 / 8.0)
+    assert closed_by([first, last]) == 1.0
+    held = [replace(first, held=Gap(3.0, 2.5, 1.0)), replace(last, held=Gap(2.5, 2.0, 1.0))]
+    assert closed_by(held) == pytest.approx(1.0 - 3.0 / 8.0)
+
+
+# ------------------------------------------------------------------------------------------------ names beside a rest
+LOUD = replace(QUIET, rest=10.0, covered=False)
+
+
+@pytest.mark.parametrize(("score", "kept"), [(19.0, 0), (21.0, 1)])
+def test_a_name_that_closes_little_stands_from_four_fifths_of_the_significance_on(score: float, kept: int) -> None:
+    """20^2 is four fifths of 20^2 + 10^2."""
+    found = decide(replace(LOUD, named=(named(score=score, closed=0.3),)), AS_SET)
+    assert (found.verdict, found.kept) == (Verdict.UNKNOWN, kept)
+    assert found.withdrawn == (() if kept else (("Cn_da", "closes only 30% of the gap"),))
+
+
+def test_a_name_that_closes_the_gap_stands_beside_any_rest() -> None:
+    for closed, held in ((0.8, None), (0.3, 0.8)):
+        assert decide(replace(LOUD, named=(named(score=5.0, closed=closed, held=held),)), AS_SET).kept == 1
+    assert decide(replace(LOUD, named=(named(score=5.0, closed=0.3, held=0.3),)), AS_SET).kept == 0
+
+
+def test_only_the_last_name_is_asked_what_it_closes() -> None:
+    facts = replace(LOUD, named=(named("a", 5.0, 0.1), named("b", 5.0, 0.1)))
+    found = decide(facts, AS_SET)
+    assert (found.kept, [effect for effect, _ in found.withdrawn]) == (1, ["b"])
+
+
+def kept(names: Sequence[tuple[str, float]], place: str, rest: float) -> tuple[int, list[str]]:
+    """Names that close the gap, and blame the vane where they are called beta_..."""
+    made = tuple(named(n, s, 0.9, None, *(["beta"] if n.startswith("beta_") else [])) for n, s in names)
+    found = decide(replace(LOUD, named=made, rest=rest, rest_place=place), AS_SET)
+    assert found.verdict is Verdict.UNKNOWN
+    return found.kept, [effect for effect, _ in found.withdrawn]
+
+
+@pytest.mark.parametrize(("score", "stands"), [(29.0, 0), (31.0, 1)])
+def test_a_name_for_the_very_instrument_needs_nine_tenths(score: float, stands: int) -> None:
+    """30^2 is nine tenths of 30^2 + 10^2."""
+    assert kept([("beta_lag", score)], "beta", 10.0)[0] == stands
+
+
+def test_a_name_for_an_instrument_goes_with_all_that_were_found_on_top_of_it() -> None:
+    sticking = [("beta_lag", 25.0), ("beta_scale", 14.0)]
+    assert kept(sticking, "beta", 13.2) == (0, ["beta_lag", "beta_scale"])
+    assert kept([("Cn_da", 19.0), *sticking], "beta", 13.2) == (1, ["beta_lag", "beta_scale"])
+    assert kept([("beta_lag", 20.0)], "p", 40.0) == (1, [])
+    assert kept([("Cn_da", 19.0)], "r", 40.0) == (1, [])
+
+
+def test_a_certain_effect_outweighs_a_small_nameless_rest() -> None:
+    assert outweighs(17.3, 6.0, AS_SET.named_weight)
+    assert not outweighs(17.3, 12.0, AS_SET.named_weight)
+    assert not outweighs(5.0, 50.0, AS_SET.named_weight)
+
+
+# ------------------------------------------------------------------------------------------------ tables
+def asked(gram: np.ndarray, tied_to: tuple[str, ...] = ()) -> Any:  # type: ignore[type-arg]
+    """A round of hypotheses a, b, ... of usual size 2; the last column of `gram` is the residual."""
+    columns, hypotheses = [], []
+    for h in range(len(gram) - 1):
+        parameter = EffectParameter("abc"[h], "1", 2.0, -9.0, 9.0)
+        form = Form("abc"[h], (parameter,))
+        effect = Effect("abc"[h], "", Group.SENSOR, "", "", "", "", {}, "", (form,), tied_to=tied_to)
+        columns.append(Column(h, parameter))
+        hypotheses.append(Hypothesis(effect, form))
+    screen = Screen((), tuple(hypotheses), tuple(columns), (Reduced(gram, 9),), np.zeros_like(gram), (0,))
+    return stub(screen=screen, inflation=np.ones(len(hypotheses)), threshold=4.0, criteria=AS_SET)
+
+
+@pytest.mark.parametrize(("power", "hidden"), [(0.95, True), (1.05, False)])
+def test_an_effect_is_hidden_that_twice_its_usual_size_would_not_have_shown(power: float, hidden: bool) -> None:
+    """A score of 4 at two usual sizes of 2: one per unit."""
+    gram = np.diag([power**2, 1.0])
+    assert bool(undetectable(asked(gram))) is hidden
+    assert not undetectable(asked(gram, tied_to=("CY_0",))), "what no flight shows is said elsewhere"
+
+
+def test_the_smallest_size_seen_gives_the_threshold() -> None:
+    assert detectable_sizes(asked(np.diag([4.0, 1.0]))) == pytest.approx({"a": 2.0})
+
+
+@pytest.mark.parametrize(("cosine", "tied"), [(0.88, False), (0.92, True)])
+def test_signatures_are_tied_from_a_cosine_of_nine_tenths_on(cosine: float, tied: bool) -> None:
+    gram = np.eye(3)
+    gram[0, 1] = gram[1, 0] = -cosine
+    found = ties_of(asked(gram))
+    assert bool(found) is tied
+    assert all((t.first, t.second) == ("a", "b") and t.cosine == pytest.approx(cosine) for t in found)
+
+
+def test_the_nominal_threshold_is_that_of_a_normal_law() -> None:
+    assert nominal_threshold(1, AS_SET) == pytest.approx(1.95996, abs=1e-5)
+    assert nominal_threshold(50, AS_SET) == pytest.approx(3.29053, abs=1e-5)
+
+
+# ------------------------------------------------------------------------------------------------ steps
+@pytest.mark.parametrize(("bounds", "found"), [(2.8, False), (3.2, True)])
+def test_a_derivative_that_moves_by_three_bounds_had_absorbed_the_effect(bounds: float, found: bool) -> None:
+    def baseline(value: float) -> Any:
+        values = {"Cn_p": value, "timing_x": 100.0 * value}
+        fit = stub(free=tuple(values), values=values, std=lambda: dict.fromkeys(values, 0.1))
+        problem = stub(nuisance=lambda n: n == "timing_x")
+        return stub(fit=fit, criteria=AS_SET, problem=problem, model=stub(parameter=lambda n: stub(reference=0.5)))
+
+    moved = migrated(baseline(1.0), baseline(1.0 + 0.1 * bounds))
+    assert list(moved) == (["Cn_p"] if found else [])
+    assert all(m.bounds == pytest.approx(bounds) and m.prior == 0.5 for m in moved.values())
+
+
+def test_surfaces_followed_that_moved_by_half_of_the_largest_shift() -> None:
+    moved = {"delta_a": -0.06, "delta_r": 0.033, "delta_e": 0.027}
+    assert followers(moved, AS_SET) == {"delta_a": -0.06, "delta_r": 0.033}
+    assert followers({}, AS_SET) == {}
+
+
+@pytest.mark.parametrize(
+    ("worth", "beyond"),
+    [({"p": 1.9}, False), ({"p": 2.1}, True), ({"r": 2.1}, True), ({"beta": 0.95}, False), ({"beta": 1.05}, True),
+     ({"phi": 1.9}, False), ({"phi": 2.1}, True), ({"ay": 99.0}, False)],
+)  # fmt: skip
+def test_what_stays_within_simulator_tolerances_is_real_but_immaterial(worth: dict[str, float], beyond: bool) -> None:
+    assert worth_in_words(worth, AS_SET).startswith("matters" if beyond else "real but within")
+
+
+def test_worth_is_said_beside_its_tolerance() -> None:
+    text = worth_in_words({"beta": 1.5, "p": 0.5}, AS_SET)
+    assert text == "matters: p 0.5 against 2 deg/s, beta 1.5 against 1 deg (beyond it)"
+
+
+# ------------------------------------------------------------------------------------------------ where it lives
+def test_channels_that_gain_a_tenth_of_the_best_show_the_effect() -> None:
+    assert channels_that_gain(np.array([9.0, 100.0, 11.0, -5.0]), AS_SET) == [1, 2]
+
+
+def test_stretches_that_gain_a_quarter_of_the_best_show_the_effect() -> None:
+    """Boxes of 2 s at 20 Hz: smoothing over a second leaves their height and their half-height ends."""
+    time = 0.05 * np.arange(400)
+    gain = np.zeros(400)
+    gain[40:80], gain[160:200], gain[280:320] = 0.27, 1.0, 0.22
+    found = spans_of(time, gain, AS_SET)
+    assert [round(a) for a, _ in found] == [8, 2]
+
+
+def test_a_stretch_is_smoothed_over_a_second_and_half_of_it_long() -> None:
+    """A spike of one sample becomes a second of flight."""
+    gain = np.zeros(400)
+    gain[200] = 1.0
+    ((begin, end),) = spans_of(0.05 * np.arange(400), gain, AS_SET)
+    assert end - begin == pytest.approx(0.95)
+
+
+def where(gain_at: float, share: float = 1.0) -> str:
+    """Of a roll rate that grows evenly from 0 to 1 while the gain is made beyond `gain_at` of its distance from the middle."""
+    p = np.linspace(-1.0, 1.0, 2001)
+    gain = np.where(np.abs(p) > gain_at, share, 1.0)
+    return regime({"p": np.radians(p)}, gain, AS_SET)
+
+
+def test_a_regime_holds_the_three_tenths_of_largest_values_and_more_than_its_share_of_the_gain() -> None:
+    assert where(0.7, 100.0) == "|p| > 0.7 deg/s"
+    # a share of gain g over a share of time 0.3: 1.25 and 1.35 times
+    assert where(0.7, 1.25 * 0.7 / (1 - 1.25 * 0.3)) == "everywhere"
+    assert where(0.7, 1.35 * 0.7 / (1 - 1.35 * 0.3)) == "|p| > 0.7 deg/s"
+
+
+@pytest.mark.parametrize(("share", "told"), [(0.045, False), (0.055, True), (0.25, True)])
+def test_large_values_must_not_be_rare(share: float, told: bool) -> None:
+    """A control that is out of neutral for so much of the time."""
+    large = np.arange(2000) < 2000 * share
+    text = regime({"x": np.where(large, 1.0 + 0.001 * np.arange(2000), 0.0)}, np.where(large, 1.0, 0.0), AS_SET)
+    assert (text != "everywhere") is told
+
+
+def test_the_map_over_the_regime_has_six_equal_bins() -> None:
+    rows = binned(np.arange(600.0), np.repeat(np.arange(1.0, 7.0) ** 2, 100), AS_SET)
+    assert len(rows) == 6
+    assert rows[0]["gap"] == pytest.approx(1.0)
+    assert rows[-1]["gap"] == pytest.approx(6.0)
+
+
+def test_the_map_over_time_has_windows_of_two_seconds() -> None:
+    time = 0.05 * np.arange(200)
+    found = windows(time, np.full((200, 2), 4.0), AS_SET)
+    assert [w[0] for w in found] == pytest.approx([0.0, 2.0, 4.0, 6.0, 8.0])
+    assert found[-1][1] == pytest.approx(9.95)
+    assert all(w[2] == 2.0 for w in found)

@@ -1,0 +1,144 @@
+"""What the gap workflow answers where one criterion is 0.7 or 1.4 times its value, on flights of the second truth.
+
+`python -m tests.studies.gap_sensitivity [--criteria NAME ...] [--sets KIND:LABEL:SEED ...] [--nulls N] [--budget SECONDS]`: every
+set of flights is first answered as set, then with each criterion moved (whole numbers to the next one at least; quantiles: what
+is beyond them times 0.7 and 1.4). One JSON line per answer, appended as it comes; what is in the file is not run again, so the
+study can be stopped and continued. `--summary` prints counts, `--write` puts them where docs/gap-criteria.md is made from.
+Kinds: null, effect, half, unknown. A set counts as right where nothing, the effect itself as the first name, or an unknown effect
+is the answer.
+"""
+
+import argparse
+import json
+import math
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from estimation.gap.criteria import AS_SET, Criteria, Criterion
+from estimation.gap.pages.criteria_page import SENSITIVITY
+from estimation.gap.workflow import Options, run_gap
+from estimation.models.load import load_model
+from tests.studies import second_truth as truth
+from tests.studies.gap_benchmark import flights, requests
+
+FACTORS = (0.7, 1.4)
+KINDS = {"null": 0.0, "effect": 1.0, "half": 0.5, "unknown": 1.0}
+SETS = (
+    "null:none:9401", "null:none:9402", "null:none:9403", "effect:Cn_da:401000", "effect:beta_lag:401001",
+    "effect:rudder_backlash:401002", "half:Cl_beta3:401003", "half:aileron_delay:401004", "half:CY_da:401005",
+    "unknown:stale_vane:401006", "unknown:pendulum:401007", "unknown:gyro_clip:401008",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Case:
+    """One set of flights and one criterion at one factor ("" and 1: as set)."""
+
+    flights: str
+    criterion: str
+    factor: float
+
+
+def cases(sets: Sequence[str], chosen: Sequence[str]) -> Iterator[Case]:
+    """Criterion after criterion, so that a study cut short has whole rows."""
+    for name, factor in (("", 1.0), *((name, factor) for name in chosen for factor in FACTORS)):
+        for one in sets:
+            yield Case(one, name, factor)
+
+
+def criteria_with(case: Case) -> Criteria:
+    """The record with one criterion moved."""
+    if not case.criterion:
+        return AS_SET
+    known = next(c for c in AS_SET.described() if c.name == case.criterion)
+    return replace(AS_SET, **{case.criterion: moved(known, case.factor)})
+
+
+def moved(criterion: Criterion, factor: float) -> float:
+    """Its value times a factor; a whole number goes to the next one at least, a quantile by what is beyond it."""
+    if isinstance(criterion.value, int):
+        return max(math.floor(factor * criterion.value), 1) if factor < 1.0 else math.ceil(factor * criterion.value)
+    if criterion.unit.startswith("quantile of"):
+        return 1.0 - (1.0 - criterion.value) * factor
+    return factor * criterion.value
+
+
+def answered(case: Case, nulls: int) -> dict[str, Any]:
+    """One run of the workflow, as a row of the file."""
+    kind, label, seed = case.flights.split(":")
+    hidden = {} if kind == "null" else {label: KINDS[kind]}
+    four = flights(truth.fly(requests(hidden, int(seed), 0.15, "rich")))
+    options = Options(seed=1, nulls=nulls, criteria=criteria_with(case))
+    result = run_gap(load_model("lateral", "cdfp"), four[:3], four[3:], options=options)
+    named = [s.effect for s in result.steps]
+    return {
+        "flights": case.flights, "criterion": case.criterion, "factor": case.factor, "nulls": nulls,
+        "verdict": result.verdict.value, "named": named, "right": right(kind, label, named, result.verdict.value),
+    }  # fmt: skip
+
+
+def right(kind: str, label: str, named: Sequence[str], verdict: str) -> bool:
+    """Whether an answer is the one wanted."""
+    if kind == "null":
+        return not named
+    return verdict == "unknown_effect" if kind == "unknown" else named[:1] == [label]
+
+
+def rows_of(path: Path) -> list[dict[str, Any]]:
+    """What has been answered so far."""
+    return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()] if path.exists() else []
+
+
+def summed_up(rows: Sequence[dict[str, Any]]) -> dict[str, str]:
+    """Criterion -> right answers at both factors beside those as set, of the same sets of flights, and what else changed."""
+    as_set = {r["flights"]: r for r in rows if not r["criterion"]}
+    told = {}
+    for name in dict.fromkeys(r["criterion"] for r in rows if r["criterion"]):
+        parts = []
+        for factor in FACTORS:
+            pairs = [(r, as_set[r["flights"]]) for r in rows
+                     if r["criterion"] == name and r["factor"] == factor and r["flights"] in as_set]  # fmt: skip
+            if pairs:
+                now, before = sum(r["right"] for r, _ in pairs), sum(b["right"] for _, b in pairs)
+                other = sum((r["verdict"], r["named"]) != (b["verdict"], b["named"]) for r, b in pairs)
+                parts.append(f"{factor:g}: {now} right of {len(pairs)} sets (as set {before}), {other} answers other")
+        if parts:
+            told[name] = "; ".join(parts)
+    return told
+
+
+def main() -> None:
+    """Answer, append, sum up."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--criteria", nargs="*", default=[c.name for c in AS_SET.described()])
+    parser.add_argument("--sets", nargs="*", default=SETS)
+    parser.add_argument("--nulls", type=int, default=100)
+    parser.add_argument("--budget", type=float, default=math.inf, help="begin no further run after so many seconds")
+    parser.add_argument("--out", type=Path, default=Path("build/gap_sensitivity.jsonl"))
+    parser.add_argument("--summary", action="store_true")
+    parser.add_argument("--write", action="store_true")
+    given = parser.parse_args()
+    done = {(r["flights"], r["criterion"], r["factor"]) for r in rows_of(given.out)}
+    given.out.parent.mkdir(parents=True, exist_ok=True)
+    begun = time.monotonic()
+    for case in () if given.summary or given.write else cases(given.sets, given.criteria):
+        if (case.flights, case.criterion, case.factor) in done:
+            continue
+        if time.monotonic() - begun > given.budget:
+            break
+        row = answered(case, given.nulls)
+        with given.out.open("a", encoding="utf-8") as handle:
+            handle.write(json.dumps(row) + "\n")
+        print(row, flush=True)
+    told = summed_up(rows_of(given.out))
+    for name, words in told.items():
+        print(f"{name:30s} {words}")
+    if given.write:
+        SENSITIVITY.write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
