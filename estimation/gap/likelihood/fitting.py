@@ -338,7 +338,6 @@ def fit(
     )  # whitened residuals are nearly linear near the optimum: halving does, damping and combined steps repay nothing
     outcome = minimise(view, begin, options)
     point = outcome.point
-    assert isinstance(point, Point)
     done, own = view.unpacked(outcome.unknowns)
     converged = outcome.status is Status.CONVERGED and not view.runaway
     diverged = outcome.status is Status.DIVERGED or view.runaway
