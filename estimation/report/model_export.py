@@ -1,6 +1,7 @@
 """Derivatives for other programs and for papers: a model or an estimate as JSON, CSV or a LaTeX table."""
 
 import csv
+import io
 import json
 import math
 from collections.abc import Sequence
@@ -8,6 +9,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from daq.contract.outputs import write_json, write_text
 from estimation.errors import EstimationError
 from estimation.models import Model, read_model
 from estimation.report.names import tex
@@ -70,29 +72,41 @@ def read_rows(path: Path) -> tuple[str, list[ModelRow]]:
 
 def export_model(path: Path, out: Path) -> None:
     """Write the parameters of `path` in the format of `out`'s ending. Raises EstimationError."""
-    if out.suffix.lower() not in FORMATS:
-        raise EstimationError(f"{out}: a model is written as {', '.join(FORMATS)}; end the name in one of these")
+    _check_format(out)
     if out.exists() and path.exists() and out.samefile(path):
         raise EstimationError(f"{out}: that is the file to export; give another name")
-    name, rows = read_rows(path)
-    out.parent.mkdir(parents=True, exist_ok=True)
+    _write(*read_rows(path), out)
+
+
+def export_estimates(content: dict[str, Any], out: Path) -> None:
+    """Write the parameters of what `estimate --json` would hold. Raises EstimationError."""
+    _check_format(out)
+    _write(str(content["model"]), estimate_rows(content, out), out)
+
+
+def _check_format(out: Path) -> None:
+    if out.suffix.lower() not in FORMATS:
+        raise EstimationError(f"{out}: a model is written as {', '.join(FORMATS)}; end the name in one of these")
+
+
+def _write(name: str, rows: Sequence[ModelRow], out: Path) -> None:
     match out.suffix.lower():
         case ".json":
-            text = json.dumps({"model": name, "parameters": [asdict(r) for r in rows]}, indent=1, allow_nan=False)
-            out.write_text(text + "\n", encoding="utf-8")
+            write_json({"model": name, "parameters": [asdict(r) for r in rows]}, out)
         case ".csv":
             write_csv(rows, out)
         case _:
-            out.write_text(latex_table(rows), encoding="utf-8")
+            write_text(latex_table(rows), out)
 
 
 def write_csv(rows: Sequence[ModelRow], out: Path) -> None:
     """One line a parameter; empty cells are unknown."""
-    with out.open("w", newline="", encoding="utf-8") as handle:
-        writer = csv.writer(handle)
-        writer.writerow(["parameter", "value", "unit", "std", "reference", "reference_std", "source"])
-        for row in rows:
-            writer.writerow(["" if v is None else v for v in asdict(row).values()])
+    buffer = io.StringIO(newline="")
+    writer = csv.writer(buffer)
+    writer.writerow(["parameter", "value", "unit", "std", "reference", "reference_std", "source"])
+    for row in rows:
+        writer.writerow(["" if v is None else v for v in asdict(row).values()])
+    write_text(buffer.getvalue(), out)
 
 
 def latex_table(rows: Sequence[ModelRow]) -> str:

@@ -1,0 +1,104 @@
+"""The Python API: five lines give a table and a figure, with the numbers of the verbs."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import sideslip as ss
+from daq.contract.errors import UserError
+from sideslip.api import Estimates
+
+RECORDINGS = Path(__file__).parents[2] / "recordings"
+LD4 = RECORDINGS / "cdfp_ld4.mcap"
+
+
+@pytest.fixture(scope="module")
+def result() -> Estimates:
+    return ss.estimate(ss.open(LD4), "lateral", method="ml,ls")
+
+
+def test_importing_it_is_light() -> None:
+    code = (
+        "import sys, sideslip; print([m for m in ('numpy', 'scipy', 'casadi', 'torch', 'click') if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+    assert set(dir(ss)) >= {"open", "import_log", "check", "estimate", "match", "gap", "design", "simulate"}
+
+
+def test_raw_recordings_are_calibrated_when_opened() -> None:
+    raw, flight = ss.open(RECORDINGS / "cdfp_ld4_raw.mcap"), ss.open(LD4)
+    np.testing.assert_allclose(raw["p"], flight["p"], rtol=1e-12)
+
+
+class TestEstimate:
+    def test_numbers_are_those_of_the_verb(self, result: Estimates, tmp_path: Path) -> None:
+        with pytest.raises(SystemExit):
+            ss.main(["estimate", str(LD4), "--method", "ml,ls", "--brief", "--json", str(tmp_path / "verb.json")])
+        verb = json.loads((tmp_path / "verb.json").read_text())["flights"][0]["methods"]
+        table = result.to_pandas().set_index(["method", "parameter"])
+        for method in ("ml", "ls"):
+            for name, entry in verb[method]["parameters"].items():
+                assert table.loc[(method, name), "estimate"] == pytest.approx(entry["estimate"], rel=1e-9)
+
+    def test_short_text_and_escaped_html(self, result: Estimates) -> None:
+        assert len(repr(result)) < 400
+        assert repr(result).startswith("<Estimates of lateral by ml, ls")
+        page = result._repr_html_()
+        assert page.count("<tr>") == 1 + len(result.best.parameters)
+        assert "Cl_p" in result.summary()
+
+    def test_plot_gives_axes_and_takes_them(self, result: Estimates) -> None:
+        import matplotlib as mpl
+
+        mpl.use("Agg")
+        from matplotlib import pyplot as plt
+
+        axes = result.plot()
+        assert "Cl_p" in [t.get_text() for t in axes.get_xticklabels()]
+        assert result.plot(ax=axes) is axes
+        plt.close("all")
+
+    def test_saved_in_each_format(self, result: Estimates, tmp_path: Path) -> None:
+        for ending in ("toml", "json", "csv", "tex"):
+            assert result.save(tmp_path / f"e.{ending}").stat().st_size > 200
+        with pytest.raises(UserError, match=r"e\.xls"):
+            result.save(tmp_path / "e.xls")
+
+    def test_the_fitted_model_predicts_and_simulates(self, result: Estimates) -> None:
+        proof = ss.match(result.model, RECORDINGS / "cdfp_ld2.mcap", free=("CY_0", "Cl_0", "Cn_0"))
+        assert proof.to_pandas().set_index("channel").loc["p", "r2"] > 0.9
+        shown = ss.simulate(result.model, LD4)
+        both = np.isfinite(shown["p"]) & np.isfinite(shown["p_model"])
+        assert np.corrcoef(shown["p"][both], shown["p_model"][both])[0, 1] > 0.95
+
+
+def test_a_flight_without_aircraft_is_refused_with_the_way_out() -> None:
+    with pytest.raises(UserError, match="aircraft"):
+        ss.estimate(RECORDINGS / "foreign" / "ordinary_0.csv")
+    one = ss.estimate(RECORDINGS / "foreign" / "ordinary_0.csv", aircraft="cdfp", method="ls")
+    assert one["Cl_p"].estimate < 0
+
+
+def test_check_and_its_correction() -> None:
+    whole = ss.open(LD4)
+    found = ss.check(whole.part(whole.time < whole.time[0] + 8.0))
+    assert set(found.to_pandas()["factor"]) >= {"dax", "K_beta"}
+    assert repr(found).startswith("<Check of cdfp_ld4: ")
+    (flight,) = found.corrected()
+    assert flight.name == "cdfp_ld4"
+    assert "K_beta" in found.summary()
+    assert "<table>" in found._repr_html_()
+
+
+def test_design_and_import(tmp_path: Path) -> None:
+    plan = ss.design("longitudinal", 10.0, "cdfp", kind="doublet")
+    assert plan.relative["Cm_de"] < 0.2
+    flight = ss.open(LD4)
+    flight.save(tmp_path / "log.csv")
+    again = ss.import_log(tmp_path / "log.csv")
+    np.testing.assert_allclose(again["p"], flight["p"], rtol=1e-9)
