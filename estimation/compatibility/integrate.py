@@ -10,7 +10,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from estimation.compatibility.kalman import CHUNK, Record, rk4
+from estimation.compatibility.kalman import Record, rk4
+from estimation.engine.chain import CHUNK
 from estimation.engine.trace import Traced, trace
 from estimation.models.base import Model
 

@@ -14,11 +14,12 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from estimation.engine.chain import Chain
 from estimation.engine.trace import trace
 from estimation.models.base import Model
+from estimation.models.parts import Structure
 
 Array = NDArray[np.float64]
-CHUNK = 256  # samples per call of the accumulated function
 
 LONGEST_DELAY = 0.3
 """Delay of a channel [s] that is looked for, either way."""
@@ -73,8 +74,7 @@ class KalmanFilter:
         self.model = model
         self.delayed = delayed
         self._constants = np.array([model.constants[n] for n in model.structure.constants_kept])
-        self._step = _step_function(model, len(delayed))
-        self._many = self._step.mapaccum(CHUNK)
+        self._chain = _chain(model)
 
     def run(self, record: Record, p: Array, noise: NoiseLevels, x0: Array, spread: Array) -> Run:
         """Filter one record. x0: (nx,) start; spread: (nx,) its standard deviation."""
@@ -83,21 +83,11 @@ class KalmanFilter:
         z, fractions = self._at_their_instants(record, p)
         known = np.isfinite(z)
         u_next = np.vstack([record.u[1:], record.u[-1:]])
-        table = np.hstack([record.u, u_next, np.where(known, z, 0.0), known.astype(float)]).T
-        pad = -count % CHUNK
-        table = np.hstack([table, np.zeros((table.shape[0], pad))])
-        table[2 * record.u.shape[1] + ny : 2 * record.u.shape[1] + 2 * ny, count:] = 0.0  # nothing known in the padding
+        rows = np.hstack([record.u, u_next, np.where(known, z, 0.0), known.astype(float)])
         levels = (noise.inputs**2, noise.outputs**2, noise.drift**2)
         fixed = np.concatenate([p, self._constants, *levels, [record.step], fractions])
         state = np.concatenate([x0, np.diag(spread**2).ravel()])
-        outs = []
-        for start in range(0, count + pad, CHUNK):
-            states, out = self._many(state, table[:, start : start + CHUNK], np.tile(fixed[:, None], (1, CHUNK)))
-            outs.append(np.asarray(out))
-            state = np.asarray(states)[:, -1]
-            if not np.all(np.isfinite(outs[-1])):
-                break
-        out = self._in_rows_of_the_record(np.hstack(outs).T[:count], record, p)
+        out = self._in_rows_of_the_record(self._chain.run(state, rows, fixed), record, p)
         known = self._usable(record)
         normalised, log_s = out[:, :ny], out[:, ny : 2 * ny]
         finite = len(out) == count and bool(np.all(np.isfinite(out)))
@@ -144,29 +134,12 @@ def _moved(values: Array, rows: int, empty: float) -> Array:
 
 
 @lru_cache(maxsize=32)
-def _cached(key: str, delays: int, box: "_Box") -> ca.Function:
-    return _build(box.model, box.delayed)
+def _chain_of(structure: Structure, delayed: tuple[tuple[int, int], ...]) -> Chain:
+    return Chain(_build(structure, delayed))
 
 
-class _Box:
-    """Carries a model past the cache, which looks at its structure alone."""
-
-    def __init__(self, model: Model, delayed: tuple[tuple[int, int], ...]) -> None:
-        self.model, self.delayed = model, delayed
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Box)
-
-    def __hash__(self) -> int:
-        return 0
-
-
-def _step_function(model: Model, delays: int) -> ca.Function:
-    delayed = delayed_outputs(model)
-    key = repr(
-        (model.state_names, model.input_names, model.output_names, model.parameter_names, model.equations, delayed)
-    )
-    return _cached(key, delays, _Box(model, delayed))
+def _chain(model: Model) -> Chain:
+    return _chain_of(model.structure, delayed_outputs(model))
 
 
 def delayed_outputs(model: Model) -> tuple[tuple[int, int], ...]:
@@ -184,9 +157,9 @@ def rk4(f: ca.Function, x: ca.SX, u: tuple[ca.SX, ca.SX, ca.SX], p: ca.SX, h: ca
     return x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
 
 
-def _build(model: Model, delayed: tuple[tuple[int, int], ...]) -> ca.Function:
+def _build(structure: Structure, delayed: tuple[tuple[int, int], ...]) -> ca.Function:
     """(state and covariance; data; constants) -> (the same one sample on; normalised innovations, log variances, ...)."""
-    traced = trace(model.structure)
+    traced = trace(structure)
     nx, nu, np_, ny = traced.sizes
     x, P = ca.SX.sym("x", nx), ca.SX.sym("P", nx, nx)
     u0, u1 = ca.SX.sym("u0", nu), ca.SX.sym("u1", nu)

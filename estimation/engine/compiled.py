@@ -135,16 +135,29 @@ def _open(path: Path, sizes: tuple[int, int, int, int]) -> CompiledKernel:
 
 
 def _build(traced: Traced, path: Path) -> bool:
+    with tempfile.TemporaryDirectory() as folder:
+        return build_library(_source(traced, Path(folder)), path)
+
+
+def library_of(source: str) -> Path | None:
+    """The shared library made from C text, from the cache or compiled now; None where there is no working compiler."""
+    seed = "\n".join((source, *FLAGS, _processor()))
+    path = cache_folder() / f"{hashlib.sha256(seed.encode()).hexdigest()[:32]}.so"
+    return path if path.is_file() or build_library(source, path) else None
+
+
+def build_library(source: str, path: Path) -> bool:
+    """Compile C text to `path`, whole or not at all; False where that cannot be done."""
     gcc = compiler()
     if gcc is None:
         return False
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=path.parent) as folder:
-            source = Path(folder) / "model.c"
-            source.write_text(_source(traced, Path(folder)), encoding="utf-8")
+            text = Path(folder) / "model.c"
+            text.write_text(source, encoding="utf-8")
             made = Path(folder) / "model.so"
-            done = subprocess.run([gcc, *FLAGS, str(source), "-o", str(made), "-lm"], capture_output=True, check=False)
+            done = subprocess.run([gcc, *FLAGS, str(text), "-o", str(made), "-lm"], capture_output=True, check=False)
             if done.returncode != 0:
                 return False
             made.replace(path)
