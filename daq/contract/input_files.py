@@ -9,7 +9,7 @@ import re
 import stat
 import tomllib
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from daq.contract.errors import UserError
 
@@ -17,6 +17,7 @@ LARGEST_TEXT = 2**20
 """Bytes of a TOML file; the longest that this program writes, a model with all its effects, has some 30 kB."""
 LARGEST_DATA = 2**31
 """Bytes of a log that is read whole: a day at 100 Hz with forty channels."""
+_PIECE = 2**20
 DEEPEST = 32
 """Tables within tables, and parts of one dotted key; the files described in docs/ need five."""
 
@@ -50,7 +51,7 @@ def read_bytes(path: Path, what: str = "file", error: type[UserError] = UserErro
     try:
         _measured(handle, path, what, error, most)
         with os.fdopen(handle, "rb", closefd=False) as file:
-            data = file.read(most + 1)  # a file of /proc says 0 bytes and holds more
+            data = _read_on(file, most + 1)
     except OSError as reason:
         raise error(f"{path}: cannot be read ({reason.strerror})") from reason
     finally:
@@ -58,6 +59,17 @@ def read_bytes(path: Path, what: str = "file", error: type[UserError] = UserErro
     if len(data) > most:
         raise error(f"{path}: longer than the {most} bytes that are read")
     return data
+
+
+def _read_on(file: IO[bytes], most: int) -> bytes:
+    """Bytes to the end, no further than `most`: a file of /proc says 0 bytes and holds more.
+
+    Piece by piece, for reading `most` bytes at once takes room for all of them before the first is there.
+    """
+    data = bytearray()
+    while piece := file.read(min(_PIECE, most - len(data))):
+        data += piece
+    return bytes(data)
 
 
 def _opened(path: Path, what: str, error: type[UserError]) -> int:

@@ -5,7 +5,6 @@ An installed package that names itself under the entry point group `sideslip.cha
 after the built-in ones in the table; everything that is derived from the table follows (docs/sensors.md).
 """
 
-import tomllib
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields, replace
 from importlib.metadata import EntryPoint, entry_points
@@ -17,6 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from daq.contract.channel_rows import RAW_LIMITS, Channel, Column, Downlink, Group, Rate, RawType
 from daq.contract.errors import UserError
+from daq.contract.input_files import read_toml
 
 ENTRY_POINTS = "sideslip.channels"
 ROWS_FILE = "channels.toml"
@@ -121,11 +121,7 @@ def calibration_files() -> dict[str, bytes]:
 def read_rows(file: Path, package: str) -> Rows:
     """The rows of a package. Raises LaboratoryError naming file and key."""
     try:
-        read = _File.model_validate(tomllib.loads(file.read_text(encoding="utf-8")))
-    except OSError as error:
-        raise LaboratoryError(f"{file}: cannot be read ({error.strerror}); a laboratory's package has it") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise LaboratoryError(f"{file}: not a TOML file: {error}") from error
+        read = _File.model_validate(read_toml(file, "file of a laboratory's package", LaboratoryError))
     except ValidationError as error:
         first = error.errors()[0]
         raise LaboratoryError(

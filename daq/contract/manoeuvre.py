@@ -8,7 +8,6 @@ begin and end at zero.
 import hashlib
 import json
 import math
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,6 +15,7 @@ from typing import Any
 
 from daq.contract.channels import COLUMN_BY_NAME
 from daq.contract.errors import UserError
+from daq.contract.input_files import read_toml
 
 VERSION = 1
 STEP_RANGE = (0.005, 0.1)
@@ -108,13 +108,7 @@ def checked(manoeuvre: Manoeuvre, where: str = "manoeuvre") -> Manoeuvre:
 def load_manoeuvre(path: str | Path) -> Manoeuvre:
     """Read and check a manoeuvre file. Raises ManoeuvreError with one sentence; a wrong digest is refused."""
     path = Path(path)
-    try:
-        with path.open("rb") as handle:
-            data = tomllib.load(handle)
-    except OSError as error:
-        raise ManoeuvreError(f"{path}: cannot be read ({error.strerror}); name a manoeuvre file") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise ManoeuvreError(f"{path}: not a TOML file ({error})") from error
+    data = read_toml(path, "manoeuvre file", ManoeuvreError)
     if data.get("version") != VERSION:
         raise ManoeuvreError(f"{path}: not a manoeuvre of version {VERSION}; design it with this release")
     try:

@@ -1,13 +1,13 @@
 """What an aircraft file may say, checked key by key, and the `Aircraft` it makes."""
 
 import math
-import tomllib
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
+from daq.contract.input_files import parse_toml
 from estimation.aircraft.aircraft import Aircraft, Engine, PriorDerivative, Servos, SimulatedFlight
 from estimation.aircraft.handbook import Shape, beliefs
 from estimation.errors import AircraftError
@@ -117,9 +117,7 @@ class AircraftFile(_Table):
 def read_file(text: str, where: str) -> AircraftFile:
     """The checked content of an aircraft file. Raises AircraftError naming `where` and the key."""
     try:
-        return AircraftFile.model_validate(tomllib.loads(text))
-    except tomllib.TOMLDecodeError as error:
-        raise AircraftError(f"{where}: not a TOML file: {error}") from error
+        return AircraftFile.model_validate(parse_toml(text, where, AircraftError))
     except ValidationError as error:
         raise AircraftError(f"{where}: {_sentence(error)}") from error
 

@@ -14,7 +14,6 @@ A file for `--limits`, angles in degrees because people write it:
 """
 
 import math
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -22,6 +21,7 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, ValidationError, field_validator
 
+from daq.contract.input_files import read_toml
 from estimation.errors import EstimationError
 
 Range = tuple[float, float]
@@ -86,11 +86,7 @@ def usual_limits() -> Limits:
 def load_limits(path: Path) -> Limits:
     """Read a file of limits. Raises EstimationError naming file and key."""
     try:
-        return _limits(LimitsFile.model_validate(tomllib.loads(path.read_text(encoding="utf-8"))))
-    except OSError as error:
-        raise EstimationError(f"{path}: cannot be read ({error.strerror}); name a file of limits") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise EstimationError(f"{path}: not a TOML file ({error})") from error
+        return _limits(LimitsFile.model_validate(read_toml(path, "file of limits", EstimationError)))
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"])

@@ -1,10 +1,11 @@
 """A raw recording to a flight: with the calibration it carries, or with another one in its place."""
 
 import hashlib
-import tomllib
 from pathlib import Path
 
 from daq.contract.channels import GROUP_NAMES
+from daq.contract.errors import UserError
+from daq.contract.input_files import parse_toml
 from daq.contract.link.commands import parse_pitot_zero
 from daq.contract.ranges import count
 from daq.contract.recordings.accounting import verify_recording
@@ -74,8 +75,8 @@ def calibrate_opened(
 def _undescribed(recording: Recording) -> list[str]:
     """Sensor groups that the aircraft was fitted with and that no package installed here describes."""
     try:
-        sensors = tomllib.loads(recording.info.config_text).get("sensors", {})
-    except tomllib.TOMLDecodeError:
+        sensors = parse_toml(recording.info.config_text, "configuration").get("sensors", {})
+    except UserError:
         return []
     unknown = sorted(set(sensors.get("extra", {})) - set(GROUP_NAMES))
     return [

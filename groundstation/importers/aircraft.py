@@ -1,10 +1,10 @@
 """The aircraft of an imported flight: its name, or its whole file, which then travels with the flight."""
 
-import tomllib
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 
+from daq.contract.input_files import parse_toml, read_text
 from groundstation.flight import AIRCRAFT_FILE, Flight
 from groundstation.importers.errors import ImportDataError
 
@@ -16,10 +16,7 @@ def with_aircraft(flight: Flight, given: str) -> Flight:
     """
     if not given.endswith(".toml"):
         return replace(flight, provenance=replace(flight.provenance, aircraft=given))
-    try:
-        text = Path(given).read_text(encoding="utf-8")
-        name = str(tomllib.loads(text).get("name") or Path(given).stem)
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise ImportDataError(f"--aircraft {given}: cannot be read as an aircraft file ({error})") from error
+    text = read_text(Path(given), "aircraft file", ImportDataError)
+    name = str(parse_toml(text, given, ImportDataError).get("name") or Path(given).stem)
     detail = MappingProxyType({**flight.provenance.detail, AIRCRAFT_FILE: text})
     return replace(flight, provenance=replace(flight.provenance, aircraft=name, detail=detail))

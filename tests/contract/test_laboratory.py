@@ -61,7 +61,7 @@ def test_a_channel_is_a_column_of_its_own_name_and_unit(tmp_path: Path) -> None:
         (('unit = "V"', 'unit = "V"\ncolour = "red"'), r"channel\.0\.colour: Extra inputs are not permitted"),
         (("scale = 1e-3", "scale = nan"), r"channel\.0\.scale: Input should be a finite number"),
         (('name = "smoke"', 'name = "Smoke"'), r"group\.0\.name"),
-        (("[[group]]", "[[group"), "not a TOML file"),
+        (("[[group]]", "[[group"), "not valid TOML"),
     ],
 )
 def test_a_row_that_is_wrong_is_named_with_file_and_key(tmp_path: Path, change: tuple[str, str], says: str) -> None:

@@ -79,7 +79,7 @@ def flight_of(name: str = "", **detail: str) -> Flight:
             ("[geometry]", "[simulation]\nspeed = 9\nspeed_range = [10, 20]\n[geometry]"),
             "simulation: speed = 9 must lie",
         ),
-        (("[geometry]", "[geometry"), "not a TOML file"),
+        (("[geometry]", "[geometry"), "not valid TOML"),
     ],
 )
 def test_a_wrong_file_is_one_sentence_with_file_and_key(change: tuple[str, str], said: str) -> None:
@@ -160,7 +160,7 @@ def test_a_flight_is_of_the_aircraft_asked_for_then_carried_then_built_in() -> N
             [flight_of("own", **{AIRCRAFT_FILE: FULL}), flight_of("own", **{AIRCRAFT_FILE: FULL + "\n"})],
             "different files",
         ),
-        ([flight_of("own", **{AIRCRAFT_FILE: "span"})], "aircraft carried by f: not a TOML file"),
+        ([flight_of("own", **{AIRCRAFT_FILE: "span"})], "aircraft carried by f: not valid TOML"),
     ],
 )
 def test_a_flight_whose_aircraft_is_not_known_is_refused_with_the_way_out(flights: list[Flight], said: str) -> None:
@@ -344,11 +344,11 @@ def test_a_csv_says_that_it_cannot_carry_the_aircraft(root: Path, tmp_path: Path
 
 def test_an_aircraft_file_that_cannot_be_carried_is_refused_at_import(root: Path, tmp_path: Path) -> None:
     (tmp_path / "odd.toml").write_text("span = ")
-    for name in ("odd.toml", "none.toml"):
+    for name, why in {"odd.toml": "not valid TOML", "none.toml": "no such aircraft file"}.items():
         words = [str(root / "recordings" / "foreign" / "ordinary_0.csv"), "-o", str(tmp_path / "f.mcap")]
         done = CliRunner().invoke(import_, [*words, "--aircraft", str(tmp_path / name)], standalone_mode=False)
         assert isinstance(done.exception, UserError)
-        assert f"{name}: cannot be read as an aircraft file" in str(done.exception)
+        assert f"{name}: {why}" in str(done.exception)
 
 
 def test_a_recording_carries_the_file_that_its_configuration_names(tmp_path: Path) -> None:

@@ -78,7 +78,7 @@ def test_extras_that_nobody_chosen_heeds_are_refused() -> None:
 def test_an_estimator_of_a_package_of_ones_own(package: Path, made_flights: list[Flight], tmp_path: Path) -> None:
     write_flight(made_flights[0], tmp_path / "ld.csv")
     out = sideslip(
-        "estimate", tmp_path / "ld.csv", "--method", "ls,own", "--joint", "--raw-inputs",
+        "estimate", tmp_path / "ld.csv", "--aircraft", "cdfp", "--method", "ls,own", "--joint", "--raw-inputs",
         "--json", tmp_path / "e.json", "--report", tmp_path / "page", path=package,
     )  # fmt: skip
     assert (out.returncode, out.stderr) == (0, "")
@@ -99,10 +99,12 @@ def test_an_estimator_of_a_package_of_ones_own(package: Path, made_flights: list
 def test_an_estimator_that_is_not_installed(made_flights: list[Flight], tmp_path: Path) -> None:
     write_flight(made_flights[0], tmp_path / "ld.csv")
     (tmp_path / "half_fit.py").write_text(OWN)
-    out = sideslip("estimate", "ld.csv", "--json", "e.json", "--method", "half_fit:OWN", cwd=tmp_path)
+    out = sideslip(
+        "estimate", "ld.csv", "--aircraft", "cdfp", "--json", "e.json", "--method", "half_fit:OWN", cwd=tmp_path
+    )
     assert (out.returncode, out.stderr) == (0, "")
     assert list(json.loads((tmp_path / "e.json").read_text())["flights"][0]["methods"]) == ["own"]
-    out = sideslip("estimate", "ld.csv", "--method", "half_fit:none", cwd=tmp_path)
+    out = sideslip("estimate", "ld.csv", "--aircraft", "cdfp", "--method", "half_fit:none", cwd=tmp_path)
     assert (out.returncode, out.stderr) == (2, "sideslip: method 'half_fit:none': half_fit has no 'none'\n")
 
 
