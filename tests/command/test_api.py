@@ -102,3 +102,19 @@ def test_design_and_import(tmp_path: Path) -> None:
     flight.save(tmp_path / "log.csv")
     again = ss.import_log(tmp_path / "log.csv")
     np.testing.assert_allclose(again["p"], flight["p"], rtol=1e-9)
+
+
+def test_the_lines_of_the_page_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import re
+
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    monkeypatch.chdir(RECORDINGS.parent)
+    page = (RECORDINGS.parent / "docs" / "api.md").read_text(encoding="utf-8")
+    blocks = re.findall(r"^```python\n(.*?)^```$", page, flags=re.M | re.S)
+    names: dict[str, object] = {}
+    for block in blocks:
+        exec(block, names)  # noqa: S102
+    assert len(blocks) == 2
+    assert {"table", "axes", "model"} <= set(names)

@@ -68,3 +68,12 @@ def test_links_lead_somewhere() -> None:
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     for target in re.findall(r"\]\(([^)#]+)\)", text):
         assert (ROOT / target).exists(), target
+
+
+def test_python_of_the_readme_says_what_it_prints(folder: Path) -> None:
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    ((code, said),) = re.findall(r"^```python\n(.*?)^```\n\n```\n(.*?)^```$", text, flags=re.M | re.S)
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=folder, capture_output=True, text=True, timeout=300, check=False
+    )
+    assert (done.returncode, done.stdout) == (0, said), done.stderr

@@ -87,7 +87,7 @@ def test_rows_that_do_not_fit_the_table_are_refused(tmp_path: Path, text: str, s
 def test_missing_package_and_missing_file_are_said(tmp_path: Path) -> None:
     with pytest.raises(LaboratoryError, match="'no_such_lab' is no package"):
         package_folder("no_such_lab")
-    with pytest.raises(LaboratoryError, match=r"channels\.toml: cannot be read"):
+    with pytest.raises(LaboratoryError, match=r"channels\.toml: no such file of a laboratory"):
         read_rows(tmp_path / "channels.toml", "lab")
 
 
