@@ -65,7 +65,7 @@ bare, whole = calibrate_recording({str(raw)!r}), read_flight({str(folder / "humi
 assert "humidity" not in bare.columns
 for name, values in bare.columns.items():
     assert (values == whole[name])[values == values].all(), name
-print("\\n".join(bare.notes))
+print("\\n".join(map(str, bare.notes)))
 """
     done = subprocess.run(
         [sys.executable, "-c", code], cwd=root, capture_output=True, text=True, timeout=60, check=False
