@@ -52,6 +52,7 @@ VERBS: dict[str, Verb] = {
     "aircraft": Verb(
         "estimation.commands.aircraft", "aircraft", "A file for an aircraft of one's own, and what it is good for."
     ),
+    "campaign": Verb("sideslip.campaign", "campaign", "Hundreds of flights, resumable, into tables to query."),
     "gap": Verb("estimation.commands.gap", "gap", "Find, name and close the gap between model and flight."),
 }
 

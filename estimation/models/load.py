@@ -78,13 +78,16 @@ def read_model(path: str | Path) -> Model:
 
 def write_model(model: Model, path: str | Path) -> None:
     """Write a model so that `read_model` gives an equal one; the file is replaced in one step."""
+    write_text(model_text(model), Path(path))
+
+
+def model_text(model: Model) -> str:
+    """The model as TOML, which `Model.from_dict` takes back."""
     import tomli_w
 
     data = {key: _plain(value) for key, value in model.to_dict().items() if value}
     order = ("name", "title", "description", "equations")  # what a person reads first
-    write_text(
-        tomli_w.dumps({key: data[key] for key in (*(k for k in order if k in data), *data)}, indent=2), Path(path)
-    )
+    return tomli_w.dumps({key: data[key] for key in (*(k for k in order if k in data), *data)}, indent=2)
 
 
 def _plain(value: Any) -> Any:

@@ -22,6 +22,7 @@ VERBS = [
     ["estimate", "none.mcap"],
     ["match", "none.toml", "none.mcap"],
     ["gap", "none.mcap"],
+    ["campaign", "none.mcap", "--out", "out"],
     ["aircraft", "check", "cdfp"],
 ]
 PLACES = [
@@ -38,6 +39,7 @@ PLACES = [
     ["estimate", "none.mcap", "--save-model", "/proc/no/model.toml"],
     ["match", "none.toml", "none.mcap", "--figure", "/proc/no/such.png"],
     ["gap", "none.mcap", "--report", NOWHERE],
+    ["campaign", "none.mcap", "--out", NOWHERE],
     ["aircraft", "new", "glider", "-o", "/proc/no/glider.toml"],
 ]
 

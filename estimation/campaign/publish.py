@@ -1,0 +1,128 @@
+"""The data set of a finished campaign: rows of today's plan with its conditions, groups, manifest."""
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from daq.contract.outputs import write_json
+from estimation.campaign.keys import key_of, versions
+from estimation.campaign.plan import Plan
+from estimation.campaign.schema import RESULTS, VERSION, arrow_schema
+from estimation.campaign.sources import Entry
+from estimation.campaign.store import Store
+from estimation.campaign.tasks import Row
+from estimation.campaign.work_list import WorkList
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+ORDER = ("flight", "source", "group", "key", "manoeuvre", "kind", "place", "parameter")
+
+
+FOUND = ("aircraft", "manoeuvre", "group")
+"""Columns in which what the worker found goes before what the plan says."""
+
+
+def planned_rows(table: "pa.Table", about: Mapping[str, Row]) -> "tuple[pa.Table, pa.Table]":
+    """(rows of the plan with what it says of each flight, rows of other plans). about: key of today's work -> conditions."""
+    import pyarrow as pa
+    import pyarrow.compute as pc
+
+    mine = pc.is_in(table["key"], value_set=pa.array(list(about), pa.string()))
+    own = _with_conditions(table.filter(mine), about)
+    worked = pc.or_(
+        pc.is_valid(table["sha256"]), pc.is_valid(table["group"])
+    )  # others are of bytes that could not be had
+    return ordered(own), table.filter(pc.and_(pc.invert(mine), worked))
+
+
+def ordered(table: "pa.Table") -> "pa.Table":
+    """Rows in the one order that the data set has."""
+    return table.sort_by([(name, "ascending") for name in ORDER])
+
+
+def _with_conditions(table: "pa.Table", about: Mapping[str, Row]) -> "pa.Table":
+    """Names and conditions are of today's plan, not of the day the flight was worked on."""
+    import pyarrow as pa
+
+    keys = table["key"].to_pylist()
+    for name in ("flight", "source", "manoeuvre", "aircraft", "configuration", "date", "day", "mass", "cg", "group"):
+        pairs = list(zip([about[key].get(name) for key in keys], table[name].to_pylist(), strict=True))
+        values = [(kept if kept is not None else said) if name in FOUND else said for said, kept in pairs]
+        field = table.schema.field(name)
+        table = table.set_column(table.schema.get_field_index(name), field, pa.array(values, field.type))
+    return table
+
+
+def conditions_of(entry: Entry) -> Row:
+    """What the plan says of a flight, by the columns of the results."""
+    c = entry.conditions
+    return {
+        "flight": entry.name,
+        "source": entry.location,
+        "manoeuvre": c.manoeuvre or None,
+        "aircraft": Path(c.aircraft).stem or None,
+        "configuration": c.configuration or None,
+        "date": c.date or None,
+        "day": c.day or None,
+        "mass": c.mass,
+        "cg": c.cg,
+    }
+
+
+def unreadable_rows(entries: Sequence[Entry]) -> "pa.Table":
+    """A row for each flight whose bytes could not be had."""
+    import pyarrow as pa
+
+    rows = [
+        {**conditions_of(e), "kind": "run", "status": "failed", "why": e.why, "key": key_of("unreadable", e.location)}
+        for e in entries
+    ]
+    return pa.Table.from_pylist(rows, arrow_schema(RESULTS))
+
+
+def write_table(rows: Sequence[Row], columns: dict[str, str], path: Path) -> None:
+    """A small table, in one step."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_suffix(".tmp")
+    pq.write_table(pa.Table.from_pylist(list(rows), arrow_schema(columns)), partial, compression="zstd")
+    partial.replace(path)
+
+
+def manifest(plan: Plan, work: WorkList, store: Store, failures: Mapping[str, str]) -> dict[str, Any]:
+    """What was put in and what came out, with digests: names of flights to keys, files to SHA-256."""
+    flights = [
+        {
+            "flight": p.entry.name,
+            "source": p.entry.location,
+            "sha256": p.work.subjects[0].source.sha256,
+            "keys": dict(p.work.pieces),
+            **({"failed": failures[p.entry.location]} if p.entry.location in failures else {}),
+        }
+        for p in work.planned
+    ]
+    flights += [{"flight": e.name, "source": e.location, "failed": e.why} for e in work.unreadable]
+    flights += [{"flight": e.name, "source": e.location, "same_as": other.location} for e, other in work.duplicates]
+    return {
+        "version": 1,
+        "schema": VERSION,
+        "software": dict(versions()),
+        "plan": plan.model_dump(mode="json"),
+        "flights": flights,
+        "files": {
+            p.relative_to(store.folder).as_posix(): hashlib.sha256(p.read_bytes()).hexdigest()
+            for p in sorted(store.folder.glob("[drgs]*/*.parquet"))
+        },
+    }
+
+
+def write_manifest(data: Mapping[str, Any], folder: Path) -> bool:
+    """`folder`/manifest.json; whether it says anything else than before."""
+    path = folder / "manifest.json"
+    before = path.read_bytes() if path.is_file() else b""
+    write_json(data, path)
+    return path.read_bytes() != before

@@ -1,0 +1,227 @@
+"""A campaign from plan to data set: what is not done yet goes to the engine, what comes back to the store, then groups."""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+from estimation.campaign.database import database_rows
+from estimation.campaign.groups import group_rows, label_of
+from estimation.campaign.plan import Plan
+from estimation.campaign.publish import (
+    conditions_of,
+    manifest,
+    ordered,
+    planned_rows,
+    unreadable_rows,
+    write_manifest,
+    write_table,
+)
+from estimation.campaign.schema import DATABASE, GROUPS
+from estimation.campaign.sources import Entry
+from estimation.campaign.store import Store
+from estimation.campaign.tasks import Finished, Row, Work
+from estimation.campaign.work import OK
+from estimation.campaign.work_list import Member, WorkList, joint_work, left_to_do, match_works
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+LEAST_VARIANCE = 1e-300  # an estimate without a bound weighs nothing that can be computed with
+
+
+class Engine(Protocol):
+    """Where work is done: `estimation.campaign.serial` or `estimation.campaign.cluster`."""
+
+    workers: int
+    dashboard: str
+
+    def run(self, works: Iterator[Work]) -> Iterator[Finished | None]:
+        """Finished work in any order; None now and then while nothing ends."""
+
+    def close(self) -> None:
+        """Let go of workers."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """flights: of the plan; done: with results; failed: location -> sentence; skipped: done before; fitted: pieces of work
+    done now; duplicates: (location, location of the same flight); unchanged: all files are as the run before left them."""
+
+    flights: int
+    done: int
+    failed: Mapping[str, str]
+    skipped: int
+    fitted: int
+    duplicates: Sequence[tuple[str, str]]
+    workers: int
+    results: "pa.Table"
+    groups: Sequence[Row]
+    damaged: Sequence[Path] = ()
+    unchanged: bool = False
+
+    def to_json(self, wall_s: float) -> dict[str, Any]:
+        """As `campaign --json` has it."""
+        return {
+            "version": 1,
+            "flights": self.flights,
+            "done": self.done,
+            "failed": [{"flight": flight, "why": why} for flight, why in self.failed.items()],
+            "skipped_done": self.skipped,
+            "fitted": self.fitted,
+            "duplicates": [list(pair) for pair in self.duplicates],
+            "wall_s": wall_s,
+            "workers": self.workers,
+        }
+
+
+class Campaign:
+    """One run of a plan into a store. make_engine: called only when there is work. tell: words and the share done."""
+
+    def __init__(
+        self, plan: Plan, work: WorkList, store: Store, make_engine: Callable[[int], Engine], tell: Callable[..., None]
+    ) -> None:
+        self._plan, self._work, self._store = plan, work, store
+        self._make_engine, self._tell = make_engine, tell
+        self._engine: Engine | None = None
+        self._about: dict[str, Row] = {key: conditions_of(p.entry) for key, p in work.by_key.items()}
+        self._fitted = 0
+        self._workers = 0
+
+    def run(self, *, retry_failed: bool = False) -> Outcome:
+        """Do what is left to do and publish. Whatever stops it, what was done is on disk."""
+        before = self._store.load()
+        if retry_failed:
+            before = self._without_failures(before)
+        done = set(before["key"].to_pylist())
+        skipped = sum(all(k in done for k in p.work.pieces.values()) for p in self._work.planned)
+        try:
+            self._do([p.work for p in self._work.planned], done, "flights")
+            if self._plan.match or self._plan.joint:
+                self._do_groups(done)
+        finally:
+            if self._engine is not None:
+                self._engine.close()
+        return self._publish(skipped)
+
+    def _without_failures(self, table: "pa.Table") -> "pa.Table":
+        """Failed work is forgotten, so that it is done again."""
+        import pyarrow as pa
+        import pyarrow.compute as pc
+
+        failed = set(table.filter(pc.equal(table["status"], "failed"))["key"].to_pylist())
+        kept = table.filter(pc.invert(pc.is_in(table["key"], value_set=pa.array(sorted(failed), pa.string()))))
+        self._store.replace_all(kept, kept.slice(0, 0))
+        return kept
+
+    def _do(self, works: Iterable[Work], done: set[str], what: str) -> None:
+        left = list(left_to_do(works, done))
+        if not left:
+            return
+        if self._engine is None:
+            self._engine = self._make_engine(len(left))
+        self._workers = self._engine.workers
+        ended = 0
+        for finished in self._engine.run(iter(left)):
+            if finished is None:
+                self._store.tick()
+                continue
+            self._store.add([{**row, "attempts": finished.attempts} for row in finished.rows])
+            ended += 1
+            self._fitted += 1
+            self._tell(f"{what}: {ended} of {len(left)}", ended / len(left))
+        self._store.flush()
+
+    def _do_groups(self, done: set[str]) -> None:
+        """Joint fits and matches: they need the estimates of all flights of a group."""
+        results, _ = planned_rows(self._store.load(), self._about)
+        works: list[Work] = []
+        for group, members in members_of(results, self._work, self._plan).items():
+            label = label_of(dict(group))
+            known: Row = {"group": label, **{k: v or None for k, v in group}}
+            joint = joint_work(self._plan, label, members) if self._plan.joint else None
+            if joint is not None:
+                works.append(joint)
+                self._about |= dict.fromkeys(joint.pieces.values(), known)
+            for match in match_works(self._plan, label, members) if self._plan.match else ():
+                entry = self._work.by_key[self._flight_key(match)].entry
+                works.append(match)
+                self._about |= {key: {**known, **conditions_of(entry)} for key in match.pieces.values()}
+        self._do(works, done, "groups")
+
+    def _flight_key(self, work: Work) -> str:
+        """Key of the flight's own first piece."""
+        sha256 = work.subjects[0]
+        return next(p.work.identity for p in self._work.planned if p.work.subjects[0] is sha256)
+
+    def _publish(self, skipped: int) -> Outcome:
+        import pyarrow as pa
+
+        results, superseded = planned_rows(self._store.load(), self._about)
+        lost = [*self._work.unreadable, *self._failed_twice(failures_of(results))]
+        if lost:
+            results = ordered(pa.concat_tables([results, unreadable_rows(lost)]))
+        self._store.replace_all(results, superseded)
+        groups = group_rows(results, self._plan.groups)
+        folder = self._store.folder
+        write_table(groups, GROUPS, folder / "groups" / "groups.parquet")
+        write_table(database_rows(results, self._plan.groups), DATABASE, folder / "database" / "database.parquet")
+        failures = failures_of(results)
+        planned = len(self._work.planned) + len(lost)
+        unchanged = not write_manifest(manifest(self._plan, self._work, self._store, failures), folder)
+        return Outcome(
+            len(self._work.planned) + len(self._work.unreadable) + len(self._work.duplicates),
+            planned - len(failures),
+            failures,
+            skipped,
+            self._fitted,
+            [(e.location, other.location) for e, other in self._work.duplicates],
+            self._workers,
+            results,
+            groups,
+            self._store.damaged,
+            unchanged,
+        )
+
+    def _failed_twice(self, failures: Mapping[str, str]) -> list[Entry]:
+        """Entries whose bytes are those of a flight that failed: several empty files are several bad flights."""
+        return [
+            replace(entry, why=f"{failures[first.location]} (the same bytes as {first.location})")
+            for entry, first in self._work.duplicates
+            if first.location in failures
+        ]
+
+
+def failures_of(results: "pa.Table") -> dict[str, str]:
+    """Location -> the sentences on a flight that a method could not use, or whose answer is not to be believed."""
+    import pyarrow.compute as pc
+
+    runs = results.filter(
+        pc.and_(
+            pc.equal(results["kind"], "run"),
+            pc.and_(pc.not_equal(results["status"], OK), pc.is_valid(results["source"])),
+        )
+    )
+    said: dict[str, list[str]] = {}
+    for source, why in zip(runs["source"].to_pylist(), runs["why"].to_pylist(), strict=True):
+        said.setdefault(source, []).append(why)
+    return {source: "; ".join(dict.fromkeys(words)) for source, words in sorted(said.items())}
+
+
+def members_of(results: "pa.Table", work: WorkList, plan: Plan) -> dict[tuple[tuple[str, str], ...], list[Member]]:
+    """Flights with a usable estimate, by group."""
+    names = ("kind", "status", "identifiable", "key", "method", "parameter", "estimate", "std_coloured", *plan.groups)
+    columns = {name: results[name].to_pylist() for name in dict.fromkeys(names)}
+    groups: dict[tuple[tuple[str, str], ...], dict[str, dict[str, dict[str, tuple[float, float]]]]] = {}
+    by_key = work.by_key
+    for i in range(results.num_rows):
+        std, value = columns["std_coloured"][i], columns["estimate"][i]
+        told = columns["kind"][i] == "estimate" and columns["status"][i] == OK and columns["identifiable"][i]
+        if told and value is not None and std:
+            group = tuple((k, columns[k][i] or "") for k in plan.groups)
+            flight = by_key[columns["key"][i]].work.identity
+            methods = groups.setdefault(group, {}).setdefault(flight, {})
+            methods.setdefault(columns["method"][i], {})[columns["parameter"][i]] = (value, max(std**2, LEAST_VARIANCE))
+    return {
+        g: [Member(by_key[key], methods) for key, methods in flights.items()] for g, flights in sorted(groups.items())
+    }

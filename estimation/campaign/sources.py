@@ -1,0 +1,176 @@
+"""Where flights come from: paths, patterns, folders, tables, URLs, scenarios; each with a digest of its content."""
+
+import csv
+import glob
+import hashlib
+import stat
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import ValidationError
+
+from estimation.campaign.errors import CampaignError
+from estimation.campaign.keys import key_of
+from estimation.campaign.plan import FLIGHT_SUFFIXES, Conditions, FlightEntry, Plan, SimulateEntry, said_of
+from estimation.campaign.tasks import Simulator, Source
+
+CHUNK = 1 << 20  # bytes read at a time: a record of any size is looked at in little memory
+REMOTE_ERRORS = (OSError, ValueError, ImportError, RuntimeError)
+"""What fsspec and its back ends raise for an address that cannot be read, a protocol not known or not installed."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One flight of the plan. source: None where its bytes cannot be had, and `why` says so."""
+
+    location: str
+    conditions: Conditions
+    source: Source | None = None
+    why: str = ""
+
+    @property
+    def name(self) -> str:
+        """As the results call it."""
+        return self.source.name if self.source is not None else Path(self.location).stem
+
+
+def entries_of(plan: Plan, folder: Path, simulator: Simulator | None = None, *, send: bool = False) -> list[Entry]:
+    """Every flight of a plan whose relative paths begin at `folder`. send: carry the bytes of local files along.
+
+    Raises CampaignError for a pattern without a match, and for a table or scenario that cannot be used.
+    """
+    entries = [e for text in plan.flights for e in _located(text, folder, Conditions(), send)]
+    for row in (*plan.flight, *(_table(plan.table, folder) if plan.table else ())):
+        entries += _located(row.path, folder, Conditions(**row.model_dump(exclude={"path"})), send)
+    for number, scenario in enumerate(plan.simulate):
+        entries += _simulated(scenario, number, folder, simulator)
+    if not entries:
+        raise CampaignError("the plan names no flight; give flights, a table, [[flight]] or [[simulate]]")
+    return entries
+
+
+def _table(name: str, folder: Path) -> Iterator[FlightEntry]:
+    """Rows of a CSV with a column `path`; columns of other names are somebody else's."""
+    path = folder / name
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as handle:
+            rows = list(csv.DictReader(handle))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise CampaignError(f"table {path}: cannot be read as CSV ({error}); correct the key 'table'") from error
+    for number, row in enumerate(rows, start=2):
+        known = {k: v for k, v in row.items() if k in FlightEntry.model_fields and v}
+        try:
+            yield FlightEntry.model_validate(known)
+        except ValidationError as error:
+            raise CampaignError(f"table {path}, line {number}: {said_of(error)}; correct it there") from error
+
+
+def _located(text: str, folder: Path, conditions: Conditions, send: bool) -> Iterator[Entry]:
+    if "://" in text:
+        for url in _urls(text):
+            yield _remote(url, conditions)
+        return
+    path = folder / text
+    for found in _paths(path, text):
+        yield _local(found, conditions, send)
+
+
+def _paths(path: Path, text: str) -> Sequence[Path]:
+    """A file as it is named, all flights of a folder, or what a pattern matches."""
+    if path.is_dir():
+        found = sorted(p for p in path.iterdir() if p.suffix.lower() in FLIGHT_SUFFIXES)
+    elif path.exists() or not glob.has_magic(text):
+        return [path]
+    else:
+        found = sorted(Path(path.anchor).glob(str(path.relative_to(path.anchor))))
+    if not found:
+        raise CampaignError(f"{text}: no flight there; give files ending in {', '.join(FLIGHT_SUFFIXES)}")
+    return found
+
+
+def _local(path: Path, conditions: Conditions, send: bool) -> Entry:
+    entry = Entry(str(path), conditions)
+    try:
+        mode = path.stat().st_mode
+        if not stat.S_ISREG(mode):  # a pipe would be waited for, a device read without end
+            return replace(entry, why=f"{path}: not a file that can be read again; copy the flight into one")
+        digest = hashlib.sha256()
+        with path.open("rb") as handle:
+            while chunk := handle.read(CHUNK):
+                digest.update(chunk)
+        data = path.read_bytes() if send else None
+    except FileNotFoundError:
+        return replace(entry, why=f"{path}: no such file")
+    except OSError as error:
+        return replace(entry, why=f"{path}: cannot be read ({error.strerror or error})")
+    return replace(entry, source=Source(path.stem, path.suffix, digest.hexdigest(), path=str(path), data=data))
+
+
+def _urls(text: str) -> list[str]:
+    if not glob.has_magic(text):
+        return [text]
+    try:
+        files, path = _filesystem(text)
+        found = [files.unstrip_protocol(p) for p in sorted(files.glob(path))]
+    except REMOTE_ERRORS as error:
+        raise CampaignError(f"{text}: cannot be listed ({error}); check address and access") from error
+    if not found:
+        raise CampaignError(f"{text}: no flight there")
+    return found
+
+
+def _filesystem(url: str) -> tuple[Any, str]:
+    try:
+        from fsspec.core import url_to_fs
+    except ModuleNotFoundError as error:
+        raise CampaignError("flights by URL need fsspec; pip install 'sideslip[campaign]'") from error
+    files, path = url_to_fs(url)
+    return files, str(path)
+
+
+def _remote(url: str, conditions: Conditions) -> Entry:
+    name = Path(url.partition("?")[0])
+    try:
+        digest = hashlib.sha256(fetched(url)).hexdigest()
+    except CampaignError as error:
+        return Entry(url, conditions, None, str(error))
+    return Entry(url, conditions, Source(name.stem, name.suffix, digest, url=url))
+
+
+def fetched(url: str) -> bytes:
+    """The bytes at a URL; CampaignError where they cannot be had."""
+    try:
+        files, path = _filesystem(url)
+        data: bytes = files.cat_file(path)
+    except REMOTE_ERRORS as error:
+        raise CampaignError(f"{url}: cannot be read ({error}); check address and access") from error
+    return data
+
+
+# ---------------------------------------------------------------------------------------------- simulated
+
+
+def _simulated(entry: SimulateEntry, number: int, folder: Path, simulator: Simulator | None) -> Iterator[Entry]:
+    if simulator is None:
+        raise CampaignError("the plan has [[simulate]], but no simulator was handed in; run it with sideslip campaign")
+    conditions = Conditions(**{k: getattr(entry, k) for k in Conditions.model_fields})
+    where = folder / entry.scenario
+    scenario = str(where) if where.is_file() else entry.scenario
+    label = f"{Path(scenario).stem}{number}"
+    for i in range(entry.count):
+        made = simulator.describe(scenario, {**entry.set, **_drawn(entry, i)})
+        description: Mapping[str, Any] = {"scenario": made, "seed": int(key_of(entry.seed, i)[:8], 16)}
+        own = str(made.get("flight", {}).get("aircraft", ""))
+        source = Source(
+            f"{label}-{i:05d}", ".csv", key_of(description, simulator.digest), made=description, maker=simulator.fly
+        )
+        yield Entry(source.location, conditions.model_copy(update={"aircraft": conditions.aircraft or own}), source)
+
+
+def _drawn(entry: SimulateEntry, number: int) -> dict[str, float]:
+    """What varies, drawn for the flight of that number alone: another count changes none of the others."""
+    rng = np.random.default_rng([entry.seed, number])
+    return {key: float(rng.uniform(*ends)) for key, ends in sorted(entry.vary.items())}

@@ -1,0 +1,171 @@
+"""Results on disk: parts written whole or not at all, known by their keys, joined into one file at the end.
+
+A part is written under another name, forced to the disk and renamed, by one client alone: a kill at any instant leaves
+whole parts, and what was not in one yet is done again. A part holds all rows of every key in it.
+"""
+
+import fcntl
+import hashlib
+import os
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Self
+
+from estimation.campaign.errors import CampaignError
+from estimation.campaign.schema import RESULTS, VERSION, VERSION_KEY, arrow_schema
+from estimation.campaign.tasks import Row
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+EVERY_S = 10.0  # the most that a kill costs
+FIRST_S = 1.0  # until the first part, each next one twice as long: whoever begins a campaign sees soon that it works
+EVERY_ROWS = 20_000  # some 500 flights: a part of 1 MB
+RESULTS_FOLDER, SUPERSEDED_FOLDER, DAMAGED_FOLDER = "results", "superseded", "damaged"
+
+
+class Store:
+    """The result parts in `folder`, held against other campaigns while it is open. clock: seconds, ever rising."""
+
+    def __init__(self, folder: Path, clock: Callable[[], float]) -> None:
+        self.folder, self._clock = folder, clock
+        self._rows: list[Row] = []
+        self._since, self._wait = 0.0, FIRST_S
+        self.damaged: list[Path] = []
+
+    def __enter__(self) -> Self:
+        try:
+            (self.folder / RESULTS_FOLDER).mkdir(parents=True, exist_ok=True)
+            self._lock = (self.folder / ".lock").open("w")
+        except OSError as error:
+            raise CampaignError(
+                f"--out {self.folder}: cannot be written ({error.strerror}); choose another folder"
+            ) from error
+        try:
+            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)  # the kernel lets go of it however we end
+        except OSError as error:
+            self._lock.close()
+            raise CampaignError(f"--out {self.folder}: another campaign writes there; wait, or take another") from error
+        for left in self.folder.glob("*/*.tmp"):
+            left.unlink()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            self.flush()
+        finally:
+            self._lock.close()
+
+    def load(self) -> "pa.Table":
+        """All rows of every part, each key once; parts that cannot be read are set aside, and their keys done again."""
+        import pyarrow as pa
+
+        tables = [arrow_schema(RESULTS).empty_table()]
+        seen: set[str] = set()
+        for name in (RESULTS_FOLDER, SUPERSEDED_FOLDER):
+            for path in sorted((self.folder / name).glob("*.parquet")):
+                table = self._read(path)
+                if table is None:
+                    continue
+                keys = table["key"].to_pylist()
+                fresh = [k not in seen for k in keys]
+                seen.update(keys)
+                tables.append(table if all(fresh) else table.filter(pa.array(fresh, pa.bool_())))
+        return pa.concat_tables(tables)
+
+    def _read(self, path: Path) -> "pa.Table | None":
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        try:
+            table = pq.ParquetFile(path).read()
+            version = int((table.schema.metadata or {}).get(VERSION_KEY.encode(), b"0"))
+            if version > VERSION:
+                raise CampaignError(
+                    f"{path}: written by a later Sideslip (tables of version {version}, here {VERSION}); install that one"
+                )
+            return conformed(table)
+        except (pa.ArrowException, OSError, ValueError):
+            aside = self.folder / DAMAGED_FOLDER / path.name
+            aside.parent.mkdir(exist_ok=True)
+            path.replace(aside)
+            self.damaged.append(aside)
+            return None
+
+    def add(self, rows: Iterable[Row]) -> None:
+        """Keep rows; they are on disk at the latest EVERY_S later, if `tick` is called meanwhile."""
+        if not self._rows:
+            self._since = self._clock()
+        self._rows += rows
+        self.tick()
+
+    def tick(self) -> None:
+        """Write a part where it is time."""
+        if self._rows and (len(self._rows) >= EVERY_ROWS or self._clock() - self._since >= self._wait):
+            self.flush()
+            self._wait = min(EVERY_S, 2.0 * self._wait)
+
+    def flush(self) -> None:
+        """Write what is kept."""
+        import pyarrow as pa
+
+        if not self._rows:
+            return
+        table = pa.Table.from_pylist(self._rows, arrow_schema(RESULTS))
+        write_part(table, self.folder / RESULTS_FOLDER, "part", set(table["key"].to_pylist()))
+        self._rows = []
+
+    def replace_all(self, results: "pa.Table", superseded: "pa.Table") -> None:
+        """One file in place of all parts: the new ones are there before the old ones go."""
+        old = {p for n in (RESULTS_FOLDER, SUPERSEDED_FOLDER) for p in (self.folder / n).glob("*.parquet")}
+        for table, name in ((superseded, SUPERSEDED_FOLDER), (results, RESULTS_FOLDER)):
+            if table.num_rows:
+                old.discard(write_part(table, self.folder / name, "all", set(table["key"].to_pylist())))
+        for path in sorted(old):
+            path.unlink()
+
+
+def conformed(table: "pa.Table") -> "pa.Table":
+    """An older table with today's columns, the new ones empty; columns that nobody knows are an error of Arrow."""
+    import pyarrow as pa
+
+    schema = arrow_schema(RESULTS)
+    columns = [
+        table[field.name].cast(field.type) if field.name in table.column_names else pa.nulls(len(table), field.type)
+        for field in schema
+    ]
+    return pa.table(columns, schema=schema)
+
+
+def write_part(table: "pa.Table", folder: Path, stem: str, content: Iterable[str]) -> Path:
+    """Write `folder`/`stem`-<digest of content>.parquet in one step that outlasts a power cut; returns it."""
+    import pyarrow.parquet as pq
+
+    digest = hashlib.sha256("\n".join(sorted(content)).encode()).hexdigest()[:16]
+    path = folder / f"{stem}-{digest}.parquet"
+    partial = path.with_suffix(".tmp")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        pq.write_table(table, partial, compression="zstd")
+        for file in (partial, folder):
+            if file == folder:
+                partial.replace(path)
+            handle = os.open(file, os.O_RDONLY)
+            try:
+                os.fsync(handle)
+            finally:
+                os.close(handle)
+    except OSError as error:
+        raise CampaignError(f"{path}: cannot be written ({error.strerror or error}); make room there") from error
+    return path
+
+
+def rows_where(table: "pa.Table", column: str, values: Sequence[str]) -> "pa.Table":
+    """Rows whose text column is one of `values`."""
+    import pyarrow as pa
+    import pyarrow.compute as pc
+
+    return table.filter(pc.is_in(table[column], pa.array(values, pa.string())))

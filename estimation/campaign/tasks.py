@@ -1,0 +1,94 @@
+"""What is sent to a worker and what comes back: plain, picklable data."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+Row = dict[str, Any]
+"""One row of a result table, by the names of `estimation.campaign.schema`."""
+
+Maker = Callable[[Mapping[str, Any]], bytes]
+"""Flies a simulated flight from its description; gives the bytes of a CSV. Importable by name on every worker."""
+
+
+@dataclass(frozen=True)
+class Simulator:
+    """What flies the simulated flights of a plan; estimation itself knows no simulator.
+
+    describe: scenario and dotted changes -> a description, checked. fly: description -> bytes of a CSV. digest: of its code.
+    """
+
+    describe: Callable[[str, Mapping[str, Any]], Mapping[str, Any]]
+    fly: Maker
+    digest: str
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where the bytes of a flight come from: `path` (local), `url` (fsspec), or `made` by the maker from a description.
+
+    sha256: of the bytes, or of the description. data: the bytes themselves, for workers that do not see our files.
+    """
+
+    name: str
+    suffix: str
+    sha256: str
+    path: str = ""
+    url: str = ""
+    made: Mapping[str, Any] | None = None
+    maker: Maker | None = None
+    data: bytes | None = None
+
+    @property
+    def location(self) -> str:
+        """Path or URL as it is printed."""
+        return self.path or self.url or f"simulated:{self.name}"
+
+
+@dataclass(frozen=True)
+class Subject:
+    """One flight with all that decides how it is read: the model (a name, or TOML text), its aircraft's file and mass."""
+
+    source: Source
+    model: str
+    model_text: str = ""
+    aircraft: str = ""
+    aircraft_text: str = ""
+    mass: float | None = None
+    segments: str = ""
+
+
+@dataclass(frozen=True)
+class Work:
+    """Work on one flight, or on several together. pieces: what to do -> its key, by which it is known for good.
+
+    kind: `flight` (pieces are methods, and `check`), `joint` (pieces are methods) or `match` (pieces are methods; `values` has
+    the parameters that each predicts with). seeds: of each method's noise. quality: refuse data that fails its checks.
+    """
+
+    kind: str
+    name: str
+    pieces: Mapping[str, str]
+    subjects: Sequence[Subject]
+    versions: Mapping[str, str]
+    quality: bool = True
+    bootstrap: int = 0
+    seeds: Mapping[str, int] = field(default_factory=dict)
+    values: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    each_segment: bool = False
+    limit_s: float = 300.0
+    group: str = ""
+
+    @property
+    def identity(self) -> str:
+        """Of the whole: the first key stands for all."""
+        return next(iter(self.pieces.values()))
+
+
+@dataclass(frozen=True)
+class Finished:
+    """Work that came to an end: its rows, with status and sentence where it failed."""
+
+    work: Work
+    rows: list[Row]
+    attempts: int = 1

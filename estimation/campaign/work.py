@@ -1,0 +1,341 @@
+"""What a worker does with one piece of work: read, check, estimate, and give plain rows back.
+
+The same function runs in this process (`--serial`) and on an engine. Whatever is wrong with a flight becomes rows with a
+sentence, never the end of the campaign.
+"""
+
+import json
+import tempfile
+import time
+import tomllib
+from collections.abc import Iterator, Mapping
+from functools import cache, lru_cache
+from pathlib import Path
+from typing import Any
+
+from daq.contract.errors import UserError
+from estimation.aircraft import Aircraft, unknown_aircraft
+from estimation.aircraft.of_flight import aircraft_of
+from estimation.campaign.conditions import measured
+from estimation.campaign.errors import CampaignError
+from estimation.campaign.keys import versions
+from estimation.campaign.tasks import Row, Source, Subject, Work
+from estimation.estimators.estimator import Extra, Extras
+from estimation.estimators.registry import find
+from estimation.estimators.result import Estimate, Result, finite
+from estimation.models import Model, load_model
+from estimation.models.base import ParameterRole
+from groundstation.flight import Flight, read_flight
+
+CHECK = "check"
+FAILED, DOUBTFUL, OPEN, OK = "failed", "doubtful", "not converged", "ok"
+
+
+class OtherSoftwareError(UserError):
+    """A worker whose libraries are not those of the client: its numbers would be of another campaign."""
+
+
+def do(work: Work) -> list[Row]:
+    """All rows of a piece of work. OtherSoftwareError where this process is not fit for it; nothing else is raised."""
+    _refuse_other_software(work.versions)
+    _one_thread()
+    try:
+        return list(_KINDS[work.kind](work))
+    except UserError as error:
+        return failed(work, str(error))
+    except Exception as error:  # noqa: BLE001  the edge of a worker: one flight is never the end of a campaign
+        return failed(work, f"{work.name}: {type(error).__name__}: {error}; a mistake of the program or of own code")
+
+
+def failed(work: Work, why: str) -> list[Row]:
+    """A row for each piece that says why it has no result."""
+    return [_run_row(work, piece, FAILED, why) for piece in work.pieces]
+
+
+def _refuse_other_software(wanted: Mapping[str, str]) -> None:
+    for name, version in wanted.items():
+        if versions()[name] != version:
+            raise OtherSoftwareError(
+                f"a worker has {name} {versions()[name]}, this machine {version}: install the same on both"
+            )
+
+
+@cache
+def _one_thread() -> None:
+    """One thread of linear algebra a process: matrices of a fit are small, threads only wait for one another.
+
+    The environment says so before a worker of ours starts; a worker that others started is told here.
+    """
+    try:
+        from threadpoolctl import threadpool_limits
+    except ModuleNotFoundError:  # without the extra there is no engine either, and the command has set the environment
+        return
+    threadpool_limits(1)
+
+
+def _run_row(work: Work, piece: str, status: str, why: str, **more: Any) -> Row:
+    own = versions()
+    about: Row = {
+        "kind": "run",
+        "method": piece,
+        "key": work.pieces[piece],
+        "status": status,
+        "why": why,
+        "software": json.dumps({k: v for k, v in own.items() if k != "code"}),
+        "code": own["code"],
+    }
+    if work.kind == "joint":
+        return {**about, "group": work.group, **more}
+    source = work.subjects[0].source
+    return {**about, "flight": source.name, "source": source.location, "sha256": source.sha256, **more}
+
+
+# ------------------------------------------------------------------------------------------------ one flight
+
+
+def _flight(work: Work) -> Iterator[Row]:
+    subject = work.subjects[0]
+    whole = read_subject(subject)
+    craft = _aircraft(subject, whole, work)
+    parts = _parts(whole, work)
+    for number, part in enumerate(parts, start=1):
+        about: Row = {**measured(part), "aircraft": craft.name}
+        if len(parts) > 1:
+            about["manoeuvre"] = str(number)
+        bad = _bad_quality(part) if work.quality else ""
+        for piece in work.pieces:
+            if bad:
+                yield _run_row(work, piece, FAILED, bad, **about)
+            elif piece == CHECK:
+                yield from _checked(work, part, about)
+            else:
+                yield from _estimated(work, piece, part, craft, about)
+
+
+def _parts(flight: Flight, work: Work) -> list[Flight]:
+    from estimation.session.flights import separated
+
+    return separated(flight) if work.each_segment else [flight]
+
+
+def _bad_quality(flight: Flight) -> str:
+    """What of the data is not usable at all, empty where nothing is."""
+    from groundstation.flight.quality import quality_report
+
+    words = [f"{f.check}: {f.text}" for f in quality_report(flight) if f.verdict == "fail"]
+    return f"{flight.name}: {'; '.join(words)}" if words else ""
+
+
+def _checked(work: Work, flight: Flight, about: Row) -> Iterator[Row]:
+    """Instrument factors by flight-path reconstruction."""
+    from estimation.compatibility.reconstruction import compatibility
+
+    begin = time.thread_time()
+    try:
+        found = compatibility(flight)
+    except UserError as error:
+        yield _run_row(work, CHECK, FAILED, str(error), **about)
+        return
+    status = OK if found.converged else OPEN
+    yield _run_row(
+        work,
+        CHECK,
+        status,
+        "" if found.converged else found.text,
+        iterations=found.iterations,
+        cpu=time.thread_time() - begin,
+        **about,
+    )
+    for place, (name, factor) in enumerate(found.factors.items()):
+        numbers = {n: finite(getattr(factor, n)) for n in ("estimate", "std", "std_coloured")}
+        row = _run_row(work, CHECK, status, factor.why, **about)
+        yield {
+            **row,
+            **numbers,
+            "kind": "check",
+            "parameter": name,
+            "identifiable": factor.identifiable,
+            "place": place,
+        }
+
+
+def _estimated(work: Work, method: str, flight: Flight, craft: Aircraft, about: Row) -> Iterator[Row]:
+    from estimation.session import runner
+    from estimation.session.sanity_checks import DoubtKind
+
+    begin = time.thread_time()
+    try:
+        model = model_of(work.subjects[0], craft)
+        about = {**about, "model": model.name}
+        session = runner.estimate(model, [flight], craft, [method], extras=_extras(work, method))
+    except UserError as error:
+        yield _run_row(work, method, FAILED, str(error), **about)
+        return
+    result, doubts = session.flights[0].results[find(method).name], session.flights[0].doubts
+    grave = [d.text for d in doubts if d.kind is not DoubtKind.UNEXPLAINED]
+    status = OPEN if not result.converged else DOUBTFUL if grave else OK
+    why = result.text if not result.converged else "; ".join(grave or [d.text for d in doubts])
+    yield from _result_rows(work, method, result, status, why, "estimate", time.thread_time() - begin, about)
+
+
+def _extras(work: Work, method: str) -> Extras:
+    able = find(method).supports
+    return Extras(
+        bootstrap=work.bootstrap if Extra.BOOTSTRAP in able else 0, seed=work.seeds[method] if Extra.SEED in able else 0
+    )
+
+
+def _result_rows(
+    work: Work, method: str, result: Result, status: str, why: str, kind: str, cpu: float, about: Row
+) -> Iterator[Row]:
+    """The run, its parameters, and the fit of each channel."""
+    cost = finite(result.cost)
+    yield _run_row(work, method, status, why, iterations=result.iterations, cost=cost, cpu=cpu, **about)
+    for name, e in result.parameters.items():
+        row = _run_row(work, method, status, e.why or why, **about)
+        yield {
+            **row,
+            "kind": kind,
+            "parameter": name,
+            **_numbers(e),
+            **_spread(result, name),
+            **_covariance(result, name),
+        }
+    if len(result.flights) > 1:
+        return
+    for output, fit in result.flights[0].fit.items():
+        row = _run_row(work, method, status, why, **about)
+        numbers = {n: finite(getattr(fit, n)) for n in ("r2", "theil", "rms", "whiteness")}
+        yield {**row, "kind": "fit", "parameter": output, **numbers}
+
+
+def _numbers(e: Estimate) -> Row:
+    return {
+        "estimate": finite(e.estimate),
+        "std": finite(e.std),
+        "std_coloured": finite(e.std_coloured),
+        "identifiable": e.identifiable,
+        "reference": e.reference,
+    }
+
+
+def _spread(result: Result, name: str) -> Row:
+    if result.bootstrap is None or name not in result.bootstrap.parameters:
+        return {}
+    s = result.bootstrap.parameters[name]
+    return {"bootstrap_std": s.std, "bootstrap_low": s.interval[0], "bootstrap_high": s.interval[1]}
+
+
+def _covariance(result: Result, name: str) -> Row:
+    if name not in result.names:
+        return {}
+    place = result.names.index(name)
+    return {"place": place, "covariance": [finite(v) for v in result.covariance_coloured[place].tolist()]}
+
+
+# ------------------------------------------------------------------------------------------ several flights
+
+
+def _joint(work: Work) -> Iterator[Row]:
+    from estimation.session.flights import unique_names
+    from estimation.session.runner import joint_model, run_method
+
+    flights = unique_names([part for s in work.subjects for part in _parts(read_subject(s), work)])
+    craft = _aircraft(work.subjects[0], flights[0], work)
+    model = joint_model(model_of(work.subjects[0], craft))
+    for method in work.pieces:
+        begin = time.thread_time()
+        about: Row = {"aircraft": craft.name, "model": model.name}
+        try:
+            result = run_method(method, model, flights, craft, extras=_extras(work, method))
+        except UserError as error:
+            yield _run_row(work, method, FAILED, str(error), **about)
+            continue
+        status = OK if result.converged else OPEN
+        why = "" if result.converged else result.text
+        yield from _result_rows(work, method, result, status, why, "joint", time.thread_time() - begin, about)
+
+
+def _match(work: Work) -> Iterator[Row]:
+    """The flight predicted with what the others of its group say; trim and initial states are its own."""
+    from estimation.session.proof_of_match import predict
+
+    flight = read_subject(work.subjects[0])
+    craft = _aircraft(work.subjects[0], flight, work)
+    own = model_of(work.subjects[0], craft)
+    for piece, values in work.values.items():
+        model = own.with_starts(values)
+        proof = predict(model, flight, free=model.free_of(ParameterRole.CONSTANT))
+        status = OK if proof.converged else OPEN
+        about: Row = {**measured(flight), "aircraft": craft.name, "model": model.name, "group": work.group}
+        yield _run_row(work, piece, status, "" if proof.converged else proof.text, **about)
+        for output, fit in proof.fit.items():
+            numbers = {n: finite(getattr(fit, n)) for n in ("r2", "theil", "rms", "whiteness")}
+            row = _run_row(work, piece, status, "", **about)
+            yield {**row, "kind": "match", "parameter": output, **numbers}
+
+
+_KINDS = {"flight": _flight, "joint": _joint, "match": _match}
+
+
+# -------------------------------------------------------------------------------------- what a subject says
+
+
+def read_subject(subject: Subject) -> Flight:
+    """The flight, from wherever its bytes are. CampaignError where they are no longer those that were planned."""
+    from estimation.session.flights import select_segments
+
+    source = subject.source
+    if source.path and source.data is None:
+        flight = read_flight(source.path)
+        if flight.provenance.sha256 != source.sha256:
+            raise CampaignError(f"{source.path}: changed while the campaign ran; run it again")
+    else:
+        flight = _from_bytes(source)
+    return select_segments(flight, subject.segments or None)
+
+
+def _from_bytes(source: Source) -> Flight:
+    with tempfile.TemporaryDirectory(prefix="sideslip-") as folder:
+        path = Path(folder) / f"{source.name}{source.suffix}"
+        path.write_bytes(bytes_of(source))
+        return read_flight(path)
+
+
+def bytes_of(source: Source) -> bytes:
+    """Sent along, flown by the maker, or fetched from the URL."""
+    if source.data is not None:
+        return source.data
+    if source.made is not None and source.maker is not None:
+        return source.maker(source.made)
+    from estimation.campaign.sources import fetched
+
+    return fetched(source.url)
+
+
+def _aircraft(subject: Subject, flight: Flight, work: Work) -> Aircraft:
+    from estimation.models.load import asks_for_aircraft
+
+    if subject.aircraft_text:
+        craft = _aircraft_from(subject.aircraft_text, subject.aircraft)
+    elif subject.model_text and not any(find(m).needs_aircraft for m in work.pieces if m != CHECK):
+        craft = unknown_aircraft(flight.provenance.aircraft or "not stated")
+    elif asks_for_aircraft(subject.model) or flight.provenance.aircraft:
+        craft = aircraft_of([flight])
+    else:
+        craft = unknown_aircraft("not stated")
+    return craft if subject.mass is None else craft.with_values(mass=subject.mass)
+
+
+@lru_cache(maxsize=32)
+def _aircraft_from(text: str, name: str) -> Aircraft:
+    from estimation.aircraft.schema import aircraft_from_text
+
+    return aircraft_from_text(text, f"aircraft {name}", name)
+
+
+def model_of(subject: Subject, craft: Aircraft) -> Model:
+    """The model by its text, or the built-in one with the aircraft's constants."""
+    if subject.model_text:
+        return Model.from_dict(tomllib.loads(subject.model_text))
+    return load_model(subject.model, craft)

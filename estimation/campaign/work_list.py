@@ -1,0 +1,227 @@
+"""From a plan to pieces of work: every flight with its keys, flights that are one and the same, and what is left to do."""
+
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from estimation.aircraft import built_in_aircraft, load_aircraft
+from estimation.campaign.errors import CampaignError
+from estimation.campaign.keys import key_of, seed_of, versions
+from estimation.campaign.plan import Plan
+from estimation.campaign.schema import VERSION
+from estimation.campaign.sources import Entry
+from estimation.campaign.tasks import Subject, Work
+from estimation.campaign.work import CHECK
+from estimation.estimators.estimator import Extra
+from estimation.estimators.registry import find
+
+
+@dataclass(frozen=True)
+class Planned:
+    """One flight to be worked on: what the plan says of it, and the work that makes its results."""
+
+    entry: Entry
+    work: Work
+
+
+@dataclass(frozen=True)
+class WorkList:
+    """Flights with their work; entries whose bytes cannot be had; (entry, flight that is the same) twice."""
+
+    planned: Sequence[Planned]
+    unreadable: Sequence[Entry]
+    duplicates: Sequence[tuple[Entry, Entry]]
+
+    @property
+    def by_key(self) -> Mapping[str, Planned]:
+        """The flight whose work each key is of."""
+        return {key: p for p in self.planned for key in p.work.pieces.values()}
+
+
+def work_list(plan: Plan, entries: Iterable[Entry], folder: Path) -> WorkList:
+    """Keys for all flights. Raises UserError, before any work, for a model, method or aircraft that cannot be used."""
+    subjects = _Subjects(plan, folder)
+    planned: list[Planned] = []
+    unreadable: list[Entry] = []
+    twice: list[tuple[Entry, Entry]] = []
+    first: dict[str, Entry] = {}
+    for entry in entries:
+        if entry.source is None:
+            unreadable.append(entry)
+            continue
+        work = _flight_work(plan, subjects.of(entry))
+        if work.identity in first:
+            twice.append((entry, first[work.identity]))
+            continue
+        first[work.identity] = entry
+        planned.append(Planned(entry, work))
+    return WorkList(planned, unreadable, twice)
+
+
+class _Subjects:
+    """Subjects of a plan; model and aircraft files are read once."""
+
+    def __init__(self, plan: Plan, folder: Path) -> None:
+        self._plan, self._folder = plan, folder
+        self._aircraft: dict[str, str] = {}
+        for method in plan.methods:
+            find(method)
+        self._text = self._model_text()
+
+    def of(self, entry: Entry) -> Subject:
+        """The flight with its model and aircraft."""
+        if entry.source is None:
+            raise ValueError(f"{entry.location} has no source")
+        c = entry.conditions
+        name = c.aircraft or self._plan.aircraft
+        text = self._aircraft_text(name) if name else ""
+        return Subject(entry.source, self._plan.model, self._text, Path(name).stem, text, c.mass, c.segments)
+
+    def _aircraft_text(self, name: str) -> str:
+        if name not in self._aircraft:
+            where = name if name in built_in_aircraft() else str(self._folder / name)
+            self._aircraft[name] = load_aircraft(where).text
+        return self._aircraft[name]
+
+    def _model_text(self) -> str:
+        """TOML of a model of one's own; empty for a built-in one, which takes each flight's aircraft."""
+        from estimation.models import load_model
+        from estimation.models.library import BUILDERS
+        from estimation.models.load import asks_for_aircraft, model_text
+
+        which = self._plan.model
+        if which in BUILDERS:
+            return ""
+        if which.endswith(".toml"):
+            return model_text(load_model(self._folder / which))
+        craft = self._plan.aircraft
+        if asks_for_aircraft(which) and not craft:
+            raise CampaignError(f"model {which} takes constants of an aircraft: say of which with --aircraft")
+        if not craft:
+            return model_text(load_model(which))
+        where = craft if craft in built_in_aircraft() else str(self._folder / craft)
+        return model_text(load_model(which, load_aircraft(where)))
+
+
+def _flight_work(plan: Plan, subject: Subject) -> Work:
+    quality = plan.check != "none"
+    data = [VERSION, subject.source.sha256, subject.segments, plan.each_segment, quality, dict(versions())]
+    pieces, seeds = {}, {}
+    for method in dict.fromkeys(plan.methods):
+        able = find(method).supports
+        replicates = plan.bootstrap if Extra.BOOTSTRAP in able else 0
+        seeds[method] = seed_of(plan.seed, subject.source.sha256, method) if Extra.SEED in able else 0
+        pieces[method] = key_of("flight", data, _model_of(subject), method, replicates, seeds[method])
+    if plan.check == "full":
+        pieces[CHECK] = key_of("check", data)
+    return Work(
+        "flight",
+        subject.source.name,
+        pieces,
+        (subject,),
+        versions(),
+        quality,
+        plan.bootstrap,
+        seeds,
+        each_segment=plan.each_segment,
+        limit_s=plan.time_limit,
+    )
+
+
+def _model_of(subject: Subject) -> list[str | float | None]:
+    return [subject.model_text or subject.model, subject.aircraft_text, subject.mass]
+
+
+def left_to_do(works: Iterable[Work], done: set[str]) -> Iterator[Work]:
+    """Work reduced to the pieces whose keys are not there."""
+    for work in works:
+        pieces = {piece: key for piece, key in work.pieces.items() if key not in done}
+        if pieces:
+            yield replace(work, pieces=pieces)
+
+
+# ------------------------------------------------------------------------------------------------ groups
+
+
+@dataclass(frozen=True)
+class Member:
+    """One flight of a group with the estimates that others are predicted by: method -> parameter -> (value, variance)."""
+
+    planned: Planned
+    estimates: Mapping[str, Mapping[str, tuple[float, float]]]
+
+
+def joint_work(plan: Plan, label: str, members: Sequence[Member]) -> Work | None:
+    """All flights of a group in one fit by each method that found something in at least two of them."""
+    pieces, seeds = {}, {}
+    for method in plan.methods:
+        used = sorted(m.planned.work.pieces[method] for m in members if method in m.estimates)
+        if len(used) > 1:
+            pieces[method] = key_of("joint", used)
+            seeds[method] = seed_of(plan.seed, "joint", used)
+    if not pieces:
+        return None
+    chosen = sorted(
+        (m for m in members if all(p in m.estimates for p in pieces)), key=lambda m: m.planned.work.identity
+    )
+    subjects = tuple(m.planned.work.subjects[0] for m in chosen)
+    limit = plan.time_limit * len(subjects)  # as long as its flights one by one
+    return Work(
+        "joint",
+        f"joint fit of {label}",
+        pieces,
+        subjects,
+        versions(),
+        False,
+        plan.bootstrap,
+        seeds,
+        {},
+        plan.each_segment,
+        limit,
+        label,
+    )
+
+
+def match_works(plan: Plan, label: str, members: Sequence[Member]) -> Iterator[Work]:
+    """Each flight predicted by the weighted mean of the others."""
+    ordered = sorted(members, key=lambda m: m.planned.work.identity)  # sums do not depend on the order of the plan
+    sums = {method: _Sums(m.estimates[method] for m in ordered if method in m.estimates) for method in plan.methods}
+    for member in ordered:
+        values = {
+            method: sums[method].without(own) for method, own in member.estimates.items() if sums[method].flights > 1
+        }
+        if values:
+            pieces = {m: key_of("match", member.planned.work.pieces[m], v) for m, v in values.items()}
+            yield Work(
+                "match",
+                member.planned.entry.name,
+                pieces,
+                member.planned.work.subjects,
+                versions(),
+                values=values,
+                limit_s=plan.time_limit,
+                group=label,
+            )
+
+
+class _Sums:
+    """Weighted sums of each parameter over flights, from which one flight can be taken out again."""
+
+    def __init__(self, tables: Iterable[Mapping[str, tuple[float, float]]]) -> None:
+        self.flights = 0
+        self._sums: dict[str, tuple[float, float, int]] = {}
+        for table in tables:
+            self.flights += 1
+            for name, (value, variance) in table.items():
+                top, weight, count = self._sums.get(name, (0.0, 0.0, 0))
+                self._sums[name] = (top + value / variance, weight + 1.0 / variance, count + 1)
+
+    def without(self, own: Mapping[str, tuple[float, float]]) -> dict[str, float]:
+        """Means over the other flights; parameters that no other flight tells are left out."""
+        means = {}
+        for name, (top, weight, count) in self._sums.items():
+            value, variance = own.get(name, (0.0, math.inf))
+            if count > (name in own):
+                means[name] = (top - value / variance) / (weight - 1.0 / variance)
+        return means

@@ -1,0 +1,167 @@
+"""The verb `campaign`: many flights on one machine or many, resumable, into tables that people can query."""
+
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from daq.contract.outputs import tried_file, tried_folder, write_json
+
+if TYPE_CHECKING:
+    from estimation.campaign.plan import Plan
+    from estimation.campaign.run import Engine, Outcome
+
+SHOWN = 20  # sentences on failed flights, and on groups, that are printed; the tables hold all
+
+
+def _names(_context: object, _parameter: object, text: str | None) -> tuple[str, ...] | None:
+    return None if text is None else tuple(dict.fromkeys(n.strip() for n in text.split(",") if n.strip()))
+
+
+@click.command(
+    epilog="Example: sideslip campaign 'flights/*.mcap' --aircraft cdfp --method ml,ls --out campaign --workers 2"
+)
+@click.argument("flights", nargs=-1, required=True, metavar="PLAN.toml|FLIGHT...")
+@click.option(
+    "--out", type=click.Path(path_type=Path), required=True, callback=tried_folder, help="Folder of the data set."
+)
+@click.option("--workers", type=click.IntRange(min=1), help="Processes on this machine  [default: one a processor].")
+@click.option(
+    "--scheduler", default="", metavar="ADDRESS", help="A dask scheduler that runs already, like tcp://host:8786."
+)
+@click.option("--serial", is_flag=True, help="In this process, without the engine.")
+@click.option("--method", "methods", callback=_names, help="Comma-separated, as of estimate  [default: ml].")
+@click.option("--model", help="As of estimate  [default: lateral].")
+@click.option(
+    "--aircraft", help="Built-in aircraft or an AIRCRAFT.toml  [default: the one each flight carries or names]."
+)
+@click.option(
+    "--group", "groups", callback=_names, help="Of aircraft,configuration,day,manoeuvre  [default: the first two]."
+)
+@click.option(
+    "--check", type=click.Choice(["none", "quality", "full"]), help="Data checks; full also reconstructs the motion."
+)
+@click.option("--joint", is_flag=True, default=None, help="Also one estimate over all flights of each group.")
+@click.option("--match", is_flag=True, default=None, help="Also predict each flight with the others of its group.")
+@click.option("--bootstrap", type=click.IntRange(min=0), help="Replicates a flight.")
+@click.option("--each-segment", is_flag=True, default=None, help="Each segment of a flight is a manoeuvre of its own.")
+@click.option("--seed", type=click.IntRange(min=0), help="Of every random draw  [default: 0].")
+@click.option("--time-limit", type=float, help="Seconds that one piece of work may take  [default: 300].")
+@click.option("--retry", type=click.Choice(["failed"]), help="Try again what failed before.")
+@click.option("--dashboard", is_flag=True, help="Print the address of the engine's dashboard (needs bokeh).")
+@click.option("--no-report", is_flag=True, help="Tables only, no page.")
+@click.option(
+    "--json",
+    "json_path",
+    type=click.Path(path_type=Path),
+    callback=tried_file,
+    help="Write counts and failures as JSON.",
+)
+def campaign(
+    flights: tuple[str, ...],
+    out: Path,
+    workers: int | None,
+    scheduler: str,
+    serial: bool,
+    retry: str | None,
+    dashboard: bool,
+    no_report: bool,
+    json_path: Path | None,
+    **options: Any,
+) -> int:
+    """Estimate many flights (files, patterns, folders, URLs; or a PLAN.toml); what lies in --out already is not done again."""
+    import os
+
+    for library in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+        os.environ.setdefault(library, "1")  # matrices of a fit are small: threads only wait for one another
+    from estimation.campaign.run import Campaign
+    from estimation.campaign.sources import entries_of
+    from estimation.campaign.store import Store
+    from estimation.campaign.work_list import work_list
+    from estimation.commands.progress import Progress
+    from sideslip.simulated import simulator
+
+    begin = time.monotonic()
+    plan, folder = _plan(flights, {k: v for k, v in options.items() if v is not None})
+    with Store(out, time.monotonic) as store:
+        work = work_list(plan, entries_of(plan, folder, simulator(), send=bool(scheduler)), folder)
+
+        def engine(pieces: int) -> "Engine":
+            return _engine(pieces, workers, scheduler, serial, dashboard)
+
+        with Progress("campaign") as progress:
+            outcome = Campaign(plan, work, store, engine, progress).run(retry_failed=retry is not None)
+    page = None if no_report else _page(outcome, plan, out / "report")
+    wall_s = time.monotonic() - begin
+    if json_path is not None:
+        write_json(outcome.to_json(wall_s), json_path)
+    _say(outcome, out, page, wall_s)
+    return 1 if outcome.failed else 0
+
+
+def _plan(flights: tuple[str, ...], options: dict[str, Any]) -> "tuple[Plan, Path]":
+    """The plan, and the folder its paths begin at. Options go before what a file says."""
+    from estimation.campaign.plan import plan_from, read_plan
+
+    if len(flights) == 1 and flights[0].endswith(".toml"):
+        path = Path(flights[0])
+        data = read_plan(path).model_dump(exclude_unset=True)
+        here = Path.cwd()
+        for key in (
+            "model",
+            "aircraft",
+        ):  # a file named on the command line is where the person is, not beside the plan
+            if str(options.get(key, "")).endswith(".toml"):
+                options[key] = str(here / options[key])
+        return plan_from({**data, **options}, str(path)), path.parent
+    return plan_from({"flights": flights, **options}, "of the command line"), Path()
+
+
+def _engine(pieces: int, workers: int | None, scheduler: str, serial: bool, dashboard: bool) -> "Engine":
+    import os
+
+    if serial:
+        from estimation.campaign.serial import SerialEngine
+
+        return SerialEngine()
+    from estimation.campaign.cluster import Cluster
+
+    cluster = Cluster(min(pieces, workers or os.cpu_count() or 1), scheduler, dashboard=dashboard)
+    if cluster.dashboard:
+        click.echo(f"dashboard: {cluster.dashboard}", err=True)
+    return cluster
+
+
+def _page(outcome: "Outcome", plan: "Plan", folder: Path) -> Path:
+    """The page; drawn anew only where something is new."""
+    page = folder / "index.html"
+    if outcome.unchanged and page.is_file():
+        return page
+    from estimation.campaign.page import write_campaign_page
+
+    return write_campaign_page(outcome, plan, folder)
+
+
+def _say(outcome: "Outcome", out: Path, page: Path | None, wall_s: float) -> None:
+    click.echo(
+        f"{outcome.flights} flights: {outcome.done} estimated, {len(outcome.failed)} not"
+        f" ({outcome.skipped} were done before, {outcome.fitted} pieces of work now, {wall_s:.1f} s)"
+    )
+    for flight, why in list(outcome.failed.items())[:SHOWN]:
+        click.echo(f"  failed: {flight}: {why}")
+    for flight, same in outcome.duplicates[:SHOWN]:
+        click.echo(f"  left out: {flight}: the same bytes as {same}")
+    for path in outcome.damaged:
+        click.echo(f"  set aside: {path}: cannot be read; its flights were done again")
+    for row in [r for r in outcome.groups if _worth_saying(r)][:SHOWN]:
+        click.echo(f"  {row['text']}")
+    click.echo(f"results: {out / 'results'}, groups: {out / 'groups'}, manifest: {out / 'manifest.json'}")
+    if page is not None:
+        click.echo(f"report: {page}")
+
+
+def _worth_saying(row: dict[str, Any]) -> bool:
+    from estimation.campaign.pooling import LEVEL
+
+    return row["kind"] in ("outlier", "step") or (row["kind"] == "difference" and row["probability"] <= LEVEL)

@@ -1,0 +1,42 @@
+"""Simulated flights for campaigns: the simulator behind the names that a plan's [[simulate]] uses."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from estimation.campaign.keys import digest_of_files
+from estimation.campaign.tasks import Simulator
+
+
+def described(scenario: str, changes: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The whole scenario as plain data, with dotted keys changed. ScenarioError for an unknown name or key."""
+    from firmware_sim.world.scenario import load_scenario
+
+    tables: dict[str, Any] = {}
+    for key, value in changes.items():
+        table, dot, name = key.partition(".")
+        if dot:
+            tables.setdefault(table, {})[name] = value
+        else:
+            tables[key] = value
+    return load_scenario(scenario).altered(**tables).model_dump(mode="json")
+
+
+def flown(description: Mapping[str, Any]) -> bytes:
+    """The flight of a description as CSV, by the direct sensor model: no bus, no chips."""
+    import tempfile
+    from pathlib import Path
+
+    from firmware_sim.runs.direct import direct_flights, write_csv
+    from firmware_sim.world.scenario import scenario_from
+
+    scenario = scenario_from(dict(description["scenario"]), "campaign")
+    columns = direct_flights([scenario], [int(description["seed"])])[0]
+    with tempfile.TemporaryDirectory(prefix="sideslip-") as folder:
+        path = Path(folder) / "flight.csv"
+        write_csv(path, columns)
+        return path.read_bytes()
+
+
+def simulator() -> Simulator:
+    """What `estimation.campaign` takes."""
+    return Simulator(described, flown, digest_of_files(("firmware_sim", "estimation/aircraft")))

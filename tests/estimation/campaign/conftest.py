@@ -1,0 +1,35 @@
+"""Campaigns over a few small flights in this process."""
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from estimation.campaign.plan import plan_from
+from estimation.campaign.run import Campaign, Outcome
+from estimation.campaign.serial import SerialEngine
+from estimation.campaign.sources import entries_of
+from estimation.campaign.store import Store
+from estimation.campaign.work_list import work_list
+
+
+@pytest.fixture
+def campaign(tmp_path: Path) -> Callable[..., Outcome]:
+    """Run a plan in this process, into tmp_path/out unless told otherwise."""
+
+    def run(plan: dict[str, Any], out: Path = tmp_path / "out", *, retry_failed: bool = False) -> Outcome:
+        checked = plan_from({"aircraft": "cdfp", "methods": ["ls"], **plan}, "test")
+        with Store(out, time.monotonic) as store:
+            work = work_list(checked, entries_of(checked, Path()), Path())
+            engine = SerialEngine()
+            return Campaign(checked, work, store, lambda _: engine, lambda *told: None).run(retry_failed=retry_failed)
+
+    return run
+
+
+@pytest.fixture
+def flights(root: Path) -> list[str]:
+    """Paths of four sound flights."""
+    return [str(root / "recordings" / "foreign" / f"ordinary_{i}.csv") for i in range(4)]

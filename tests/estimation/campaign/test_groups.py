@@ -1,0 +1,89 @@
+"""What was planted in a table of estimates is told, and nothing else is."""
+
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from estimation.campaign.groups import group_rows
+from estimation.campaign.schema import RESULTS, arrow_schema
+
+PARAMETERS = {"Cl_p": (-0.5, 0.01), "Cn_dr": (-0.045, 0.0008), "Cn_beta": (0.02, 0.0005)}
+
+
+def results(seed: int, change: Any = None, flights: int = 40) -> pa.Table:
+    """Two configurations flown in turn, a flight a day; `change(i, name, value)` plants something."""
+    rng = np.random.default_rng(seed)
+    rows = []
+    for i in range(flights):
+        for name, (true, std) in PARAMETERS.items():
+            bound = std * rng.uniform(0.8, 1.3)
+            value = true + float(rng.standard_normal()) * bound
+            rows.append(
+                {
+                    "kind": "estimate",
+                    "flight": f"f{i:03d}",
+                    "key": f"k{i:03d}",
+                    "method": "ml",
+                    "parameter": name,
+                    "estimate": change(i, name, value) if change else value,
+                    "std_coloured": bound,
+                    "identifiable": True,
+                    "status": "ok",
+                    "aircraft": "cdfp",
+                    "configuration": "new" if i % 2 else "old",
+                    "date": f"2026-{3 + i // 28:02d}-{1 + i % 28:02d}",
+                }
+            )
+    return pa.Table.from_pylist(rows, arrow_schema(RESULTS))
+
+
+def told(table: pa.Table, keys: tuple[str, ...]) -> list[dict[str, Any]]:
+    """Rows that claim something."""
+    rows = group_rows(table, keys)
+    return [
+        r for r in rows if r["kind"] in ("outlier", "step") or (r["kind"] == "difference" and r["probability"] < 0.05)
+    ]
+
+
+def test_a_change_of_five_percent_in_one_derivative_is_found_with_its_power() -> None:
+    table = results(1, lambda i, name, value: value * 1.05 if name == "Cn_dr" and i % 2 else value)
+    claims = told(table, ("aircraft", "configuration"))
+    assert [(r["kind"], r["parameter"]) for r in claims] == [("difference", "Cn_dr")]
+    row = claims[0]
+    assert abs(abs(row["estimate"]) - 0.05 * 0.045) < 3 * row["std"]
+    assert row["power"] > 0.99
+    assert "they differ" in row["text"]
+    quiet = [r for r in group_rows(table, ("configuration",)) if r["kind"] == "difference" and r["parameter"] == "Cl_p"]
+    assert "no difference found; a change of 5% would be found with probability" in quiet[0]["text"]
+
+
+def test_a_step_half_way_is_found_with_its_date_and_makes_no_outliers() -> None:
+    table = results(2, lambda i, name, value: value + 0.003 if name == "Cn_beta" and i >= 22 else value)
+    claims = told(table, ("aircraft",))
+    assert [(r["kind"], r["parameter"]) for r in claims] == [("step", "Cn_beta")]
+    assert abs(claims[0]["estimate"] - 0.003) < 4 * claims[0]["std"]
+    assert claims[0]["at"] == "2026-03-23"
+
+
+def test_three_bad_flights_are_outliers_and_left_out() -> None:
+    bad = {7, 20, 33}
+    table = results(3, lambda i, name, value: value + 0.02 * (1 + i % 3) if name == "Cn_dr" and i in bad else value)
+    rows = group_rows(table, ("aircraft",))
+    outliers = [r["flight"] for r in rows if r["kind"] == "outlier" and r["parameter"] == "Cn_dr"]
+    assert outliers == ["f007", "f020", "f033"]
+    pooled = next(r for r in rows if r["kind"] == "pooled" and r["parameter"] == "Cn_dr")
+    assert pooled["flights"] == 37
+    assert abs(pooled["estimate"] + 0.045) < 3 * pooled["std"]
+
+
+def test_where_nothing_was_planted_hardly_anything_is_claimed() -> None:
+    """Each of 20 campaigns tests differences and steps at 5 % each, and outliers of 3 parameters and 2 groups at 5 %."""
+    claims = [len(told(results(100 + k), ("configuration",))) for k in range(20)]
+    assert sum(claims) < 20 * 0.4 * 1.5
+
+
+def test_the_order_of_rows_changes_no_bit() -> None:
+    table = results(4)
+    shuffled = table.take(np.random.default_rng(0).permutation(table.num_rows))
+    assert group_rows(table, ("configuration",)) == group_rows(shuffled, ("configuration",))
