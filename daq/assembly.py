@@ -161,6 +161,7 @@ def assemble(
             recordings=config.recorder.directories,
             boot=boot,
             turn_ns=min(TURN_NS, round(_UPLINK_SHARE * config.scan.together * config.scan.period_ns)),
+            facts=sampler.metadata,
         )
         link.report_on(logger)
         logger.connect(link, link.uplink)

@@ -20,6 +20,7 @@ from daq.contract.recordings.messages import Event, Health, LogLevel, LogLine, M
 from daq.contract.recordings.recording import Entry, RecordingInfo, message_entry, scan_entry
 from daq.contract.scan import SCAN_TOPIC, Scan
 from daq.recorder.config import RecorderConfig
+from daq.recorder.log_time import SessionTime
 from daq.recorder.segment import Segment, Syncer
 from daq.recorder.segment_files import SegmentFiles
 from daq.recorder.slot_counts import Books
@@ -63,6 +64,7 @@ class Recorder:
         self._books = Books()
         self._pending: deque[Entry] = deque()  # encoded, in order, not yet in a file
         self._returned: deque[Entry] = deque()  # were in a file that failed after it was closed
+        self._time = SessionTime(clock)
         self._details: dict[str, str] = {}
         self._new_details: dict[str, str] = {}
         self._abandoned: list[int] = []
@@ -278,6 +280,12 @@ class Recorder:
         self._write_details(segment)
         while self._pending:
             entry = self._pending[0]
+            self._time.see(entry)
+            if segment.started_ns is None:
+                segment.writer.log_time = self._time.best
+            elif self._time.contradicts(segment.writer.log_time):
+                self._close_segment(final=False)
+                return
             if segment.started_ns is not None and entry.log_time_ns - segment.started_ns >= self._config.segment_s * NS:
                 self._close_segment(final=False)
                 return
@@ -337,6 +345,7 @@ class Recorder:
         self._segment = self._files.open(self._details)
         if self._segment is None:
             return False
+        self._segment.writer.log_time = self._time.best
         if (
             not self._syncer.busy
         ):  # after another file that one comes first: its last scans count for more than this head

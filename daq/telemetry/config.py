@@ -17,6 +17,12 @@ MIN_RATE_HZ = 2.0
 """The downlink never sends fewer scans than this while it is on, whatever the radio reports."""
 
 
+Count = Annotated[float, Field(ge=-(2.0**31), le=2.0**32, allow_inf_nan=False)]
+"""What a raw channel can hold."""
+Slope = Annotated[float, Field(ge=-1e4, le=1e4, allow_inf_nan=False)]
+"""Times a count it still fits the messages' numbers."""
+
+
 class LinkLimits(BaseModel):
     """`[downlink.limits]`: what the ground may ask at most. Beyond it, requests are refused, counted and told."""
 
@@ -27,6 +33,25 @@ class LinkLimits(BaseModel):
     recordings: Annotated[int, Field(ge=0, le=10_000)] = 100  # begun by command, until the logger is started again
     marks_per_s: Annotated[float, Field(gt=0, le=100)] = 1.0  # events marked by command, in the long run
     marks_at_once: Annotated[int, Field(ge=1, le=100)] = 5
+
+
+class DisplayConfig(BaseModel):
+    """`[downlink.display]`: what standard ground stations show of the air data, from raw counts, for the eye only.
+
+    Nominal numbers of data sheet and installation drawing; a value whose numbers are left out is not sent. None of them has
+    any part in what is recorded, calibrated or estimated.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    pitot_zero_count: Count | None = None  # count at no airspeed; zeroing the pitot by command replaces it
+    pitot_pa_per_count: Slope | None = None
+    alpha_zero_count: Count | None = None  # count of the vane at no angle
+    alpha_rad_per_count: Slope | None = None  # + nose up
+    beta_zero_count: Count | None = None
+    beta_rad_per_count: Slope | None = None  # + wind from the right
+    # Supply of the vanes for which their numbers hold; None: they do not depend on it.
+    sensor_supply_count: Annotated[Count, Field(gt=0)] | None = None
 
 
 class DownlinkConfig(BaseModel):
@@ -45,10 +70,15 @@ class DownlinkConfig(BaseModel):
     component_id: Annotated[int, Field(ge=1, le=250)] = 1  # 1: ground stations show only an autopilot as an aircraft
     slow_rate_hz: Annotated[float, Field(gt=0, le=20)] = 1.0
     gnss_rate_hz: Annotated[float, Field(gt=0, le=20)] = 1.0
-    attitude_rate_hz: Annotated[float, Field(gt=0, le=20)] = 1.0
-    sys_status_rate_hz: Annotated[float, Field(gt=0, le=20)] = 0.5
+    # For standard ground stations only: in all some 120 bytes/s signed, within what the default budget leaves (docs/link.md).
+    attitude_rate_hz: Annotated[float, Field(gt=0, le=20)] = 0.4
+    display_rate_hz: Annotated[float, Field(gt=0, le=20)] = 0.4  # VFR_HUD, AOA_SSA, GLOBAL_POSITION_INT
+    gps_raw_rate_hz: Annotated[float, Field(gt=0, le=20)] = 0.2
+    sys_status_rate_hz: Annotated[float, Field(gt=0, le=20)] = 0.2
+    extra_rate_hz: Annotated[float, Field(gt=0, le=20)] = 0.1  # SCALED_PRESSURE, SERVO_OUTPUT_RAW, battery, wind
     statistics_rate_hz: Annotated[float, Field(gt=0, le=20)] = 0.2
-    supply_volts_per_count: float | None = None  # for SYS_STATUS only; None: voltage is sent as unknown
+    supply_volts_per_count: Slope | None = None  # for SYS_STATUS and BATTERY_STATUS only; None: voltage is unknown
+    display: DisplayConfig = DisplayConfig()
     key_file: Path | None = None  # 32 bytes or 64 hexadecimal digits, mode 0600; with it unsigned commands do nothing
     signing_state: Path | None = None  # where the signing timestamps survive a restart; default beside the key
     backfill_memory_mb: Annotated[float, Field(gt=0)] = 64.0  # scans kept compressed in memory for late requests

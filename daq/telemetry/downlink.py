@@ -8,7 +8,7 @@ to 2 Hz at worst, and the heartbeat goes on regardless.
 
 import math
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from daq.clock import NS, Clock
@@ -20,7 +20,7 @@ from daq.contract.scan import Scan
 from daq.telemetry.config import MIN_RATE_HZ, DownlinkConfig, max_rate
 from daq.telemetry.flight_state import flight_evidence
 from daq.telemetry.send_queue import Item, Outbox, item
-from daq.telemetry.standard_messages import attitude, gps_raw, sys_status
+from daq.telemetry.standard_messages import StandardMessages, heartbeat
 from daq.transport.mavlink_codec import FrameEncoder
 from daq.transport.ports import BytePort
 from daq.transport.signing import Signer
@@ -34,6 +34,7 @@ _RECENT_SCANS = 40
 _MAP_REPEATS = 3
 _MAP_DELAY = 64  # scans to wait after a block ends, so that what is queued has been sent or dropped
 _PAUSE_NS = NS
+_FIRST_NS = 3 * NS  # the 600 bytes of one message of each kind take as long beside scans, at the default budget
 _TEXT_CHARS = 50
 
 
@@ -65,6 +66,7 @@ class Downlink:
     """Sends to one ground link. All methods belong to the scan loop's thread.
 
     boot: random number of this start of the logger (1 to 255). status: asked at a low rate for the logger's state.
+    facts: run-time facts of the sensors, asked at a low rate.
     """
 
     def __init__(
@@ -76,6 +78,7 @@ class Downlink:
         boot: int,
         signer: Signer | None = None,
         status: Callable[[], OnboardStatus] = OnboardStatus,
+        facts: Callable[[], Mapping[str, str]] = dict,
     ) -> None:
         self.boot = boot & 255 or 1
         self.config = config
@@ -87,6 +90,7 @@ class Downlink:
         self._layouts = layouts()
         self.status = status
         self.recording: Callable[[], bool] = lambda: self.status().recording
+        self.messages = StandardMessages(config, lambda: self.recording(), facts)
         encoder = FrameEncoder(config.system_id, config.component_id, signer)
         self.outbox = Outbox(port, encoder, config.budget_bytes_per_s, config.scan_queue)
         self._wanted_rate = config.rate_hz
@@ -105,14 +109,21 @@ class Downlink:
         self._next_heartbeat: int | None = None
         self._timers = _Timers(
             {
+                "VFR_HUD": config.display_rate_hz,
+                "AOA_SSA": config.display_rate_hz,
+                "GLOBAL_POSITION_INT": config.display_rate_hz,
                 "ATTITUDE": config.attitude_rate_hz,
-                "GPS_RAW_INT": config.gnss_rate_hz,
+                "GPS_RAW_INT": config.gps_raw_rate_hz,
                 "SYS_STATUS": config.sys_status_rate_hz,
+                "BATTERY_STATUS": config.extra_rate_hz,
+                "SCALED_PRESSURE": config.extra_rate_hz,
+                "SERVO_OUTPUT_RAW": config.extra_rate_hz,
+                "WIND_COV": config.extra_rate_hz,
+                "NAMED_VALUE_FLOAT": config.display_rate_hz,
                 "LINK_STATISTICS": config.statistics_rate_hz,
                 "LOGGER_STATUS": config.statistics_rate_hz,
             }
         )
-        self._gnss: Scan | None = None
         self._scans_come = False  # since the last service
         self._pauses_told = 0
         self._pause_ns = 0
@@ -141,8 +152,7 @@ class Downlink:
         if self._first is None:
             self._first = number
         self._last = number
-        if "gnss_fix" in scan.values:
-            self._gnss = scan
+        self.messages.offer(scan)
         if number % BLOCK == _MAP_DELAY:
             self._report_maps(number // BLOCK)
         if time < self._next_fast - 1e-6:
@@ -206,7 +216,7 @@ class Downlink:
         if self._next_heartbeat is None or now_ns >= self._next_heartbeat:
             late = self._next_heartbeat is None or now_ns - self._next_heartbeat > NS
             self._next_heartbeat = (now_ns if late else self._next_heartbeat or now_ns) + NS
-            self.outbox.put_urgent(self._heartbeat())
+            self.outbox.put_urgent(heartbeat(self.recording()))
         if self._factor < 1.0:
             self._recover(now_ns)
         if self._scans_come:
@@ -233,23 +243,13 @@ class Downlink:
             self.outbox.put_low(made)
 
     def _build(self, name: str) -> Item | None:
-        last = self.recent[-1] if self.recent else None
         match name:
-            case "ATTITUDE":
-                return attitude(last)
-            case "GPS_RAW_INT":
-                return gps_raw(self._gnss)
-            case "SYS_STATUS":
-                return sys_status(last, self.recording(), self.config.supply_volts_per_count)
             case "LINK_STATISTICS":
                 return self.statistics()
-            case _:
+            case "LOGGER_STATUS":
                 return self._logger_status()
-
-    def _heartbeat(self) -> Item:
-        fixed_wing, generic, active, standby = 1, 0, 4, 3
-        state = active if self.recording() else standby
-        return item("HEARTBEAT", type=fixed_wing, autopilot=generic, system_status=state, mavlink_version=3)
+            case _:
+                return self.messages.make(name)
 
     def statistics(self) -> Item:
         """The LINK_STATISTICS message of now."""
@@ -370,9 +370,9 @@ class _Timers:
 
     def due(self, now_ns: int, factor: float) -> str | None:
         if not self._next:
-            # Spread over their periods, so that they do not come in a bunch for ever.
+            # Spread, so that they do not come in a bunch for ever; but a station shall not wait long for the rarest.
             count = len(self._periods)
-            self._next = {n: now_ns + p * i / count for i, (n, p) in enumerate(self._periods.items())}
+            self._next = {n: now_ns + min(p, _FIRST_NS) * i / count for i, (n, p) in enumerate(self._periods.items())}
         best, most = None, -math.inf
         for name, due in self._next.items():
             overdue = (now_ns - due) / self._periods[name]

@@ -1,35 +1,144 @@
-"""Answers that general ground stations wait for: no missions here, one parameter to read, commands in one form only.
+"""Answers that general ground stations wait for: no missions here, no files, a parameter or two to read, no home to set.
 
-Without them such a station goes on asking, and tells its user that the aircraft does not respond.
+Without them such a station goes on asking, and tells its user that the aircraft does not respond. What is refused is
+refused in the protocol's own words, at once.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from daq.contract.link import commands as c
 from daq.telemetry.send_queue import Item, item
+from daq.transport.mavlink_codec import message_types
 
-PARAMETER = "DOWNLINK_RATE"
+RATE_PARAMETER = "DOWNLINK_RATE"
+BATTERY_PARAMETER = "BATT_MONITOR"
+"""By this name MAVProxy knows whether to show a battery."""
+_VOLTAGE_ONLY = 3.0
 _REAL32 = 9
-REQUESTS = ("PARAM_REQUEST_LIST", "PARAM_REQUEST_READ", "PARAM_SET", "MISSION_REQUEST_LIST", "COMMAND_INT")
+_DOES_NOT_EXIST, _READ_ONLY = 1, 5  # MAV_PARAM_ERROR
+
+_MISSION_DONE, _MISSION_UNSUPPORTED, _NO_SUCH_ITEM = 0, 3, 13  # MAV_MISSION_RESULT
+
+_FTP_DATA_AT = 12
+_ACK, _NAK = 128, 129
+_CLOSE_SESSION, _CLOSE_ALL, _LIST, _OPEN, _CHECKSUM = 1, 2, 3, 4, 14
+_END, _UNKNOWN_COMMAND, _NOT_FOUND = 6, 7, 10
+_FTP_REFUSALS = {_LIST: _END, _OPEN: _NOT_FOUND, _CHECKSUM: _NOT_FOUND}
+
+Fields = Mapping[str, Any]
+Sender = tuple[int, int]
 
 
-def answer(name: str, fields: Mapping[str, Any], sender: tuple[int, int], rate_hz: Callable[[], float]) -> Item | None:
-    """The answer to one of REQUESTS from `sender` (system, component); None where none is due."""
-    system, component = sender
-    target = {"target_system": system, "target_component": component}
-    match name:
-        case "MISSION_REQUEST_LIST":
-            return item("MISSION_COUNT", **target, count=0, mission_type=fields["mission_type"])
-        case "COMMAND_INT":
-            command = int(fields["command"])
-            result = c.COMMAND_LONG_ONLY if command in c.KNOWN else c.UNSUPPORTED
-            return item("COMMAND_ACK", **target, command=command, result=result)
-        case "PARAM_REQUEST_READ" if fields["param_index"] > 0:
-            return None
-        case "PARAM_REQUEST_READ" if fields["param_index"] < 0 and fields["param_id"] != PARAMETER:
-            return None
-    # A parameter that is only to be read answers an attempt to set it with what it is.
+@dataclass(frozen=True, slots=True)
+class Aircraft:
+    """What there is to tell: rate_hz: the present downlink rate; has_voltage: whether a supply voltage is sent."""
+
+    rate_hz: float
+    has_voltage: bool = False
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """All parameters and their values, in order of index; they can be read only."""
+        battery = {BATTERY_PARAMETER: _VOLTAGE_ONLY} if self.has_voltage else {}
+        return {RATE_PARAMETER: self.rate_hz, **battery}
+
+
+def answers(name: str, fields: Fields, sender: Sender, aircraft: Callable[[], Aircraft]) -> Sequence[Item]:
+    """The answers to one of REQUESTS from `sender` (system, component)."""
+    target = {"target_system": sender[0], "target_component": sender[1]}
+    return REQUESTS[name](fields, target, aircraft)
+
+
+def _all_parameters(fields: Fields, target: Fields, aircraft: Callable[[], Aircraft]) -> Sequence[Item]:
+    known = aircraft().parameters
+    return [_parameter(known, name) for name in known]
+
+
+def _one_parameter(fields: Fields, target: Fields, aircraft: Callable[[], Aircraft]) -> Sequence[Item]:
+    known = aircraft().parameters
+    index = fields["param_index"]
+    name = fields["param_id"] if index < 0 else next((n for i, n in enumerate(known) if i == index), "")
+    if name in known:
+        return [_parameter(known, name)]
+    return [_parameter_error(fields["param_id"], index, _DOES_NOT_EXIST, target)]
+
+
+def _set_parameter(fields: Fields, target: Fields, aircraft: Callable[[], Aircraft]) -> Sequence[Item]:
+    known, name = aircraft().parameters, fields["param_id"]
+    if name not in known:
+        return [_parameter_error(name, -1, _DOES_NOT_EXIST, target)]
+    # What it is says that it was not set, to stations that do not know PARAM_ERROR yet.
+    return [_parameter(known, name), _parameter_error(name, -1, _READ_ONLY, target)]
+
+
+def _parameter(known: Mapping[str, float], name: str) -> Item:
     return item(
-        "PARAM_VALUE", param_id=PARAMETER, param_value=rate_hz(), param_type=_REAL32, param_count=1, param_index=0
+        "PARAM_VALUE",
+        param_id=name,
+        param_value=known[name],
+        param_type=_REAL32,
+        param_count=len(known),
+        param_index=list(known).index(name),
     )
+
+
+def _parameter_error(name: str, index: int, error: int, target: Fields) -> Item:
+    return item("PARAM_ERROR", **target, param_id=name, param_index=max(-1, index), error=error)
+
+
+def _no_mission(fields: Fields, target: Fields, aircraft: object) -> Sequence[Item]:
+    return [item("MISSION_COUNT", **target, count=0, mission_type=fields["mission_type"])]
+
+
+def _mission_answer(result: int) -> Callable[[Fields, Fields, object], Sequence[Item]]:
+    return lambda fields, target, _: [item("MISSION_ACK", **target, type=result, mission_type=fields["mission_type"])]
+
+
+def _no_file(fields: Fields, target: Fields, aircraft: object) -> Sequence[Item]:
+    """There are no files: listings end at once, nothing can be opened, and sessions that are not open are closed."""
+    payload = bytes(fields["payload"])
+    sequence = int.from_bytes(payload[:2], "little")
+    session, opcode = payload[2], payload[3]
+    if opcode in (_ACK, _NAK):
+        return []
+    done = opcode in (_CLOSE_SESSION, _CLOSE_ALL)
+    data = b"" if done else bytes([_FTP_REFUSALS.get(opcode, _UNKNOWN_COMMAND)])
+    head = (sequence + 1) % 2**16
+    reply = head.to_bytes(2, "little") + bytes([session, _ACK if done else _NAK, len(data), opcode])
+    return [item("FILE_TRANSFER_PROTOCOL", **target, payload=reply.ljust(_FTP_DATA_AT, b"\0") + data)]
+
+
+def _no_command_int(fields: Fields, target: Fields, aircraft: object) -> Sequence[Item]:
+    command = int(fields["command"])
+    result = c.COMMAND_LONG_ONLY if command in (*c.KNOWN, *TELLING) else c.UNSUPPORTED
+    return [item("COMMAND_ACK", **target, command=command, result=result)]
+
+
+REQUESTS: Mapping[str, Callable[[Fields, Fields, Callable[[], Aircraft]], Sequence[Item]]] = {
+    "PARAM_REQUEST_LIST": _all_parameters,
+    "PARAM_REQUEST_READ": _one_parameter,
+    "PARAM_SET": _set_parameter,
+    "MISSION_REQUEST_LIST": _no_mission,
+    "MISSION_REQUEST": _mission_answer(_NO_SUCH_ITEM),
+    "MISSION_REQUEST_INT": _mission_answer(_NO_SUCH_ITEM),
+    "MISSION_COUNT": _mission_answer(_MISSION_UNSUPPORTED),
+    "MISSION_WRITE_PARTIAL_LIST": _mission_answer(_MISSION_UNSUPPORTED),
+    "MISSION_CLEAR_ALL": _mission_answer(_MISSION_DONE),
+    "FILE_TRANSFER_PROTOCOL": _no_file,
+    "COMMAND_INT": _no_command_int,
+}
+
+# Commands that ask to be told something, and the message that does (None: the one in parameter 1).
+_GET_HOME_POSITION, _REQUEST_MESSAGE = 410, 512
+TELLING: Mapping[int, str | None] = {_GET_HOME_POSITION: "HOME_POSITION", _REQUEST_MESSAGE: None}
+
+
+def message_asked_for(command: int, parameter: float) -> str | None:
+    """The name of the message that one of TELLING asks for; None where it is none that this dialect has."""
+    named = TELLING[command]
+    if named is not None:
+        return named
+    known = message_types().get(int(parameter)) if parameter.is_integer() else None
+    return None if known is None else known.name

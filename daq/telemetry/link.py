@@ -1,7 +1,7 @@
 """Put the aircraft's end of the radio link together from its configuration."""
 
 import secrets
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -150,14 +150,16 @@ def radio_link(
     recordings: Sequence[Path] = (),
     boot: int | None = None,
     turn_ns: int = TURN_NS,
+    facts: Callable[[], Mapping[str, str]] = dict,
 ) -> RadioLink:
     """The link of one logger. recordings: directories whose files can be downloaded. boot: given only in tests.
 
     papers: asked in a thread of its own. turn_ns: how long what arrives may occupy the scan loop at a time [ns].
+    facts: run-time facts of the sensors (`static.nvm`), asked in the scan loop, at a low rate.
     """
     boot = boot or secrets.randbelow(255) + 1
     signer = signer_for(config, clock)
-    downlink = Downlink(config, port, clock, boot=boot, signer=signer, status=status)
+    downlink = Downlink(config, port, clock, boot=boot, signer=signer, status=status, facts=facts)
     store = ScanStore(round(config.backfill_memory_mb * 1e6))
     backfill = BackfillServer(store, downlink.boot, papers)
     uplink = Uplink(

@@ -35,7 +35,7 @@ class Item:
     on_dropped: Callable[[], None] | None = None
 
 
-def item(name: str, **values: object) -> Item:
+def item(name: str, /, **values: object) -> Item:
     """A message of the dialect by name and fields."""
     made = message_by_name()[name]
     return Item(made.msg_id, made.pack(values))

@@ -27,6 +27,7 @@ from daq.telemetry.flight_state import flight_evidence
 from daq.telemetry.log_server import LogServer
 from daq.telemetry.refusals import REPORT_NS, Refusals
 from daq.telemetry.send_queue import Item, item
+from daq.telemetry.standard_messages import autopilot_version
 from daq.telemetry.uplink_limits import CommandBudget, SenderLimits
 from daq.telemetry.worker import Worker
 from daq.transport.mavlink_codec import RADIO_STATUS_ID, Frame, FrameDecoder
@@ -51,6 +52,8 @@ Fields = Mapping[str, Any]
 
 _HARMLESS = ("HEARTBEAT", "TIMESYNC", "RADIO_STATUS")
 _BUSY = "too much is under way"
+_ASKING_NOBODY = ("COMMAND_LONG", "PARAM_REQUEST_LIST", "FILE_TRANSFER_PROTOCOL", "LOG_REQUEST_LIST")
+_INTRODUCE_NS = 5 * NS
 _UNLIMITED = ("HEARTBEAT", "RADIO_STATUS")  # not answered, and cheap
 
 
@@ -109,6 +112,7 @@ class Uplink:
         self._dropped = dropped
         self._dropped_told = 0
         self._dropped_asked_ns = 0
+        self._introduced_ns: int | None = None
         self._done: OrderedDict[tuple[Any, ...], tuple[int, int]] = OrderedDict()  # command -> time, result
         self._saver: Future[None] | None = None
         self._worker = Worker("uplink-signing")
@@ -206,17 +210,35 @@ class Uplink:
         if frame.name not in _UNLIMITED and not self._limits.allow(sender, now_ns):
             self._refuse(frame, "too many requests")
             return
+        if target == 0 and frame.name in _ASKING_NOBODY:
+            self._introduce(now_ns)
         if frame.name == "COMMAND_LONG":
             self._command(frame, fields, now_ns, control)
             return
         if frame.name in gcs_replies.REQUESTS:
-            made = gcs_replies.answer(frame.name, fields, sender, lambda: self._downlink.config.rate_hz)
-            if made is not None and not self._downlink.outbox.put_asked(made):
+            made = gcs_replies.answers(frame.name, fields, sender, self._about)
+            taken = [self._downlink.outbox.put_asked(reply) for reply in made]
+            if not all(taken):
                 self._refuse(frame, _BUSY)
             return
         handler = self._handlers.get(frame.name)
         if handler is not None and not handler(fields, now_ns):
             self._refuse(frame, _BUSY)
+
+    def _about(self) -> gcs_replies.Aircraft:
+        return gcs_replies.Aircraft(self._downlink.config.rate_hz, self._downlink.messages.supply_voltage is not None)
+
+    def _introduce(self, now_ns: int) -> None:
+        """Say who is here to a station that asks whoever may hear it: it has not taken us for an aircraft.
+
+        MAVProxy is one. It passes over heartbeats that say, as ours does truly, that there is no autopilot; the
+        summary for slow links, HIGH_LATENCY2, it believes.
+        """
+        if self._introduced_ns is None or now_ns - self._introduced_ns >= _INTRODUCE_NS:
+            self._introduced_ns = now_ns
+            made = self._downlink.messages.make("HIGH_LATENCY2")
+            if made is not None:
+                self._downlink.outbox.put_asked(made)
 
     def _refuse_unproven(self, frame: Frame, verdict: Verdict) -> None:
         if frame.name in _HARMLESS and verdict is Verdict.UNSIGNED:
@@ -283,6 +305,9 @@ class Uplink:
     def _command(self, frame: Frame, fields: Fields, now_ns: int, control: LoggerControl) -> None:
         command = int(fields["command"])
         parameters = tuple(float(fields[f"param{i}"]) for i in range(1, 8))
+        if command in gcs_replies.TELLING:
+            self._acknowledge(frame, command, self._tell(command, parameters[0]))
+            return
         key = (frame.system, frame.component, command, *(p.hex() for p in parameters))
         known = self._done.get(key)
         # The same request again, its acknowledgement lost: the answer is repeated, the action is not.
@@ -297,6 +322,9 @@ class Uplink:
                 self._done.popitem(last=False)
             if result not in (c.ACCEPTED, c.UNSUPPORTED):
                 self._downlink.refusals.rejected_commands += 1
+        self._acknowledge(frame, command, result)
+
+    def _acknowledge(self, frame: Frame, command: int, result: int) -> None:
         ack = item(
             "COMMAND_ACK",
             command=command,
@@ -306,6 +334,19 @@ class Uplink:
         )
         if not self._downlink.outbox.put_answer(ack):
             self._refuse(frame, _BUSY)
+
+    def _tell(self, command: int, parameter: float) -> int:
+        """Send the message that a command asks for, and say what came of it; nothing of it is a refusal worth a word."""
+        name = gcs_replies.message_asked_for(command, parameter)
+        if name == "AUTOPILOT_VERSION":
+            made: Item | None = autopilot_version()
+        elif name is None or name not in self._downlink.messages.names:
+            return c.UNSUPPORTED
+        else:
+            made = self._downlink.messages.make(name)
+        if made is None or not self._downlink.outbox.put_asked(made):
+            return c.TEMPORARILY_REJECTED
+        return c.ACCEPTED
 
     def _obey(
         self, frame: Frame, command: int, parameters: tuple[float, ...], now_ns: int, control: LoggerControl
@@ -364,6 +405,7 @@ class Uplink:
             return c.TEMPORARILY_REJECTED
         counts = [s.values["pitot_pressure"] for s in scans if "pitot_pressure" in s.values]
         control.mark_event(c.pitot_zero_text(fmean(counts), len(counts)), "ground")
+        self._downlink.messages.display.pitot_zero_count = fmean(counts)
         self._downlink.text(_NOTICE, f"pitot zeroed at {fmean(counts):.1f} counts")
         return c.ACCEPTED
 

@@ -4,11 +4,10 @@ Pressures in Pa, temperatures in K. The speeds are those of isentropic compressi
 sqrt(2 q / rho) to 0.2 %.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.contract import bmp390
 from groundstation.calibration.errors import CalibrationError
 
 Array = NDArray[np.float64]
@@ -19,65 +18,19 @@ GRAVITY = 9.80665
 SEA_LEVEL_PRESSURE = 101325.0
 SEA_LEVEL_TEMPERATURE = 288.15
 LAPSE_RATE = 0.0065  # K/m
-ZERO_CELSIUS = 273.15
+ZERO_CELSIUS = bmp390.ZERO_CELSIUS
 
 
-@dataclass(frozen=True)
-class Bmp390:
-    """Compensation coefficients of one BMP390, from its 21 bytes of non-volatile memory at register 0x31.
-
-    Layout and floating-point formulas: Bosch BST-BMP390-DS002, sections 3.11.1 and 8.4 to 8.6.
-    """
-
-    t1: float
-    t2: float
-    t3: float
-    p: tuple[float, float, float, float, float, float, float, float, float, float, float]
+class Bmp390(bmp390.Bmp390):
+    """The chip's compensation, where coefficients that cannot be used are an error of the calibration."""
 
     @classmethod
     def from_nvm(cls, nvm: bytes) -> "Bmp390":
         """Coefficients from the 21 bytes read at 0x31. Raises CalibrationError when they are not 21 or blank."""
-        if len(nvm) != 21 or nvm in (bytes(21), b"\xff" * 21):
-            raise CalibrationError(
-                f"{len(nvm)} bytes of BMP390 coefficients ({nvm.hex() or 'none'}): 21 that are not blank are needed; "
-                "read the chip again or give nvm in static.toml"
-            )
-
-        def unsigned(at: int) -> int:
-            return int.from_bytes(nvm[at : at + 2], "little")
-
-        def signed(at: int, size: int = 1) -> int:
-            return int.from_bytes(nvm[at : at + size], "little", signed=True)
-
-        return cls(
-            t1=unsigned(0) * 2.0**8,
-            t2=unsigned(2) / 2.0**30,
-            t3=signed(4) / 2.0**48,
-            p=(
-                (signed(5, 2) - 2**14) / 2.0**20,
-                (signed(7, 2) - 2**14) / 2.0**29,
-                signed(9) / 2.0**32,
-                signed(10) / 2.0**37,
-                unsigned(11) * 2.0**3,
-                unsigned(13) / 2.0**6,
-                signed(15) / 2.0**8,
-                signed(16) / 2.0**15,
-                signed(17, 2) / 2.0**48,
-                signed(19) / 2.0**48,
-                signed(20) / 2.0**65,
-            ),
-        )
-
-    def compensate(self, raw_pressure: Array, raw_temperature: Array) -> tuple[Array, Array]:
-        """Pressure [Pa] and temperature [K] from the uncompensated 24-bit readings, (N,) each."""
-        d1 = raw_temperature - self.t1
-        t = d1 * self.t2 + d1 * d1 * self.t3  # degrees Celsius
-        p1, p2, p3, p4, p5, p6, p7, p8, p9, p10, p11 = self.p
-        u = raw_pressure
-        offset = p5 + t * (p6 + t * (p7 + t * p8))
-        sensitivity = u * (p1 + t * (p2 + t * (p3 + t * p4)))
-        curvature = u * u * (p9 + p10 * t) + u * u * u * p11
-        return offset + sensitivity + curvature, t + ZERO_CELSIUS
+        try:
+            return super().from_nvm(nvm)
+        except ValueError as error:
+            raise CalibrationError(f"{error}; read the chip again or give nvm in static.toml") from error
 
 
 def density(static_pressure: Array, temperature: Array) -> Array:

@@ -3,7 +3,8 @@
 Beside the flight's own samples (`/flight`, every column a plottable scalar) it holds `foxglove.LocationFix` for the map,
 `foxglove.FrameTransform` for the 3D panel and `foxglove.Log` for the events, all stamped in UTC where the flight knows
 it. Frames follow REP 103, which the 3D panel expects: `world` is east, north, up from the first fix; `aircraft` is x
-forward, y left, z up.
+forward, y left, z up. Rerun's importer makes nothing but one value of each sample of `/flight`; so that it plots, too, the
+columns are there once more as ROS 2 `JointState`, under `/scalars`, grouped as in the live view.
 """
 
 from collections.abc import Iterator
@@ -13,9 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.contract.channels import COLUMN_BY_NAME
+from groundstation.export import joint_state as js
 from groundstation.export.timescale import stamps_ns
 from groundstation.flight import Array, Flight
-from groundstation.flight.flight import open_flight_writer
+from groundstation.flight.flight import Encoded, open_flight_writer
 
 _EARTH_RADIUS_M = 6371008.8  # mean radius; over a flight's extent the flat map is right to a few parts in a thousand
 
@@ -32,6 +35,24 @@ def _messages(flight: Flight, stamps: NDArray[np.int64]) -> Iterator[tuple[str, 
     yield from _fixes(flight, stamps)
     yield from _poses(flight, stamps)
     yield from _events(flight, stamps)
+    yield from _scalars(flight, stamps)
+
+
+def _scalars(flight: Flight, stamps: NDArray[np.int64]) -> Iterator[tuple[str, int, Encoded]]:
+    """The columns drawn together in one message, at each sample that has a value of one of them."""
+    groups: dict[str, list[str]] = {}
+    for name in flight.columns:
+        if flight.measured(name):
+            known = COLUMN_BY_NAME.get(name)
+            groups.setdefault(known.entity if known else "/others", []).append(name)
+    for entity, names in groups.items():
+        units = [COLUMN_BY_NAME[n].unit if n in COLUMN_BY_NAME else "" for n in names]
+        joints = js.JointStates([f"{n} [{u}]" if u not in ("", "1") else n for n, u in zip(names, units, strict=True)])
+        table = np.column_stack([flight[n] for n in names])
+        for i in np.flatnonzero(np.isfinite(table).any(axis=1)):
+            data = joints.encode(int(stamps[i]), table[i].tolist())
+            made = Encoded(data, js.SCHEMA, js.SCHEMA_ENCODING, js.DEFINITION, js.MESSAGE_ENCODING)
+            yield f"/scalars{entity}", int(stamps[i]), made
 
 
 def _fixes(flight: Flight, stamps: NDArray[np.int64]) -> Iterator[tuple[str, int, Any]]:

@@ -6,21 +6,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.flight import Flight
+from groundstation.flight.utc import UTC_KEY, offset_in, stamps
 
-UTC_KEY = "utc_offset_s"
-"""In a flight's provenance: UTC [s since 1970] minus flight time [s]; absent where the aircraft never learnt it."""
+__all__ = ["UTC_KEY", "iso", "stamps_ns", "utc_offset"]
 
 
 def utc_offset(flight: Flight) -> float | None:
     """UTC minus flight time [s]; None where the flight does not know UTC."""
-    value = flight.provenance.detail.get(UTC_KEY)
-    return float(value) if isinstance(value, int | float) else None
+    return offset_in(flight.provenance.detail)
 
 
 def stamps_ns(flight: Flight) -> NDArray[np.int64]:
     """(N,) nanoseconds: UTC since 1970 where known, else flight time; never negative, rising with the samples."""
-    offset_ns = round((utc_offset(flight) or 0.0) * 1e9)
-    return np.maximum(np.round(flight.time * 1e9).astype(np.int64) + offset_ns, 0)
+    return stamps(flight.time, utc_offset(flight))
 
 
 def iso(stamp_ns: int) -> str:

@@ -28,6 +28,7 @@ from groundstation.flight.csv_columns import read_csv
 from groundstation.flight.errors import FlightError, MissingColumnError
 from groundstation.flight.notes import Note, NoteKind, as_note, from_meta, once, to_meta, unknown_columns
 from groundstation.flight.parquet_columns import read_parquet
+from groundstation.flight.utc import offset_in, stamps
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -396,7 +397,7 @@ def _message_class(names: Sequence[str]) -> tuple[Any, bytes]:
 
 
 def _write_mcap(flight: Flight, path: Path) -> None:
-    with open_flight_writer(flight, path, np.round(flight.time * 1e9).astype(np.int64)):
+    with open_flight_writer(flight, path, stamps(flight.time, offset_in(flight.provenance.detail))):
         pass
 
 
@@ -428,6 +429,17 @@ def open_flight_writer(
         writer.finish()
 
 
+@dataclass(frozen=True, slots=True)
+class Encoded:
+    """A message that is no protobuf one: its bytes, and what an MCAP channel says of them."""
+
+    data: bytes
+    schema: str
+    schema_encoding: str
+    definition: str
+    encoding: str
+
+
 class _Adder:
     """Messages of other schemas beside a flight's own; schemas and channels are registered when first used."""
 
@@ -436,6 +448,9 @@ class _Adder:
         self._channels: dict[str, int] = {}
 
     def __call__(self, topic: str, stamp: int, message: Any) -> None:
+        if isinstance(message, Encoded):
+            self._add_encoded(topic, stamp, message)
+            return
         if topic not in self._channels:
             from mcap_protobuf.schema import build_file_descriptor_set
 
@@ -443,6 +458,13 @@ class _Adder:
             schema = self._writer.register_schema(message.DESCRIPTOR.full_name, "protobuf", described)
             self._channels[topic] = self._writer.register_channel(topic, "protobuf", schema)
         self._writer.add_message(self._channels[topic], stamp, message.SerializeToString(), stamp)
+
+    def _add_encoded(self, topic: str, stamp: int, message: Encoded) -> None:
+        if topic not in self._channels:
+            found = (message.schema, message.schema_encoding, message.definition.encode())
+            schema = self._writer.register_schema(*found)
+            self._channels[topic] = self._writer.register_channel(topic, message.encoding, schema)
+        self._writer.add_message(self._channels[topic], stamp, message.data, stamp)
 
 
 def _read_mcap(path: Path) -> _Read:

@@ -42,7 +42,7 @@ _MAPS_AT_ONCE = 4
 MAX_AIRCRAFT, MAX_OF_ONE_SENDER = 16, 8
 """Served at once, where `systems` does not list them: each has files, a view and memory of its own."""
 _DISK = "disk"
-_GCS, _NO_AUTOPILOT = 6, 8
+_FIXED_WING, _GCS, _NO_AUTOPILOT = 1, 6, 8
 
 
 class _Aircraft:
@@ -407,7 +407,11 @@ class Receiver:
 def _is_aircraft(frame: Frame) -> bool:
     if frame.msg_id >= _FIRST_OWN_ID:
         return True
-    return frame.name == "HEARTBEAT" and frame.fields()["autopilot"] != _NO_AUTOPILOT
+    if frame.name != "HEARTBEAT":
+        return False
+    # The logger says truly that it is no autopilot, as do ground stations, cameras and radios: it is told by its type.
+    said = frame.fields()
+    return said["autopilot"] != _NO_AUTOPILOT or said["type"] == _FIXED_WING
 
 
 def _int(value: object) -> int:

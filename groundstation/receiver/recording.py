@@ -12,7 +12,15 @@ from typing import IO, Any
 
 from daq.contract.durable import replacing
 from daq.contract.recordings.messages import Event, MessageError, decode_event, encode_event
-from daq.contract.recordings.recording import RecordingInfo, RecordingWriter, message_entry, scan_entry
+from daq.contract.recordings.recording import (
+    Entry,
+    LogTime,
+    RecordingInfo,
+    RecordingWriter,
+    message_entry,
+    scan_entry,
+    utc_of,
+)
 from daq.contract.scan import decode_scan
 from groundstation.receiver import events as ev
 from groundstation.receiver.papers import MAX_EVENTS, Papers, parse_archive, parse_papers
@@ -47,8 +55,8 @@ _LINK_ALWAYS = ("time_monotonic_s", "loss", "scan_rate_hz")
 class ReceivedWriter(RecordingWriter):
     """A recording with the link's quality added as JSON messages."""
 
-    def __init__(self, stream: IO[bytes], info: RecordingInfo) -> None:
-        super().__init__(stream, info)
+    def __init__(self, stream: IO[bytes], info: RecordingInfo, log_time: LogTime) -> None:
+        super().__init__(stream, info, log_time=log_time)
         properties = {n: {"type": ["number", "null"]} for n in _LINK_FIELDS}
         schema = json.dumps({"type": "object", "properties": properties}).encode()
         schema_id = self._writer.register_schema(LINK_SCHEMA, "jsonschema", schema)
@@ -56,7 +64,7 @@ class ReceivedWriter(RecordingWriter):
 
     def write_link(self, data: bytes, time_ns: int, sequence: int) -> None:
         """Add a report of link quality."""
-        self._writer.add_message(self._link_channel, time_ns, data, time_ns, sequence)
+        self._add(self._link_channel, Entry(LINK_TOPIC, time_ns, time_ns + self.log_time.offset_ns, sequence, data))
 
 
 def link_json(report: ev.LinkStatistics, aircraft_ns: int) -> bytes:
@@ -188,7 +196,8 @@ class SessionRecorder:
 
     def _write(self, path: Path) -> None:
         with path.open("wb") as stream:
-            writer = ReceivedWriter(stream, self.info())
+            known = utc_of(scan_entry(decode_scan(data), data) for data in self.journal.scans())
+            writer = ReceivedWriter(stream, self.info(), known)
             for data in self.journal.scans():
                 writer.write(scan_entry(decode_scan(data), data))
             for event in sorted(_decoded([*self._events, *self._notes]), key=lambda e: e.time_monotonic_ns):

@@ -118,7 +118,7 @@ def test_only_the_radio_s_own_version_1_message_is_accepted() -> None:
 def test_sound_frames_of_other_dialects_are_recognised_and_left_alone() -> None:
     from pymavlink.dialects.v20 import ardupilotmega
 
-    foreign = ardupilotmega.MAVLink_mission_clear_all_message(1, 1).pack(ardupilotmega.MAVLink(None, 255, 190))
+    foreign = ardupilotmega.MAVLink_set_mode_message(1, 1, 0).pack(ardupilotmega.MAVLink(None, 255, 190))
     sent = stream(2)
     found = frames_of(decode(sent[0] + foreign + sent[1]))
     assert [f.known for f in found] == [True, False, True]

@@ -1,7 +1,12 @@
 """The packed messages are derived from the channel table, fit the radio, and carry raw counts exactly."""
 
+import shutil
+import subprocess
+import sys
 from dataclasses import replace
 from importlib import import_module
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -28,10 +33,33 @@ def test_definition_and_module_are_what_the_generator_makes() -> None:
     xml = generate.definition()
     assert generate.DEFINITION.read_text() == xml
     assert generate.MODULE.read_text() == generate.module_text(xml)
+    assert generate.WITH_STANDARD.read_text() == generate.definition_with_standard()
+
+
+@pytest.mark.parametrize(("language", "made"), [("Python3", "sideslip.py"), ("WLua", "sideslip.lua")])
+def test_other_programs_can_load_our_messages_beside_the_standard_ones(
+    tmp_path: Path, language: str, made: str
+) -> None:
+    """As docs/mavlink.md has it: MAVProxy a Python module, Wireshark a dissector, with the same checksums as ours."""
+    for xml in Path(import_module("pymavlink.dialects.v20").__path__[0]).glob("*.xml"):
+        shutil.copy(xml, tmp_path)
+    shutil.copy(generate.WITH_STANDARD, tmp_path / "sideslip.xml")
+    command = [sys.executable, "-m", "pymavlink.tools.mavgen", f"--lang={language}", "--wire-protocol=2.0"]
+    output = "sideslip.py" if language == "Python3" else "sideslip"
+    subprocess.run([*command, f"--output={output}", "sideslip.xml"], cwd=tmp_path, check=True, capture_output=True)
+    text = (tmp_path / made).read_text()
+    assert "LOGGER_STATUS" in text
+    assert "AOA_SSA" in text
+    if language == "Python3":
+        module: dict[str, Any] = {"__name__": "made", "__file__": made}
+        exec(compile(text, made, "exec"), module)  # noqa: S102 - it is ours
+        theirs = module["mavlink_map"]
+        for msg_id, own in sideslip_dialect.mavlink_map.items():
+            assert (theirs[msg_id].crc_extra, theirs[msg_id].unpacker.format) == (own.crc_extra, own.unpacker.format)
 
 
 def test_standard_messages_are_compatible_with_the_common_dialect() -> None:
-    common = import_module("pymavlink.dialects.v20.common").mavlink_map
+    common = import_module("pymavlink.dialects.v20.ardupilotmega").mavlink_map  # includes common
     shared = [i for i in sideslip_dialect.mavlink_map if i < generate.layouts()[SCAN_FAST_ID].msg_id]
     assert len(shared) == len(generate.STANDARD)
     for msg_id in shared:

@@ -1,5 +1,6 @@
 """A stock pymavlink client sees the aircraft and fetches a recording over loopback, knowing nothing of this project."""
 
+import math
 import os
 import socket
 import time
@@ -39,6 +40,11 @@ class Session:
         self.link: RadioLink = radio_link(config, port, self.clock, recordings=(folder,), boot=3)
         self._rng = np.random.default_rng(2)
         self._number = 0
+        self.seen: list[Any] = []
+
+    def found(self, kind: str) -> Any:
+        """The latest message of a kind that has come, or the next one."""
+        return next((m for m in reversed(self.seen) if m.get_type() == kind), None) or self.until(kind)
 
     def step(self) -> list[Any]:
         """One scan; what the client then has."""
@@ -51,6 +57,7 @@ class Session:
         out = []
         while (message := self.client.recv_match()) is not None:
             out.append(message)
+        self.seen += out
         return out
 
     def until(self, kind: str, steps: int = 400) -> Any:
@@ -87,6 +94,7 @@ def session(tmp_path: Path) -> Iterator[Session]:
 def test_heartbeat_attitude_gps_and_texts(session: Session) -> None:
     beat = session.until("HEARTBEAT")
     assert (beat.get_srcSystem(), beat.type, beat.system_status) == (1, 1, 3)
+    assert beat.autopilot == 8, "no autopilot"
     attitude = session.until("ATTITUDE")
     assert (attitude.roll, attitude.pitch, attitude.yaw) == pytest.approx((0, 0, 0), abs=1e-6)
     gps = session.until("GPS_RAW_INT")
@@ -146,8 +154,90 @@ def test_stock_commands_are_acknowledged(session: Session) -> None:
     ack = session.until("COMMAND_ACK")
     assert (ack.command, ack.result) == (m.MAV_CMD_LOGGING_STOP, m.MAV_RESULT_ACCEPTED)
     assert session.logger.stops == 1
-    session.client.mav.command_long_send(1, 1, m.MAV_CMD_REQUEST_MESSAGE, 0, 148, 0, 0, 0, 0, 0, 0)
-    assert session.until("COMMAND_ACK").result == m.MAV_RESULT_UNSUPPORTED
+
+
+def test_messages_asked_for_come_and_others_are_refused(session: Session) -> None:
+    from pymavlink import mavutil
+
+    m = mavutil.mavlink
+
+    def ask(command: int, parameter: float) -> int:
+        session.client.mav.command_long_send(1, 1, command, 0, parameter, 0, 0, 0, 0, 0, 0)
+        ack = session.until("COMMAND_ACK")
+        assert ack.command == command
+        return int(ack.result)
+
+    session.until("SYS_STATUS")
+    assert ask(m.MAV_CMD_REQUEST_MESSAGE, 148) == m.MAV_RESULT_ACCEPTED
+    assert session.found("AUTOPILOT_VERSION").capabilities & m.MAV_PROTOCOL_CAPABILITY_MAVLINK2
+    assert ask(m.MAV_CMD_GET_HOME_POSITION, 0) == m.MAV_RESULT_ACCEPTED
+    assert session.found("HOME_POSITION").altitude == 488_000
+    # COMPONENT_METADATA, AVAILABLE_MODES, PROTOCOL_VERSION, CAMERA_INFORMATION, GIMBAL_MANAGER_INFORMATION, no message
+    for number in (397, 435, 300, 259, 280, 1.5, math.nan, 1e30):
+        assert ask(m.MAV_CMD_REQUEST_MESSAGE, number) == m.MAV_RESULT_UNSUPPORTED
+    # WIND_COV, which cannot be known here
+    assert ask(m.MAV_CMD_REQUEST_MESSAGE, 231) == m.MAV_RESULT_TEMPORARILY_REJECTED
+    assert session.link.downlink.refusals.rejected_commands == 0
+
+
+def test_missions_files_and_unknown_parameters_are_refused_in_words_of_the_protocol(session: Session) -> None:
+    from pymavlink import mavutil
+
+    m, ask = mavutil.mavlink, session.client.mav
+    session.until("HEARTBEAT")
+    ask.mission_count_send(1, 1, 3, 1)
+    refused = session.until("MISSION_ACK")
+    assert (refused.type, refused.mission_type, refused.target_system) == (m.MAV_MISSION_UNSUPPORTED, 1, 255)
+    ask.mission_request_int_send(1, 1, 0)
+    assert session.until("MISSION_ACK").type == m.MAV_MISSION_INVALID_SEQUENCE
+    ask.mission_clear_all_send(1, 1)
+    assert session.until("MISSION_ACK").type == m.MAV_MISSION_ACCEPTED
+    ask.param_request_read_send(1, 1, b"SYSID_THISMAV", -1)
+    error = session.until("PARAM_ERROR")
+    assert (error.param_id, error.error) == ("SYSID_THISMAV", m.MAV_PARAM_ERROR_DOES_NOT_EXIST)
+    ask.param_request_read_send(1, 1, b"", 5)
+    assert session.until("PARAM_ERROR").param_index == 5
+    ask.param_set_send(1, 1, b"DOWNLINK_RATE", 3.0, m.MAV_PARAM_TYPE_REAL32)
+    assert session.until("PARAM_ERROR").error == m.MAV_PARAM_ERROR_READ_ONLY
+
+
+@pytest.mark.parametrize(
+    ("opcode", "reply", "data"),
+    [(4, 129, [10]), (3, 129, [6]), (16, 129, [7]), (6, 129, [7]), (1, 128, []), (2, 128, [])],
+)
+def test_files_are_refused_at_once(session: Session, opcode: int, reply: int, data: list[int]) -> None:
+    """Opcodes: open, list, list with times, create, end a session, end all; replies ACK and NAK with the error's number."""
+    session.until("HEARTBEAT")
+    asked = [0xFF, 0xFF, 7, opcode, 5, 0, 0, 0, 0, 0, 0, 0, *b"a.txt"]
+    session.client.mav.file_transfer_protocol_send(0, 1, 1, asked + [0] * (251 - len(asked)))
+    answer = session.until("FILE_TRANSFER_PROTOCOL")
+    payload = list(answer.payload)
+    assert answer.target_system == 255
+    assert payload[:2] == [0, 0], "the next sequence number, which wraps"
+    assert payload[2:6] == [7, reply, len(data), opcode]
+    assert payload[12 : 12 + len(data)] == data
+
+
+def test_an_answer_about_files_is_not_answered(session: Session) -> None:
+    session.until("HEARTBEAT")
+    for opcode in (128, 129):
+        session.client.mav.file_transfer_protocol_send(0, 1, 1, [0, 0, 0, opcode] + [0] * 247)
+    heard = [message.get_type() for _ in range(30) for message in session.step()]
+    assert "FILE_TRANSFER_PROTOCOL" not in heard
+
+
+def test_a_station_that_asks_nobody_in_particular_is_told_who_is_here_and_seldom(session: Session) -> None:
+    session.until("HEARTBEAT")
+    for _ in range(5):
+        session.client.mav.param_request_list_send(0, 0)
+        session.until("PARAM_VALUE")
+    heard = [message for _ in range(40) for message in session.step()]
+    told = [m for m in (*session.seen, *heard) if m.get_type() == "HIGH_LATENCY2"]
+    assert len(told) == 1
+    assert (told[0].type, told[0].get_srcSystem(), told[0].altitude) == (1, 1, 488)
+    session.client.mav.param_request_list_send(1, 1)
+    heard = [message.get_type() for _ in range(120) for message in session.step()]
+    assert "HIGH_LATENCY2" not in heard
 
 
 def test_a_general_ground_station_is_not_left_waiting(session: Session) -> None:
@@ -178,7 +268,8 @@ def test_what_strangers_send_is_refused_or_ignored_and_breaks_nothing(session: S
     m, ask = mavutil.mavlink, session.client.mav
     session.until("HEARTBEAT")
     unknown = (
-        m.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES, m.MAV_CMD_GET_MESSAGE_INTERVAL, m.MAV_CMD_COMPONENT_ARM_DISARM,
+        m.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES, m.MAV_CMD_REQUEST_PROTOCOL_VERSION,
+         m.MAV_CMD_GET_MESSAGE_INTERVAL, m.MAV_CMD_COMPONENT_ARM_DISARM,
         m.MAV_CMD_DO_SET_MODE, m.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, 65535,
     )  # fmt: skip
     for command in unknown:

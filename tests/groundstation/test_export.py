@@ -1,5 +1,6 @@
 """Exports are read back by the programs people use, values and units included."""
 
+import struct
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 from datetime import datetime
@@ -117,7 +118,10 @@ class TestFoxglove:
         seen: dict[str, list[Any]] = {}
         with (exported / "flight.mcap").open("rb") as handle:
             reader = make_reader(handle, decoder_factories=[DecoderFactory()])
-            for schema, channel, message, decoded in reader.iter_decoded_messages():
+            summary = reader.get_summary()
+            assert summary is not None
+            topics = [c.topic for c in summary.channels.values() if c.message_encoding == "protobuf"]
+            for schema, channel, message, decoded in reader.iter_decoded_messages(topics=topics):
                 assert schema is not None
                 seen.setdefault(channel.topic, []).append((schema.name, message.log_time, decoded))
         assert {topic: rows[0][0] for topic, rows in seen.items()} == {
@@ -132,6 +136,50 @@ class TestFoxglove:
         assert len(seen["/flight"]) == len(flight)
         stamp = seen["/gnss/fix"][0][2].timestamp
         assert stamp.ToNanoseconds() == seen["/gnss/fix"][0][1]
+
+    def test_rerun_s_own_importer_shows_scalars_by_name_and_unit(self, exported: Path, flight: Flight) -> None:
+        from rerun.chunk import McapReader
+
+        lines: dict[str, list[str]] = {}
+        values: dict[str, list[Any]] = {}
+        times: list[Any] = []
+        for chunk in McapReader(exported / "flight.mcap").stream().to_chunks():
+            batch = chunk.to_record_batch().to_pydict()
+            if "SeriesLines:names" in batch:
+                lines[chunk.entity_path] = batch["SeriesLines:names"][0]
+            if "Scalars:scalars" in batch:
+                values.setdefault(chunk.entity_path, []).extend(batch["Scalars:scalars"])
+                if chunk.entity_path == "/scalars/rates/position":
+                    times.extend(batch["message_log_time"])
+        assert lines["/scalars/rates/position"] == ["p [rad/s]", "q [rad/s]", "r [rad/s]"]
+        found = np.array(values["/scalars/rates/position"])
+        np.testing.assert_array_equal(found, np.column_stack([flight[n] for n in "pqr"]))
+        assert {str(t)[:4] for t in times} == {"2026"}
+        assert len(values["/scalars/gnss/position/position"]) == np.isfinite(flight["latitude"]).sum()
+
+    def test_a_column_of_one_s_own_is_a_scalar_too(self, flight: Flight, tmp_path: Path) -> None:
+        from mcap.reader import make_reader
+
+        added = replace(flight, columns={**flight.columns, "torque": np.full(len(flight), 2.5)})
+        write_flight(added, tmp_path / "own.mcap")
+        export_file(tmp_path / "own.mcap", tmp_path / "out.mcap")
+        with (tmp_path / "out.mcap").open("rb") as handle:
+            found = next(iter(make_reader(handle).iter_messages(topics=["/scalars/others"])))
+        assert found[2].data[12:].count(b"torque\0") == 1
+        assert struct.pack("<d", 2.5) in found[2].data
+
+    def test_a_flight_itself_is_filed_under_utc_where_it_is_known(self, flight: Flight, tmp_path: Path) -> None:
+        from mcap.reader import make_reader
+
+        offset = utc_offset(flight)
+        assert offset is not None
+        for told, wanted in ((offset, offset), (1e300, 0.0), ("soon", 0.0)):
+            detail = {**flight.provenance.detail, UTC_KEY: told}
+            timed = replace(flight, provenance=replace(flight.provenance, detail=detail))
+            write_flight(timed, tmp_path / "timed.mcap")
+            with (tmp_path / "timed.mcap").open("rb") as handle:
+                stamps = [m.log_time * 1e-9 for _, _, m in make_reader(handle).iter_messages()]
+            np.testing.assert_allclose(stamps, flight.time + wanted, atol=1e-6, rtol=0)
 
     def test_still_a_flight(self, flight: Flight, tmp_path: Path) -> None:
         write_flight(flight, tmp_path / "plain.mcap")

@@ -1,18 +1,23 @@
 """Reception over a bad link: every sent scan is received or known to be lost, whatever happens in between."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
 
+from daq.clock import SimulatedClock
 from daq.contract.link.scan_map import ScanMap
+from daq.contract.recordings.reading import read_recording
+from daq.transport.mavlink_codec import FrameEncoder
 from daq.transport.ports import memory_pair
 from groundstation.receiver import events as ev
 from groundstation.receiver.link_config import LinkConfig
 from groundstation.receiver.receive import Receiver
 from groundstation.receiver.tlog import TlogError, info_tlog, read_tlog
-from tests.link_rig import Rig, random_scan
+from tests.link_rig import START_UTC_NS, Rig, random_scan
 
 LISTEN = LinkConfig(ports=("memory",), backfill="off")
 
@@ -133,6 +138,53 @@ def test_restart_of_the_aircraft_begins_new_books(tmp_path: Path, boot: int) -> 
     assert rig.ground.summary()["frames_lost"] == 0
     paths = rig.ground.write_recordings()
     assert len(paths) == 2
+    rig.close()
+
+
+@pytest.mark.parametrize(
+    ("kind", "autopilot", "is_aircraft"),
+    [(1, 8, True), (1, 0, True), (2, 3, True), (6, 8, False), (30, 8, False), (18, 8, False)],
+    ids=["the logger", "the logger of old", "a copter", "a ground station", "a camera", "an onboard computer"],
+)
+def test_an_aircraft_without_autopilot_is_heard_and_a_ground_station_is_none(
+    tmp_path: Path, kind: int, autopilot: int, is_aircraft: bool
+) -> None:
+    ours, theirs = memory_pair()
+    receiver = Receiver(LISTEN, {"memory": ours}, SimulatedClock(START_UTC_NS), folder=tmp_path)
+    theirs.write(FrameEncoder(9, 1).message("HEARTBEAT", type=kind, autopilot=autopilot, mavlink_version=3))
+    receiver.poll()
+    assert receiver.systems == ([9] if is_aircraft else [])
+    receiver.close()
+
+
+def filed(path: Path) -> list[tuple[str, int]]:
+    with path.open("rb") as stream:
+        return [(c.topic, m.log_time) for _, c, m in make_reader(stream).iter_messages(log_time_order=False)]
+
+
+def test_a_received_recording_is_filed_under_utc_from_its_first_scan(tmp_path: Path) -> None:
+    rig = Rig(tmp_path, ground=LISTEN)
+    fly(rig, 100)
+    rig.rest(12)
+    (path,) = rig.ground.write_recordings()
+    found = filed(path)
+    assert {topic for topic, _ in found} >= {"/scan", "/link"}
+    scans = read_recording(path).scans()
+    for (_, at), scan in zip((row for row in found if row[0] == "/scan"), scans, strict=True):
+        assert at == START_UTC_NS + scan.time_monotonic_ns
+    assert all(START_UTC_NS <= at < START_UTC_NS + 60 * 10**9 for _, at in found)
+    rig.close()
+
+
+@pytest.mark.parametrize("utc_ns", [1, 2**63, 2**64 - 1])
+def test_an_impossible_utc_of_an_aircraft_does_no_harm(tmp_path: Path, utc_ns: int) -> None:
+    rng = np.random.default_rng(1)
+    rig = Rig(tmp_path, ground=LISTEN)
+    rig.fly(60, lambda n: replace(random_scan(n, rng, time_ns=rig.clock.monotonic_ns()), time_utc_ns=utc_ns))
+    rig.rest(4)
+    (path,) = rig.ground.write_recordings()
+    assert all(at < 10**12 for _, at in filed(path)), "monotonic, as long as nothing credible is known"
+    assert len(read_recording(path).numbers) == len(rig.received())
     rig.close()
 
 

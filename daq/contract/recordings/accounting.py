@@ -17,7 +17,7 @@ from daq.contract.durable import make_directories, replacing
 from daq.contract.ranges import Range, count, ranges, shown, subtract
 from daq.contract.recordings.messages import Statistics
 from daq.contract.recordings.reading import Recording, Segment, by_session, join, read_segments
-from daq.contract.recordings.recording import RecordingError, RecordingInfo, RecordingWriter
+from daq.contract.recordings.recording import RecordingError, RecordingInfo, RecordingWriter, utc_of
 from daq.contract.recordings.salvage import Damage
 from daq.contract.recordings.summary import info_mcap
 
@@ -317,7 +317,7 @@ def _write_recovered(recording: Recording, out: Path) -> None:
     info = _recovered_info(recording, verify_recording(recording))
     make_directories(out.parent)
     with replacing(out) as partial, partial.open("wb") as stream:
-        writer = RecordingWriter(stream, info)
+        writer = RecordingWriter(stream, info, log_time=utc_of(recording.entries))
         for i, entry in enumerate(recording.entries, start=1):
             writer.write(entry)
             if i % 1000 == 0:

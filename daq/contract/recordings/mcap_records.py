@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from daq.contract.recordings.expand import MAX_CHUNK, Bad, Effort, expand
-from daq.contract.recordings.recording import DETAIL_NAME, INFO_NAME, metadata_digest
+from daq.contract.recordings.recording import DETAIL_NAME, INFO_NAME, LOG_TIME_NAME, metadata_digest
 
 MAGIC = b"\x89MCAP0\r\n"
 HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX = range(1, 9)
@@ -139,7 +139,7 @@ def read_metadata(body: memoryview, effort: Effort) -> Metadata:
     name = cursor.text()
     fields = cursor.texts()
     cursor.finish()
-    if name in (INFO_NAME, DETAIL_NAME) and fields.get("sha256") != metadata_digest(fields):
+    if name in (INFO_NAME, DETAIL_NAME, LOG_TIME_NAME) and fields.get("sha256") != metadata_digest(fields):
         raise Bad("digest does not match")
     return Metadata(name, fields)
 

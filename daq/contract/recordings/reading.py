@@ -35,6 +35,7 @@ from daq.contract.recordings.recording import (
     RecordingInfo,
     info_from_metadata,
     metadata_digest,
+    on_monotonic_clock,
 )
 from daq.contract.recordings.salvage import Began, Closed, Damage, Item, Walk
 from daq.contract.scan import SCAN_TOPIC, Scan, decode_scan
@@ -234,7 +235,7 @@ class _Part:
         match item:
             case Entry():
                 if item.topic in SCHEMA_OF_TOPIC:
-                    self.entries.append(item)
+                    self.entries.append(on_monotonic_clock(item))
                 else:
                     self.foreign[item.topic] = self.foreign.get(item.topic, 0) + 1
                     if item.topic in _KEPT:

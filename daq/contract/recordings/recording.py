@@ -6,12 +6,14 @@ files. Then come chunks of sealed protobuf messages on five topics. Chunks carry
 a CRC, our metadata a digest, and the whole data section a CRC, so there is no byte whose alteration goes unnoticed.
 
 Chunks are not compressed unless asked for: one bad bit then costs one scan instead of the second around it.
-Message times: log_time is monotonic time, publish_time is UTC (monotonic while UTC is unknown).
+Message times in a file: log_time is the aircraft's monotonic clock plus one offset for the whole file (`LogTime`), which makes
+it UTC; publish_time is UTC as well as the message itself knows it, and monotonic where it does not. In memory, in an
+`Entry`, log_time is always the monotonic clock, which is what the messages carry.
 """
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
@@ -53,8 +55,24 @@ class RecordingError(UserError):
     """A recording that cannot be read or written."""
 
 
+COMPUTER, GPS = "system clock", "GPS"
+LOG_TIME_NAME = "sideslip.log_time"
+"""Name of the metadata record that says what log times are."""
+UTC_FROM_NS, UTC_TO_NS = 10**18, 4 * 10**18
+"""Log times from here on (September 2001) are UTC: no computer runs for 31 years. From 2096 on, nobody believes it."""
+_LAST_NS = 2**64 - 1  # that a file can hold
+
+
+@dataclass(frozen=True, slots=True)
+class LogTime:
+    """What is added to the monotonic clock for the log times of a file [ns], and who knows it; 0: nobody."""
+
+    offset_ns: int = 0
+    source: str = ""
+
+
 class Entry(NamedTuple):
-    """One message as it stands in the file."""
+    """One message. log_time_ns: on the aircraft's monotonic clock, whatever the file has."""
 
     topic: str
     log_time_ns: int
@@ -204,6 +222,27 @@ def entry_of(topic: str, data: bytes) -> Entry:
     return Entry(topic, content.time_monotonic_ns, utc, getattr(content, "number", 0), data)
 
 
+def on_monotonic_clock(entry: Entry) -> Entry:
+    """A message as it stands in a file, its log time put back on the aircraft's monotonic clock by its own content."""
+    if entry.log_time_ns < UTC_FROM_NS:
+        return entry
+    if entry.topic == SCAN_TOPIC:
+        return entry._replace(log_time_ns=scan_stamp(entry.data)[1])
+    return entry._replace(log_time_ns=DECODERS[entry.topic](entry.data).time_monotonic_ns)
+
+
+def utc_of(entries: Iterable[Entry]) -> LogTime:
+    """The offset to UTC as the first scan knows it that knows any; nothing where none does."""
+    return next((known for known in map(utc_of_scan, entries) if known is not None), LogTime())
+
+
+def utc_of_scan(entry: Entry) -> LogTime | None:
+    """The offset to UTC as a scan knows it; None for one that knows none, or an impossible one, and for other messages."""
+    if entry.topic != SCAN_TOPIC or not UTC_FROM_NS <= entry.publish_time_ns < UTC_TO_NS:
+        return None
+    return LogTime(entry.publish_time_ns - entry.log_time_ns, GPS)
+
+
 _ENCODERS: dict[type, tuple[str, Callable[[Any], bytes]]] = {
     m.Event: (m.EVENT_TOPIC, m.encode_event),
     m.LogLine: (m.LOG_TOPIC, m.encode_log),
@@ -222,10 +261,15 @@ class RecordingWriter:
     """Writes one segment to a binary stream; everything but messages is written at once, at the start.
 
     The stream needs write, tell and flush. Errors of the stream pass through; after one the segment must be given up,
-    since the MCAP writer has already forgotten what it failed to write.
+    since the MCAP writer has already forgotten what it failed to write. log_time: how messages are filed; may be set
+    until the first one is written.
     """
 
-    def __init__(self, stream: IO[bytes], info: RecordingInfo, *, compress: bool = False) -> None:
+    def __init__(
+        self, stream: IO[bytes], info: RecordingInfo, *, compress: bool = False, log_time: LogTime = LogTime()
+    ) -> None:
+        self.log_time = log_time
+        self._begun = False
         info = replace(info, software=info.software or software_version())
         kind = CompressionType.ZSTD if compress else CompressionType.NONE
         self._writer = Writer(stream, compression=kind, enable_crcs=True, enable_data_crcs=True)
@@ -244,9 +288,19 @@ class RecordingWriter:
 
     def write(self, entry: Entry) -> None:
         """Add a message to the chunk in progress."""
-        self._writer.add_message(
-            self._channels[entry.topic], entry.log_time_ns, entry.data, entry.publish_time_ns, entry.sequence
-        )
+        self._add(self._channels[entry.topic], entry)
+
+    def _add(self, channel: int, entry: Entry) -> None:
+        if not self._begun:
+            self._begun = True
+            self._say_log_time()
+        log_time_ns = min(_LAST_NS, max(0, entry.log_time_ns + self.log_time.offset_ns))
+        self._writer.add_message(channel, log_time_ns, entry.data, entry.publish_time_ns, entry.sequence)
+
+    def _say_log_time(self) -> None:
+        if self.log_time.source:
+            fields = {"utc_minus_monotonic_ns": str(self.log_time.offset_ns), "known_by": self.log_time.source}
+            self._writer.add_metadata(LOG_TIME_NAME, with_digest(fields))
 
     def write_scan(self, scan: Scan) -> None:
         """Add a scan."""

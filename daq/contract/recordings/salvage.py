@@ -40,7 +40,7 @@ from daq.contract.recordings.mcap_records import (
     read_attachment,
     read_metadata,
 )
-from daq.contract.recordings.recording import DETAIL_NAME, INFO_NAME, SCHEMA_OF_TOPIC, Entry
+from daq.contract.recordings.recording import DETAIL_NAME, INFO_NAME, LOG_TIME_NAME, SCHEMA_OF_TOPIC, Entry
 from daq.contract.recordings.trust import begins, next_candidate
 from daq.contract.seal import seal_holds
 
@@ -405,7 +405,7 @@ class Walk:
             elif record.opcode == ATTACHMENT:
                 read_attachment(record.body, self._effort)
             elif record.opcode == METADATA:
-                return read_metadata(record.body, self._effort).name in (INFO_NAME, DETAIL_NAME)
+                return read_metadata(record.body, self._effort).name in (INFO_NAME, DETAIL_NAME, LOG_TIME_NAME)
             elif record.opcode in (MESSAGE_INDEX, CHUNK_INDEX):
                 check_structure(record)
                 return len(record.body) > 6

@@ -1,9 +1,10 @@
 """Make the dialect definition and the Python module from it; run as `python -m daq.contract.link.dialect.generate`.
 
 Three sources: standard messages from the XML files that pymavlink ships, `own_messages.xml`, and the scan messages
-laid out by `daq.contract.link.wire`. Two files result, both kept in the tree: `sideslip.xml`, for any MAVLink tool, and
+laid out by `daq.contract.link.wire`. Three files result, all kept in the tree: `sideslip.xml`, which needs nothing else;
 `sideslip_dialect.py`, made from it by pymavlink's mavgen with a table of the other standard messages' checksums
-appended, so that a foreign but sound frame is told from a damaged one.
+appended, so that a foreign but sound frame is told from a damaged one; and `sideslip_with_standard.xml`, our messages on
+top of all of ArduPilot's, for ground stations that need those (docs/mavlink.md).
 """
 
 import contextlib
@@ -21,14 +22,18 @@ from daq.contract.link.wire import Layout, layouts
 HERE = Path(__file__).parent
 DEFINITION = HERE / "sideslip.xml"
 MODULE = HERE / "sideslip_dialect.py"
+WITH_STANDARD = HERE / "sideslip_with_standard.xml"
 OWN = HERE / "own_messages.xml"
 
 STANDARD = tuple(
     (
         "HEARTBEAT SYS_STATUS GPS_RAW_INT ATTITUDE COMMAND_LONG COMMAND_ACK RADIO_STATUS TIMESYNC "
         "LOG_REQUEST_LIST LOG_ENTRY LOG_REQUEST_DATA LOG_DATA LOG_ERASE LOG_REQUEST_END STATUSTEXT "
-        "TUNNEL COMMAND_INT PARAM_REQUEST_READ PARAM_REQUEST_LIST PARAM_VALUE PARAM_SET "
-        "MISSION_REQUEST_LIST MISSION_COUNT"
+        "TUNNEL COMMAND_INT PARAM_REQUEST_READ PARAM_REQUEST_LIST PARAM_VALUE PARAM_SET PARAM_ERROR "
+        "MISSION_REQUEST_LIST MISSION_COUNT MISSION_ACK MISSION_REQUEST MISSION_REQUEST_INT MISSION_CLEAR_ALL "
+        "MISSION_WRITE_PARTIAL_LIST FILE_TRANSFER_PROTOCOL AUTOPILOT_VERSION HOME_POSITION "
+        "VFR_HUD GLOBAL_POSITION_INT SCALED_PRESSURE AOA_SSA WIND_COV SERVO_OUTPUT_RAW BATTERY_STATUS "
+        "NAMED_VALUE_FLOAT HIGH_LATENCY2"
     ).split()
 )
 
@@ -39,10 +44,24 @@ def definition() -> str:
     """The text of `sideslip.xml`."""
     standard = _standard_messages()
     parts = [_message_text(standard[name]) for name in sorted(STANDARD, key=lambda n: int(standard[n].attrib["id"]))]
-    own = [_message_text(m) for m in ET.parse(OWN).getroot()]
+    return _document("", [*parts, *_own_messages()])
+
+
+def definition_with_standard() -> str:
+    """The text of `sideslip_with_standard.xml`."""
+    return _document("  <include>ardupilotmega.xml</include>\n", _own_messages())
+
+
+def _own_messages() -> list[str]:
     scans = [_layout_text(layout) for layout in layouts(BUILT_IN_CHANNELS).values()]
-    body = "\n".join([*parts, *scans, *own])
-    head = f'<?xml version="1.0"?>\n<!-- {_NOTE} -->\n<mavlink>\n  <version>3</version>\n  <dialect>0</dialect>\n'
+    return [*scans, *(_message_text(m) for m in ET.parse(OWN).getroot())]
+
+
+def _document(include: str, messages: list[str]) -> str:
+    body = "\n".join(messages)
+    head = (
+        f'<?xml version="1.0"?>\n<!-- {_NOTE} -->\n<mavlink>\n{include}  <version>3</version>\n  <dialect>0</dialect>\n'
+    )
     return f"{head}  <messages>\n{body}\n  </messages>\n</mavlink>\n"
 
 
@@ -77,7 +96,7 @@ def _foreign_table() -> str:
 def _standard_messages() -> dict[str, ET.Element]:
     folder = Path(str(import_module("pymavlink.dialects.v20").__file__)).parent
     found = {}
-    for file in ("minimal.xml", "standard.xml", "common.xml"):
+    for file in ("minimal.xml", "standard.xml", "common.xml", "ardupilotmega.xml"):
         for message in ET.parse(folder / file).getroot().iter("message"):
             found[message.attrib["name"]] = message
     return found
@@ -109,11 +128,12 @@ def _layout_text(layout: Layout) -> str:
 
 
 def main() -> int:
-    """Rewrite both files."""
+    """Rewrite the files."""
     xml = definition()
     DEFINITION.write_text(xml)
+    WITH_STANDARD.write_text(definition_with_standard())
     MODULE.write_text(module_text(xml))
-    print(f"{DEFINITION.name} and {MODULE.name} written")
+    print(f"{DEFINITION.name}, {WITH_STANDARD.name} and {MODULE.name} written")
     return 0
 
 

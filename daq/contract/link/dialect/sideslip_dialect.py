@@ -368,13 +368,23 @@ MAVLINK_MSG_ID_PARAM_REQUEST_LIST = 21
 MAVLINK_MSG_ID_PARAM_VALUE = 22
 MAVLINK_MSG_ID_PARAM_SET = 23
 MAVLINK_MSG_ID_GPS_RAW_INT = 24
+MAVLINK_MSG_ID_SCALED_PRESSURE = 29
 MAVLINK_MSG_ID_ATTITUDE = 30
+MAVLINK_MSG_ID_GLOBAL_POSITION_INT = 33
+MAVLINK_MSG_ID_SERVO_OUTPUT_RAW = 36
+MAVLINK_MSG_ID_MISSION_WRITE_PARTIAL_LIST = 38
+MAVLINK_MSG_ID_MISSION_REQUEST = 40
 MAVLINK_MSG_ID_MISSION_REQUEST_LIST = 43
 MAVLINK_MSG_ID_MISSION_COUNT = 44
+MAVLINK_MSG_ID_MISSION_CLEAR_ALL = 45
+MAVLINK_MSG_ID_MISSION_ACK = 47
+MAVLINK_MSG_ID_MISSION_REQUEST_INT = 51
+MAVLINK_MSG_ID_VFR_HUD = 74
 MAVLINK_MSG_ID_COMMAND_INT = 75
 MAVLINK_MSG_ID_COMMAND_LONG = 76
 MAVLINK_MSG_ID_COMMAND_ACK = 77
 MAVLINK_MSG_ID_RADIO_STATUS = 109
+MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL = 110
 MAVLINK_MSG_ID_TIMESYNC = 111
 MAVLINK_MSG_ID_LOG_REQUEST_LIST = 117
 MAVLINK_MSG_ID_LOG_ENTRY = 118
@@ -382,8 +392,16 @@ MAVLINK_MSG_ID_LOG_REQUEST_DATA = 119
 MAVLINK_MSG_ID_LOG_DATA = 120
 MAVLINK_MSG_ID_LOG_ERASE = 121
 MAVLINK_MSG_ID_LOG_REQUEST_END = 122
+MAVLINK_MSG_ID_BATTERY_STATUS = 147
+MAVLINK_MSG_ID_AUTOPILOT_VERSION = 148
+MAVLINK_MSG_ID_WIND_COV = 231
+MAVLINK_MSG_ID_HIGH_LATENCY2 = 235
+MAVLINK_MSG_ID_HOME_POSITION = 242
+MAVLINK_MSG_ID_NAMED_VALUE_FLOAT = 251
 MAVLINK_MSG_ID_STATUSTEXT = 253
+MAVLINK_MSG_ID_PARAM_ERROR = 345
 MAVLINK_MSG_ID_TUNNEL = 385
+MAVLINK_MSG_ID_AOA_SSA = 11020
 MAVLINK_MSG_ID_SCAN_FAST = 44100
 MAVLINK_MSG_ID_SCAN_SLOW = 44101
 MAVLINK_MSG_ID_SCAN_RARE = 44102
@@ -746,6 +764,50 @@ class MAVLink_gps_raw_int_message(MAVLink_message):
 setattr(MAVLink_gps_raw_int_message, "name", mavlink_msg_deprecated_name_property())
 
 
+class MAVLink_scaled_pressure_message(MAVLink_message):
+    """
+    The pressure readings for the typical setup of one absolute and
+    differential pressure sensor. The units are as specified in each
+    field.
+    """
+
+    id = MAVLINK_MSG_ID_SCALED_PRESSURE
+    msgname = "SCALED_PRESSURE"
+    fieldnames = ["time_boot_ms", "press_abs", "press_diff", "temperature", "temperature_press_diff"]
+    ordered_fieldnames = ["time_boot_ms", "press_abs", "press_diff", "temperature", "temperature_press_diff"]
+    fieldtypes = ["uint32_t", "float", "float", "int16_t", "int16_t"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {}
+    fieldunits_by_name: Dict[str, str] = {"time_boot_ms": "ms", "press_abs": "hPa", "press_diff": "hPa", "temperature": "cdegC", "temperature_press_diff": "cdegC"}
+    native_format = bytearray(b"<Iffhh")
+    orders = [0, 1, 2, 3, 4]
+    lengths = [1, 1, 1, 1, 1]
+    array_lengths = [0, 0, 0, 0, 0]
+    crc_extra = 115
+    unpacker = struct.Struct("<Iffhh")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, time_boot_ms: int, press_abs: float, press_diff: float, temperature: int, temperature_press_diff: int = 0):
+        MAVLink_message.__init__(self, MAVLink_scaled_pressure_message.id, MAVLink_scaled_pressure_message.msgname)
+        self._fieldnames = MAVLink_scaled_pressure_message.fieldnames
+        self._instance_field = MAVLink_scaled_pressure_message.instance_field
+        self._instance_offset = MAVLink_scaled_pressure_message.instance_offset
+        self.time_boot_ms = time_boot_ms
+        self.press_abs = press_abs
+        self.press_diff = press_diff
+        self.temperature = temperature
+        self.temperature_press_diff = temperature_press_diff
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.time_boot_ms, self.press_abs, self.press_diff, self.temperature, self.temperature_press_diff), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_scaled_pressure_message, "name", mavlink_msg_deprecated_name_property())
+
+
 class MAVLink_attitude_message(MAVLink_message):
     """
     The attitude in the aeronautical frame (right-handed, Z-down,
@@ -789,6 +851,201 @@ class MAVLink_attitude_message(MAVLink_message):
 # Define name on the class for backwards compatibility (it is now msgname).
 # Done with setattr to hide the class variable from mypy.
 setattr(MAVLink_attitude_message, "name", mavlink_msg_deprecated_name_property())
+
+
+class MAVLink_global_position_int_message(MAVLink_message):
+    """
+    The filtered global position (e.g. fused GPS and accelerometers).
+    The position is in GPS-frame (right-handed, Z-up). It is designed
+    as scaled integer message since the resolution of float is not
+    sufficient.
+    """
+
+    id = MAVLINK_MSG_ID_GLOBAL_POSITION_INT
+    msgname = "GLOBAL_POSITION_INT"
+    fieldnames = ["time_boot_ms", "lat", "lon", "alt", "relative_alt", "vx", "vy", "vz", "hdg"]
+    ordered_fieldnames = ["time_boot_ms", "lat", "lon", "alt", "relative_alt", "vx", "vy", "vz", "hdg"]
+    fieldtypes = ["uint32_t", "int32_t", "int32_t", "int32_t", "int32_t", "int16_t", "int16_t", "int16_t", "uint16_t"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {}
+    fieldunits_by_name: Dict[str, str] = {"time_boot_ms": "ms", "lat": "degE7", "lon": "degE7", "alt": "mm", "relative_alt": "mm", "vx": "cm/s", "vy": "cm/s", "vz": "cm/s", "hdg": "cdeg"}
+    native_format = bytearray(b"<IiiiihhhH")
+    orders = [0, 1, 2, 3, 4, 5, 6, 7, 8]
+    lengths = [1, 1, 1, 1, 1, 1, 1, 1, 1]
+    array_lengths = [0, 0, 0, 0, 0, 0, 0, 0, 0]
+    crc_extra = 104
+    unpacker = struct.Struct("<IiiiihhhH")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, time_boot_ms: int, lat: int, lon: int, alt: int, relative_alt: int, vx: int, vy: int, vz: int, hdg: int):
+        MAVLink_message.__init__(self, MAVLink_global_position_int_message.id, MAVLink_global_position_int_message.msgname)
+        self._fieldnames = MAVLink_global_position_int_message.fieldnames
+        self._instance_field = MAVLink_global_position_int_message.instance_field
+        self._instance_offset = MAVLink_global_position_int_message.instance_offset
+        self.time_boot_ms = time_boot_ms
+        self.lat = lat
+        self.lon = lon
+        self.alt = alt
+        self.relative_alt = relative_alt
+        self.vx = vx
+        self.vy = vy
+        self.vz = vz
+        self.hdg = hdg
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.time_boot_ms, self.lat, self.lon, self.alt, self.relative_alt, self.vx, self.vy, self.vz, self.hdg), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_global_position_int_message, "name", mavlink_msg_deprecated_name_property())
+
+
+class MAVLink_servo_output_raw_message(MAVLink_message):
+    """
+    Superseded by ACTUATOR_OUTPUT_STATUS. The RAW values of the servo
+    outputs (for RC input from the remote, use the RC_CHANNELS
+    messages). The standard PPM modulation is as follows: 1000
+    microseconds: 0%, 2000 microseconds: 100%.
+    """
+
+    id = MAVLINK_MSG_ID_SERVO_OUTPUT_RAW
+    msgname = "SERVO_OUTPUT_RAW"
+    fieldnames = ["time_usec", "port", "servo1_raw", "servo2_raw", "servo3_raw", "servo4_raw", "servo5_raw", "servo6_raw", "servo7_raw", "servo8_raw", "servo9_raw", "servo10_raw", "servo11_raw", "servo12_raw", "servo13_raw", "servo14_raw", "servo15_raw", "servo16_raw"]
+    ordered_fieldnames = ["time_usec", "servo1_raw", "servo2_raw", "servo3_raw", "servo4_raw", "servo5_raw", "servo6_raw", "servo7_raw", "servo8_raw", "port", "servo9_raw", "servo10_raw", "servo11_raw", "servo12_raw", "servo13_raw", "servo14_raw", "servo15_raw", "servo16_raw"]
+    fieldtypes = ["uint32_t", "uint8_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {}
+    fieldunits_by_name: Dict[str, str] = {"time_usec": "us", "servo1_raw": "us", "servo2_raw": "us", "servo3_raw": "us", "servo4_raw": "us", "servo5_raw": "us", "servo6_raw": "us", "servo7_raw": "us", "servo8_raw": "us", "servo9_raw": "us", "servo10_raw": "us", "servo11_raw": "us", "servo12_raw": "us", "servo13_raw": "us", "servo14_raw": "us", "servo15_raw": "us", "servo16_raw": "us"}
+    native_format = bytearray(b"<IHHHHHHHHBHHHHHHHH")
+    orders = [0, 9, 1, 2, 3, 4, 5, 6, 7, 8, 10, 11, 12, 13, 14, 15, 16, 17]
+    lengths = [1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1]
+    array_lengths = [0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]
+    crc_extra = 222
+    unpacker = struct.Struct("<IHHHHHHHHBHHHHHHHH")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, time_usec: int, port: int, servo1_raw: int, servo2_raw: int, servo3_raw: int, servo4_raw: int, servo5_raw: int, servo6_raw: int, servo7_raw: int, servo8_raw: int, servo9_raw: int = 0, servo10_raw: int = 0, servo11_raw: int = 0, servo12_raw: int = 0, servo13_raw: int = 0, servo14_raw: int = 0, servo15_raw: int = 0, servo16_raw: int = 0):
+        MAVLink_message.__init__(self, MAVLink_servo_output_raw_message.id, MAVLink_servo_output_raw_message.msgname)
+        self._fieldnames = MAVLink_servo_output_raw_message.fieldnames
+        self._instance_field = MAVLink_servo_output_raw_message.instance_field
+        self._instance_offset = MAVLink_servo_output_raw_message.instance_offset
+        self.time_usec = time_usec
+        self.port = port
+        self.servo1_raw = servo1_raw
+        self.servo2_raw = servo2_raw
+        self.servo3_raw = servo3_raw
+        self.servo4_raw = servo4_raw
+        self.servo5_raw = servo5_raw
+        self.servo6_raw = servo6_raw
+        self.servo7_raw = servo7_raw
+        self.servo8_raw = servo8_raw
+        self.servo9_raw = servo9_raw
+        self.servo10_raw = servo10_raw
+        self.servo11_raw = servo11_raw
+        self.servo12_raw = servo12_raw
+        self.servo13_raw = servo13_raw
+        self.servo14_raw = servo14_raw
+        self.servo15_raw = servo15_raw
+        self.servo16_raw = servo16_raw
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.time_usec, self.servo1_raw, self.servo2_raw, self.servo3_raw, self.servo4_raw, self.servo5_raw, self.servo6_raw, self.servo7_raw, self.servo8_raw, self.port, self.servo9_raw, self.servo10_raw, self.servo11_raw, self.servo12_raw, self.servo13_raw, self.servo14_raw, self.servo15_raw, self.servo16_raw), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_servo_output_raw_message, "name", mavlink_msg_deprecated_name_property())
+
+
+class MAVLink_mission_write_partial_list_message(MAVLink_message):
+    """
+    This message is sent to the MAV to write a partial list. If start
+    index == end index, only one item will be transmitted / updated.
+    If the start index is NOT 0 and above the current list size, this
+    request should be REJECTED!
+    """
+
+    id = MAVLINK_MSG_ID_MISSION_WRITE_PARTIAL_LIST
+    msgname = "MISSION_WRITE_PARTIAL_LIST"
+    fieldnames = ["target_system", "target_component", "start_index", "end_index", "mission_type"]
+    ordered_fieldnames = ["start_index", "end_index", "target_system", "target_component", "mission_type"]
+    fieldtypes = ["uint8_t", "uint8_t", "int16_t", "int16_t", "uint8_t"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {}
+    fieldunits_by_name: Dict[str, str] = {}
+    native_format = bytearray(b"<hhBBB")
+    orders = [2, 3, 0, 1, 4]
+    lengths = [1, 1, 1, 1, 1]
+    array_lengths = [0, 0, 0, 0, 0]
+    crc_extra = 9
+    unpacker = struct.Struct("<hhBBB")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, target_system: int, target_component: int, start_index: int, end_index: int, mission_type: int = 0):
+        MAVLink_message.__init__(self, MAVLink_mission_write_partial_list_message.id, MAVLink_mission_write_partial_list_message.msgname)
+        self._fieldnames = MAVLink_mission_write_partial_list_message.fieldnames
+        self._instance_field = MAVLink_mission_write_partial_list_message.instance_field
+        self._instance_offset = MAVLink_mission_write_partial_list_message.instance_offset
+        self.target_system = target_system
+        self.target_component = target_component
+        self.start_index = start_index
+        self.end_index = end_index
+        self.mission_type = mission_type
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.start_index, self.end_index, self.target_system, self.target_component, self.mission_type), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_mission_write_partial_list_message, "name", mavlink_msg_deprecated_name_property())
+
+
+class MAVLink_mission_request_message(MAVLink_message):
+    """
+    Request the information of the mission item with the sequence
+    number seq. The response of the system to this message should be a
+    MISSION_ITEM message. https://mavlink.io/en/services/mission.html
+    """
+
+    id = MAVLINK_MSG_ID_MISSION_REQUEST
+    msgname = "MISSION_REQUEST"
+    fieldnames = ["target_system", "target_component", "seq", "mission_type"]
+    ordered_fieldnames = ["seq", "target_system", "target_component", "mission_type"]
+    fieldtypes = ["uint8_t", "uint8_t", "uint16_t", "uint8_t"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {}
+    fieldunits_by_name: Dict[str, str] = {}
+    native_format = bytearray(b"<HBBB")
+    orders = [1, 2, 0, 3]
+    lengths = [1, 1, 1, 1]
+    array_lengths = [0, 0, 0, 0]
+    crc_extra = 230
+    unpacker = struct.Struct("<HBBB")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, target_system: int, target_component: int, seq: int, mission_type: int = 0):
+        MAVLink_message.__init__(self, MAVLink_mission_request_message.id, MAVLink_mission_request_message.msgname)
+        self._fieldnames = MAVLink_mission_request_message.fieldnames
+        self._instance_field = MAVLink_mission_request_message.instance_field
+        self._instance_offset = MAVLink_mission_request_message.instance_offset
+        self.target_system = target_system
+        self.target_component = target_component
+        self.seq = seq
+        self.mission_type = mission_type
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.seq, self.target_system, self.target_component, self.mission_type), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_mission_request_message, "name", mavlink_msg_deprecated_name_property())
 
 
 class MAVLink_mission_request_list_message(MAVLink_message):
@@ -874,6 +1131,176 @@ class MAVLink_mission_count_message(MAVLink_message):
 # Define name on the class for backwards compatibility (it is now msgname).
 # Done with setattr to hide the class variable from mypy.
 setattr(MAVLink_mission_count_message, "name", mavlink_msg_deprecated_name_property())
+
+
+class MAVLink_mission_clear_all_message(MAVLink_message):
+    """
+    Delete all mission items at once.
+    """
+
+    id = MAVLINK_MSG_ID_MISSION_CLEAR_ALL
+    msgname = "MISSION_CLEAR_ALL"
+    fieldnames = ["target_system", "target_component", "mission_type"]
+    ordered_fieldnames = ["target_system", "target_component", "mission_type"]
+    fieldtypes = ["uint8_t", "uint8_t", "uint8_t"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {}
+    fieldunits_by_name: Dict[str, str] = {}
+    native_format = bytearray(b"<BBB")
+    orders = [0, 1, 2]
+    lengths = [1, 1, 1]
+    array_lengths = [0, 0, 0]
+    crc_extra = 232
+    unpacker = struct.Struct("<BBB")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, target_system: int, target_component: int, mission_type: int = 0):
+        MAVLink_message.__init__(self, MAVLink_mission_clear_all_message.id, MAVLink_mission_clear_all_message.msgname)
+        self._fieldnames = MAVLink_mission_clear_all_message.fieldnames
+        self._instance_field = MAVLink_mission_clear_all_message.instance_field
+        self._instance_offset = MAVLink_mission_clear_all_message.instance_offset
+        self.target_system = target_system
+        self.target_component = target_component
+        self.mission_type = mission_type
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.target_system, self.target_component, self.mission_type), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_mission_clear_all_message, "name", mavlink_msg_deprecated_name_property())
+
+
+class MAVLink_mission_ack_message(MAVLink_message):
+    """
+    Acknowledgment message during waypoint handling. The type field
+    states if this message is a positive ack (type=0) or if an error
+    happened (type=non-zero).
+    """
+
+    id = MAVLINK_MSG_ID_MISSION_ACK
+    msgname = "MISSION_ACK"
+    fieldnames = ["target_system", "target_component", "type", "mission_type"]
+    ordered_fieldnames = ["target_system", "target_component", "type", "mission_type"]
+    fieldtypes = ["uint8_t", "uint8_t", "uint8_t", "uint8_t"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {}
+    fieldunits_by_name: Dict[str, str] = {}
+    native_format = bytearray(b"<BBBB")
+    orders = [0, 1, 2, 3]
+    lengths = [1, 1, 1, 1]
+    array_lengths = [0, 0, 0, 0]
+    crc_extra = 153
+    unpacker = struct.Struct("<BBBB")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, target_system: int, target_component: int, type: int, mission_type: int = 0):
+        MAVLink_message.__init__(self, MAVLink_mission_ack_message.id, MAVLink_mission_ack_message.msgname)
+        self._fieldnames = MAVLink_mission_ack_message.fieldnames
+        self._instance_field = MAVLink_mission_ack_message.instance_field
+        self._instance_offset = MAVLink_mission_ack_message.instance_offset
+        self.target_system = target_system
+        self.target_component = target_component
+        self.type = type
+        self.mission_type = mission_type
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.target_system, self.target_component, self.type, self.mission_type), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_mission_ack_message, "name", mavlink_msg_deprecated_name_property())
+
+
+class MAVLink_mission_request_int_message(MAVLink_message):
+    """
+    Request the information of the mission item with the sequence
+    number seq. The response of the system to this message should be a
+    MISSION_ITEM_INT message.
+    https://mavlink.io/en/services/mission.html
+    """
+
+    id = MAVLINK_MSG_ID_MISSION_REQUEST_INT
+    msgname = "MISSION_REQUEST_INT"
+    fieldnames = ["target_system", "target_component", "seq", "mission_type"]
+    ordered_fieldnames = ["seq", "target_system", "target_component", "mission_type"]
+    fieldtypes = ["uint8_t", "uint8_t", "uint16_t", "uint8_t"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {}
+    fieldunits_by_name: Dict[str, str] = {}
+    native_format = bytearray(b"<HBBB")
+    orders = [1, 2, 0, 3]
+    lengths = [1, 1, 1, 1]
+    array_lengths = [0, 0, 0, 0]
+    crc_extra = 196
+    unpacker = struct.Struct("<HBBB")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, target_system: int, target_component: int, seq: int, mission_type: int = 0):
+        MAVLink_message.__init__(self, MAVLink_mission_request_int_message.id, MAVLink_mission_request_int_message.msgname)
+        self._fieldnames = MAVLink_mission_request_int_message.fieldnames
+        self._instance_field = MAVLink_mission_request_int_message.instance_field
+        self._instance_offset = MAVLink_mission_request_int_message.instance_offset
+        self.target_system = target_system
+        self.target_component = target_component
+        self.seq = seq
+        self.mission_type = mission_type
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.seq, self.target_system, self.target_component, self.mission_type), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_mission_request_int_message, "name", mavlink_msg_deprecated_name_property())
+
+
+class MAVLink_vfr_hud_message(MAVLink_message):
+    """
+    Metrics typically displayed on a HUD for fixed wing aircraft.
+    """
+
+    id = MAVLINK_MSG_ID_VFR_HUD
+    msgname = "VFR_HUD"
+    fieldnames = ["airspeed", "groundspeed", "heading", "throttle", "alt", "climb"]
+    ordered_fieldnames = ["airspeed", "groundspeed", "alt", "climb", "heading", "throttle"]
+    fieldtypes = ["float", "float", "int16_t", "uint16_t", "float", "float"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {}
+    fieldunits_by_name: Dict[str, str] = {"airspeed": "m/s", "groundspeed": "m/s", "heading": "deg", "throttle": "%", "alt": "m", "climb": "m/s"}
+    native_format = bytearray(b"<ffffhH")
+    orders = [0, 1, 4, 5, 2, 3]
+    lengths = [1, 1, 1, 1, 1, 1]
+    array_lengths = [0, 0, 0, 0, 0, 0]
+    crc_extra = 20
+    unpacker = struct.Struct("<ffffhH")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, airspeed: float, groundspeed: float, heading: int, throttle: int, alt: float, climb: float):
+        MAVLink_message.__init__(self, MAVLink_vfr_hud_message.id, MAVLink_vfr_hud_message.msgname)
+        self._fieldnames = MAVLink_vfr_hud_message.fieldnames
+        self._instance_field = MAVLink_vfr_hud_message.instance_field
+        self._instance_offset = MAVLink_vfr_hud_message.instance_offset
+        self.airspeed = airspeed
+        self.groundspeed = groundspeed
+        self.heading = heading
+        self.throttle = throttle
+        self.alt = alt
+        self.climb = climb
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.airspeed, self.groundspeed, self.alt, self.climb, self.heading, self.throttle), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_vfr_hud_message, "name", mavlink_msg_deprecated_name_property())
 
 
 class MAVLink_command_int_message(MAVLink_message):
@@ -1069,6 +1496,48 @@ class MAVLink_radio_status_message(MAVLink_message):
 # Define name on the class for backwards compatibility (it is now msgname).
 # Done with setattr to hide the class variable from mypy.
 setattr(MAVLink_radio_status_message, "name", mavlink_msg_deprecated_name_property())
+
+
+class MAVLink_file_transfer_protocol_message(MAVLink_message):
+    """
+    File transfer protocol message:
+    https://mavlink.io/en/services/ftp.html.
+    """
+
+    id = MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL
+    msgname = "FILE_TRANSFER_PROTOCOL"
+    fieldnames = ["target_network", "target_system", "target_component", "payload"]
+    ordered_fieldnames = ["target_network", "target_system", "target_component", "payload"]
+    fieldtypes = ["uint8_t", "uint8_t", "uint8_t", "uint8_t"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {}
+    fieldunits_by_name: Dict[str, str] = {}
+    native_format = bytearray(b"<BBBB")
+    orders = [0, 1, 2, 3]
+    lengths = [1, 1, 1, 251]
+    array_lengths = [0, 0, 0, 251]
+    crc_extra = 84
+    unpacker = struct.Struct("<BBB251B")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, target_network: int, target_system: int, target_component: int, payload: Sequence[int]):
+        MAVLink_message.__init__(self, MAVLink_file_transfer_protocol_message.id, MAVLink_file_transfer_protocol_message.msgname)
+        self._fieldnames = MAVLink_file_transfer_protocol_message.fieldnames
+        self._instance_field = MAVLink_file_transfer_protocol_message.instance_field
+        self._instance_offset = MAVLink_file_transfer_protocol_message.instance_offset
+        self.target_network = target_network
+        self.target_system = target_system
+        self.target_component = target_component
+        self.payload = payload
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.target_network, self.target_system, self.target_component, self.payload[0], self.payload[1], self.payload[2], self.payload[3], self.payload[4], self.payload[5], self.payload[6], self.payload[7], self.payload[8], self.payload[9], self.payload[10], self.payload[11], self.payload[12], self.payload[13], self.payload[14], self.payload[15], self.payload[16], self.payload[17], self.payload[18], self.payload[19], self.payload[20], self.payload[21], self.payload[22], self.payload[23], self.payload[24], self.payload[25], self.payload[26], self.payload[27], self.payload[28], self.payload[29], self.payload[30], self.payload[31], self.payload[32], self.payload[33], self.payload[34], self.payload[35], self.payload[36], self.payload[37], self.payload[38], self.payload[39], self.payload[40], self.payload[41], self.payload[42], self.payload[43], self.payload[44], self.payload[45], self.payload[46], self.payload[47], self.payload[48], self.payload[49], self.payload[50], self.payload[51], self.payload[52], self.payload[53], self.payload[54], self.payload[55], self.payload[56], self.payload[57], self.payload[58], self.payload[59], self.payload[60], self.payload[61], self.payload[62], self.payload[63], self.payload[64], self.payload[65], self.payload[66], self.payload[67], self.payload[68], self.payload[69], self.payload[70], self.payload[71], self.payload[72], self.payload[73], self.payload[74], self.payload[75], self.payload[76], self.payload[77], self.payload[78], self.payload[79], self.payload[80], self.payload[81], self.payload[82], self.payload[83], self.payload[84], self.payload[85], self.payload[86], self.payload[87], self.payload[88], self.payload[89], self.payload[90], self.payload[91], self.payload[92], self.payload[93], self.payload[94], self.payload[95], self.payload[96], self.payload[97], self.payload[98], self.payload[99], self.payload[100], self.payload[101], self.payload[102], self.payload[103], self.payload[104], self.payload[105], self.payload[106], self.payload[107], self.payload[108], self.payload[109], self.payload[110], self.payload[111], self.payload[112], self.payload[113], self.payload[114], self.payload[115], self.payload[116], self.payload[117], self.payload[118], self.payload[119], self.payload[120], self.payload[121], self.payload[122], self.payload[123], self.payload[124], self.payload[125], self.payload[126], self.payload[127], self.payload[128], self.payload[129], self.payload[130], self.payload[131], self.payload[132], self.payload[133], self.payload[134], self.payload[135], self.payload[136], self.payload[137], self.payload[138], self.payload[139], self.payload[140], self.payload[141], self.payload[142], self.payload[143], self.payload[144], self.payload[145], self.payload[146], self.payload[147], self.payload[148], self.payload[149], self.payload[150], self.payload[151], self.payload[152], self.payload[153], self.payload[154], self.payload[155], self.payload[156], self.payload[157], self.payload[158], self.payload[159], self.payload[160], self.payload[161], self.payload[162], self.payload[163], self.payload[164], self.payload[165], self.payload[166], self.payload[167], self.payload[168], self.payload[169], self.payload[170], self.payload[171], self.payload[172], self.payload[173], self.payload[174], self.payload[175], self.payload[176], self.payload[177], self.payload[178], self.payload[179], self.payload[180], self.payload[181], self.payload[182], self.payload[183], self.payload[184], self.payload[185], self.payload[186], self.payload[187], self.payload[188], self.payload[189], self.payload[190], self.payload[191], self.payload[192], self.payload[193], self.payload[194], self.payload[195], self.payload[196], self.payload[197], self.payload[198], self.payload[199], self.payload[200], self.payload[201], self.payload[202], self.payload[203], self.payload[204], self.payload[205], self.payload[206], self.payload[207], self.payload[208], self.payload[209], self.payload[210], self.payload[211], self.payload[212], self.payload[213], self.payload[214], self.payload[215], self.payload[216], self.payload[217], self.payload[218], self.payload[219], self.payload[220], self.payload[221], self.payload[222], self.payload[223], self.payload[224], self.payload[225], self.payload[226], self.payload[227], self.payload[228], self.payload[229], self.payload[230], self.payload[231], self.payload[232], self.payload[233], self.payload[234], self.payload[235], self.payload[236], self.payload[237], self.payload[238], self.payload[239], self.payload[240], self.payload[241], self.payload[242], self.payload[243], self.payload[244], self.payload[245], self.payload[246], self.payload[247], self.payload[248], self.payload[249], self.payload[250]), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_file_transfer_protocol_message, "name", mavlink_msg_deprecated_name_property())
 
 
 class MAVLink_timesync_message(MAVLink_message):
@@ -1376,6 +1845,323 @@ class MAVLink_log_request_end_message(MAVLink_message):
 setattr(MAVLink_log_request_end_message, "name", mavlink_msg_deprecated_name_property())
 
 
+class MAVLink_battery_status_message(MAVLink_message):
+    """
+    Battery information
+    """
+
+    id = MAVLINK_MSG_ID_BATTERY_STATUS
+    msgname = "BATTERY_STATUS"
+    fieldnames = ["id", "battery_function", "type", "temperature", "voltages", "current_battery", "current_consumed", "energy_consumed", "battery_remaining", "time_remaining", "charge_state", "voltages_ext", "mode", "fault_bitmask"]
+    ordered_fieldnames = ["current_consumed", "energy_consumed", "temperature", "voltages", "current_battery", "id", "battery_function", "type", "battery_remaining", "time_remaining", "charge_state", "voltages_ext", "mode", "fault_bitmask"]
+    fieldtypes = ["uint8_t", "uint8_t", "uint8_t", "int16_t", "uint16_t", "int16_t", "int32_t", "int32_t", "int8_t", "int32_t", "uint8_t", "uint16_t", "uint8_t", "uint32_t"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {}
+    fieldunits_by_name: Dict[str, str] = {"temperature": "cdegC", "voltages": "mV", "current_battery": "cA", "current_consumed": "mAh", "energy_consumed": "hJ", "battery_remaining": "%", "time_remaining": "s", "voltages_ext": "mV"}
+    native_format = bytearray(b"<iihHhBBBbiBHBI")
+    orders = [5, 6, 7, 2, 3, 4, 0, 1, 8, 9, 10, 11, 12, 13]
+    lengths = [1, 1, 1, 10, 1, 1, 1, 1, 1, 1, 1, 4, 1, 1]
+    array_lengths = [0, 0, 0, 10, 0, 0, 0, 0, 0, 0, 0, 4, 0, 0]
+    crc_extra = 154
+    unpacker = struct.Struct("<iih10HhBBBbiB4HBI")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, id: int, battery_function: int, type: int, temperature: int, voltages: Sequence[int], current_battery: int, current_consumed: int, energy_consumed: int, battery_remaining: int, time_remaining: int = 0, charge_state: int = 0, voltages_ext: Sequence[int] = (0, 0, 0, 0), mode: int = 0, fault_bitmask: int = 0):
+        MAVLink_message.__init__(self, MAVLink_battery_status_message.id, MAVLink_battery_status_message.msgname)
+        self._fieldnames = MAVLink_battery_status_message.fieldnames
+        self._instance_field = MAVLink_battery_status_message.instance_field
+        self._instance_offset = MAVLink_battery_status_message.instance_offset
+        self.id = id
+        self.battery_function = battery_function
+        self.type = type
+        self.temperature = temperature
+        self.voltages = voltages
+        self.current_battery = current_battery
+        self.current_consumed = current_consumed
+        self.energy_consumed = energy_consumed
+        self.battery_remaining = battery_remaining
+        self.time_remaining = time_remaining
+        self.charge_state = charge_state
+        self.voltages_ext = voltages_ext
+        self.mode = mode
+        self.fault_bitmask = fault_bitmask
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.current_consumed, self.energy_consumed, self.temperature, self.voltages[0], self.voltages[1], self.voltages[2], self.voltages[3], self.voltages[4], self.voltages[5], self.voltages[6], self.voltages[7], self.voltages[8], self.voltages[9], self.current_battery, self.id, self.battery_function, self.type, self.battery_remaining, self.time_remaining, self.charge_state, self.voltages_ext[0], self.voltages_ext[1], self.voltages_ext[2], self.voltages_ext[3], self.mode, self.fault_bitmask), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_battery_status_message, "name", mavlink_msg_deprecated_name_property())
+
+
+class MAVLink_autopilot_version_message(MAVLink_message):
+    """
+    Version and capability of autopilot software. This should be
+    emitted in response to a request with MAV_CMD_REQUEST_MESSAGE.
+    """
+
+    id = MAVLINK_MSG_ID_AUTOPILOT_VERSION
+    msgname = "AUTOPILOT_VERSION"
+    fieldnames = ["capabilities", "flight_sw_version", "middleware_sw_version", "os_sw_version", "board_version", "flight_custom_version", "middleware_custom_version", "os_custom_version", "vendor_id", "product_id", "uid", "uid2"]
+    ordered_fieldnames = ["capabilities", "uid", "flight_sw_version", "middleware_sw_version", "os_sw_version", "board_version", "vendor_id", "product_id", "flight_custom_version", "middleware_custom_version", "os_custom_version", "uid2"]
+    fieldtypes = ["uint64_t", "uint32_t", "uint32_t", "uint32_t", "uint32_t", "uint8_t", "uint8_t", "uint8_t", "uint16_t", "uint16_t", "uint64_t", "uint8_t"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {}
+    fieldunits_by_name: Dict[str, str] = {}
+    native_format = bytearray(b"<QQIIIIHHBBBB")
+    orders = [0, 2, 3, 4, 5, 8, 9, 10, 6, 7, 1, 11]
+    lengths = [1, 1, 1, 1, 1, 1, 1, 1, 8, 8, 8, 18]
+    array_lengths = [0, 0, 0, 0, 0, 0, 0, 0, 8, 8, 8, 18]
+    crc_extra = 178
+    unpacker = struct.Struct("<QQIIIIHH8B8B8B18B")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, capabilities: int, flight_sw_version: int, middleware_sw_version: int, os_sw_version: int, board_version: int, flight_custom_version: Sequence[int], middleware_custom_version: Sequence[int], os_custom_version: Sequence[int], vendor_id: int, product_id: int, uid: int, uid2: Sequence[int] = (0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0)):
+        MAVLink_message.__init__(self, MAVLink_autopilot_version_message.id, MAVLink_autopilot_version_message.msgname)
+        self._fieldnames = MAVLink_autopilot_version_message.fieldnames
+        self._instance_field = MAVLink_autopilot_version_message.instance_field
+        self._instance_offset = MAVLink_autopilot_version_message.instance_offset
+        self.capabilities = capabilities
+        self.flight_sw_version = flight_sw_version
+        self.middleware_sw_version = middleware_sw_version
+        self.os_sw_version = os_sw_version
+        self.board_version = board_version
+        self.flight_custom_version = flight_custom_version
+        self.middleware_custom_version = middleware_custom_version
+        self.os_custom_version = os_custom_version
+        self.vendor_id = vendor_id
+        self.product_id = product_id
+        self.uid = uid
+        self.uid2 = uid2
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.capabilities, self.uid, self.flight_sw_version, self.middleware_sw_version, self.os_sw_version, self.board_version, self.vendor_id, self.product_id, self.flight_custom_version[0], self.flight_custom_version[1], self.flight_custom_version[2], self.flight_custom_version[3], self.flight_custom_version[4], self.flight_custom_version[5], self.flight_custom_version[6], self.flight_custom_version[7], self.middleware_custom_version[0], self.middleware_custom_version[1], self.middleware_custom_version[2], self.middleware_custom_version[3], self.middleware_custom_version[4], self.middleware_custom_version[5], self.middleware_custom_version[6], self.middleware_custom_version[7], self.os_custom_version[0], self.os_custom_version[1], self.os_custom_version[2], self.os_custom_version[3], self.os_custom_version[4], self.os_custom_version[5], self.os_custom_version[6], self.os_custom_version[7], self.uid2[0], self.uid2[1], self.uid2[2], self.uid2[3], self.uid2[4], self.uid2[5], self.uid2[6], self.uid2[7], self.uid2[8], self.uid2[9], self.uid2[10], self.uid2[11], self.uid2[12], self.uid2[13], self.uid2[14], self.uid2[15], self.uid2[16], self.uid2[17]), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_autopilot_version_message, "name", mavlink_msg_deprecated_name_property())
+
+
+class MAVLink_wind_cov_message(MAVLink_message):
+    """
+    Wind estimate from vehicle. Note that despite the name, this
+    message does not actually contain any covariances but instead
+    variability and accuracy fields in terms of standard deviation
+    (1-STD).
+    """
+
+    id = MAVLINK_MSG_ID_WIND_COV
+    msgname = "WIND_COV"
+    fieldnames = ["time_usec", "wind_x", "wind_y", "wind_z", "var_horiz", "var_vert", "wind_alt", "horiz_accuracy", "vert_accuracy"]
+    ordered_fieldnames = ["time_usec", "wind_x", "wind_y", "wind_z", "var_horiz", "var_vert", "wind_alt", "horiz_accuracy", "vert_accuracy"]
+    fieldtypes = ["uint64_t", "float", "float", "float", "float", "float", "float", "float", "float"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {}
+    fieldunits_by_name: Dict[str, str] = {"time_usec": "us", "wind_x": "m/s", "wind_y": "m/s", "wind_z": "m/s", "var_horiz": "m/s", "var_vert": "m/s", "wind_alt": "m", "horiz_accuracy": "m/s", "vert_accuracy": "m/s"}
+    native_format = bytearray(b"<Qffffffff")
+    orders = [0, 1, 2, 3, 4, 5, 6, 7, 8]
+    lengths = [1, 1, 1, 1, 1, 1, 1, 1, 1]
+    array_lengths = [0, 0, 0, 0, 0, 0, 0, 0, 0]
+    crc_extra = 105
+    unpacker = struct.Struct("<Qffffffff")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, time_usec: int, wind_x: float, wind_y: float, wind_z: float, var_horiz: float, var_vert: float, wind_alt: float, horiz_accuracy: float, vert_accuracy: float):
+        MAVLink_message.__init__(self, MAVLink_wind_cov_message.id, MAVLink_wind_cov_message.msgname)
+        self._fieldnames = MAVLink_wind_cov_message.fieldnames
+        self._instance_field = MAVLink_wind_cov_message.instance_field
+        self._instance_offset = MAVLink_wind_cov_message.instance_offset
+        self.time_usec = time_usec
+        self.wind_x = wind_x
+        self.wind_y = wind_y
+        self.wind_z = wind_z
+        self.var_horiz = var_horiz
+        self.var_vert = var_vert
+        self.wind_alt = wind_alt
+        self.horiz_accuracy = horiz_accuracy
+        self.vert_accuracy = vert_accuracy
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.time_usec, self.wind_x, self.wind_y, self.wind_z, self.var_horiz, self.var_vert, self.wind_alt, self.horiz_accuracy, self.vert_accuracy), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_wind_cov_message, "name", mavlink_msg_deprecated_name_property())
+
+
+class MAVLink_high_latency2_message(MAVLink_message):
+    """
+    Message appropriate for high latency connections like Iridium
+    (version 2)
+    """
+
+    id = MAVLINK_MSG_ID_HIGH_LATENCY2
+    msgname = "HIGH_LATENCY2"
+    fieldnames = ["timestamp", "type", "autopilot", "custom_mode", "latitude", "longitude", "altitude", "target_altitude", "heading", "target_heading", "target_distance", "throttle", "airspeed", "airspeed_sp", "groundspeed", "windspeed", "wind_heading", "eph", "epv", "temperature_air", "climb_rate", "battery", "wp_num", "failure_flags", "custom0", "custom1", "custom2"]
+    ordered_fieldnames = ["timestamp", "latitude", "longitude", "custom_mode", "altitude", "target_altitude", "target_distance", "wp_num", "failure_flags", "type", "autopilot", "heading", "target_heading", "throttle", "airspeed", "airspeed_sp", "groundspeed", "windspeed", "wind_heading", "eph", "epv", "temperature_air", "climb_rate", "battery", "custom0", "custom1", "custom2"]
+    fieldtypes = ["uint32_t", "uint8_t", "uint8_t", "uint16_t", "int32_t", "int32_t", "int16_t", "int16_t", "uint8_t", "uint8_t", "uint16_t", "uint8_t", "uint8_t", "uint8_t", "uint8_t", "uint8_t", "uint8_t", "uint8_t", "uint8_t", "int8_t", "int8_t", "int8_t", "uint16_t", "uint16_t", "int8_t", "int8_t", "int8_t"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {}
+    fieldunits_by_name: Dict[str, str] = {"timestamp": "ms", "latitude": "degE7", "longitude": "degE7", "altitude": "m", "target_altitude": "m", "heading": "deg/2", "target_heading": "deg/2", "target_distance": "dam", "throttle": "%", "airspeed": "m/s*5", "airspeed_sp": "m/s*5", "groundspeed": "m/s*5", "windspeed": "m/s*5", "wind_heading": "deg/2", "eph": "dm", "epv": "dm", "temperature_air": "degC", "climb_rate": "dm/s", "battery": "%"}
+    native_format = bytearray(b"<IiiHhhHHHBBBBBBBBBBBBbbbbbb")
+    orders = [0, 9, 10, 3, 1, 2, 4, 5, 11, 12, 6, 13, 14, 15, 16, 17, 18, 19, 20, 21, 22, 23, 7, 8, 24, 25, 26]
+    lengths = [1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1]
+    array_lengths = [0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]
+    crc_extra = 179
+    unpacker = struct.Struct("<IiiHhhHHHBBBBBBBBBBBBbbbbbb")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, timestamp: int, type: int, autopilot: int, custom_mode: int, latitude: int, longitude: int, altitude: int, target_altitude: int, heading: int, target_heading: int, target_distance: int, throttle: int, airspeed: int, airspeed_sp: int, groundspeed: int, windspeed: int, wind_heading: int, eph: int, epv: int, temperature_air: int, climb_rate: int, battery: int, wp_num: int, failure_flags: int, custom0: int, custom1: int, custom2: int):
+        MAVLink_message.__init__(self, MAVLink_high_latency2_message.id, MAVLink_high_latency2_message.msgname)
+        self._fieldnames = MAVLink_high_latency2_message.fieldnames
+        self._instance_field = MAVLink_high_latency2_message.instance_field
+        self._instance_offset = MAVLink_high_latency2_message.instance_offset
+        self.timestamp = timestamp
+        self.type = type
+        self.autopilot = autopilot
+        self.custom_mode = custom_mode
+        self.latitude = latitude
+        self.longitude = longitude
+        self.altitude = altitude
+        self.target_altitude = target_altitude
+        self.heading = heading
+        self.target_heading = target_heading
+        self.target_distance = target_distance
+        self.throttle = throttle
+        self.airspeed = airspeed
+        self.airspeed_sp = airspeed_sp
+        self.groundspeed = groundspeed
+        self.windspeed = windspeed
+        self.wind_heading = wind_heading
+        self.eph = eph
+        self.epv = epv
+        self.temperature_air = temperature_air
+        self.climb_rate = climb_rate
+        self.battery = battery
+        self.wp_num = wp_num
+        self.failure_flags = failure_flags
+        self.custom0 = custom0
+        self.custom1 = custom1
+        self.custom2 = custom2
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.timestamp, self.latitude, self.longitude, self.custom_mode, self.altitude, self.target_altitude, self.target_distance, self.wp_num, self.failure_flags, self.type, self.autopilot, self.heading, self.target_heading, self.throttle, self.airspeed, self.airspeed_sp, self.groundspeed, self.windspeed, self.wind_heading, self.eph, self.epv, self.temperature_air, self.climb_rate, self.battery, self.custom0, self.custom1, self.custom2), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_high_latency2_message, "name", mavlink_msg_deprecated_name_property())
+
+
+class MAVLink_home_position_message(MAVLink_message):
+    """
+    This message can be requested by sending the
+    MAV_CMD_GET_HOME_POSITION command. The position the system will
+    return to and land on. The position is set automatically by the
+    system during the takeoff in case it was not explicitly set by the
+    operator before or after. The global and local positions encode
+    the position in the respective coordinate frames, while the q
+    parameter encodes the orientation of the surface. Under normal
+    conditions it describes the heading and terrain slope, which can
+    be used by the aircraft to adjust the approach. The approach 3D
+    vector describes the point to which the system should fly in
+    normal flight mode and then perform a landing sequence along the
+    vector.
+    """
+
+    id = MAVLINK_MSG_ID_HOME_POSITION
+    msgname = "HOME_POSITION"
+    fieldnames = ["latitude", "longitude", "altitude", "x", "y", "z", "q", "approach_x", "approach_y", "approach_z", "time_usec"]
+    ordered_fieldnames = ["latitude", "longitude", "altitude", "x", "y", "z", "q", "approach_x", "approach_y", "approach_z", "time_usec"]
+    fieldtypes = ["int32_t", "int32_t", "int32_t", "float", "float", "float", "float", "float", "float", "float", "uint64_t"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {}
+    fieldunits_by_name: Dict[str, str] = {"latitude": "degE7", "longitude": "degE7", "altitude": "mm", "x": "m", "y": "m", "z": "m", "approach_x": "m", "approach_y": "m", "approach_z": "m", "time_usec": "us"}
+    native_format = bytearray(b"<iiifffffffQ")
+    orders = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10]
+    lengths = [1, 1, 1, 1, 1, 1, 4, 1, 1, 1, 1]
+    array_lengths = [0, 0, 0, 0, 0, 0, 4, 0, 0, 0, 0]
+    crc_extra = 104
+    unpacker = struct.Struct("<iiifff4ffffQ")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, latitude: int, longitude: int, altitude: int, x: float, y: float, z: float, q: Sequence[float], approach_x: float, approach_y: float, approach_z: float, time_usec: int = 0):
+        MAVLink_message.__init__(self, MAVLink_home_position_message.id, MAVLink_home_position_message.msgname)
+        self._fieldnames = MAVLink_home_position_message.fieldnames
+        self._instance_field = MAVLink_home_position_message.instance_field
+        self._instance_offset = MAVLink_home_position_message.instance_offset
+        self.latitude = latitude
+        self.longitude = longitude
+        self.altitude = altitude
+        self.x = x
+        self.y = y
+        self.z = z
+        self.q = q
+        self.approach_x = approach_x
+        self.approach_y = approach_y
+        self.approach_z = approach_z
+        self.time_usec = time_usec
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.latitude, self.longitude, self.altitude, self.x, self.y, self.z, self.q[0], self.q[1], self.q[2], self.q[3], self.approach_x, self.approach_y, self.approach_z, self.time_usec), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_home_position_message, "name", mavlink_msg_deprecated_name_property())
+
+
+class MAVLink_named_value_float_message(MAVLink_message):
+    """
+    Send a key-value pair as float. The use of this message is
+    discouraged for normal packets, but a quite efficient way for
+    testing new messages and getting experimental debug output.
+    """
+
+    id = MAVLINK_MSG_ID_NAMED_VALUE_FLOAT
+    msgname = "NAMED_VALUE_FLOAT"
+    fieldnames = ["time_boot_ms", "name", "value"]
+    ordered_fieldnames = ["time_boot_ms", "value", "name"]
+    fieldtypes = ["uint32_t", "char", "float"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {}
+    fieldunits_by_name: Dict[str, str] = {"time_boot_ms": "ms"}
+    native_format = bytearray(b"<Ifc")
+    orders = [0, 2, 1]
+    lengths = [1, 1, 1]
+    array_lengths = [0, 0, 10]
+    crc_extra = 170
+    unpacker = struct.Struct("<If10s")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, time_boot_ms: int, name: bytes, value: float):
+        MAVLink_message.__init__(self, MAVLink_named_value_float_message.id, MAVLink_named_value_float_message.msgname)
+        self._fieldnames = MAVLink_named_value_float_message.fieldnames
+        self._instance_field = MAVLink_named_value_float_message.instance_field
+        self._instance_offset = MAVLink_named_value_float_message.instance_offset
+        self.time_boot_ms = time_boot_ms
+        self._name_raw = name
+        self.name = name.split(b"\x00", 1)[0].decode("ascii", errors="replace")
+        self.value = value
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.time_boot_ms, self.value, self._name_raw), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_named_value_float_message, "name", mavlink_msg_deprecated_name_property())
+
+
 class MAVLink_statustext_message(MAVLink_message):
     """
     Status text message. These messages are printed in yellow in the
@@ -1422,6 +2208,51 @@ class MAVLink_statustext_message(MAVLink_message):
 setattr(MAVLink_statustext_message, "name", mavlink_msg_deprecated_name_property())
 
 
+class MAVLink_param_error_message(MAVLink_message):
+    """
+    Parameter set/get error. Returned from a MAVLink node in response
+    to an error in the parameter protocol, for example failing to set
+    a parameter because it does not exist.
+    """
+
+    id = MAVLINK_MSG_ID_PARAM_ERROR
+    msgname = "PARAM_ERROR"
+    fieldnames = ["target_system", "target_component", "param_id", "param_index", "error"]
+    ordered_fieldnames = ["param_index", "target_system", "target_component", "param_id", "error"]
+    fieldtypes = ["uint8_t", "uint8_t", "char", "int16_t", "uint8_t"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {}
+    fieldunits_by_name: Dict[str, str] = {}
+    native_format = bytearray(b"<hBBcB")
+    orders = [1, 2, 3, 0, 4]
+    lengths = [1, 1, 1, 1, 1]
+    array_lengths = [0, 0, 0, 16, 0]
+    crc_extra = 209
+    unpacker = struct.Struct("<hBB16sB")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, target_system: int, target_component: int, param_id: bytes, param_index: int, error: int):
+        MAVLink_message.__init__(self, MAVLink_param_error_message.id, MAVLink_param_error_message.msgname)
+        self._fieldnames = MAVLink_param_error_message.fieldnames
+        self._instance_field = MAVLink_param_error_message.instance_field
+        self._instance_offset = MAVLink_param_error_message.instance_offset
+        self.target_system = target_system
+        self.target_component = target_component
+        self._param_id_raw = param_id
+        self.param_id = param_id.split(b"\x00", 1)[0].decode("ascii", errors="replace")
+        self.param_index = param_index
+        self.error = error
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.param_index, self.target_system, self.target_component, self._param_id_raw, self.error), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_param_error_message, "name", mavlink_msg_deprecated_name_property())
+
+
 class MAVLink_tunnel_message(MAVLink_message):
     """
     Message for transporting "arbitrary" variable-length data from one
@@ -1466,6 +2297,46 @@ class MAVLink_tunnel_message(MAVLink_message):
 # Define name on the class for backwards compatibility (it is now msgname).
 # Done with setattr to hide the class variable from mypy.
 setattr(MAVLink_tunnel_message, "name", mavlink_msg_deprecated_name_property())
+
+
+class MAVLink_aoa_ssa_message(MAVLink_message):
+    """
+    Angle of Attack and Side Slip Angle.
+    """
+
+    id = MAVLINK_MSG_ID_AOA_SSA
+    msgname = "AOA_SSA"
+    fieldnames = ["time_usec", "AOA", "SSA"]
+    ordered_fieldnames = ["time_usec", "AOA", "SSA"]
+    fieldtypes = ["uint64_t", "float", "float"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {}
+    fieldunits_by_name: Dict[str, str] = {"time_usec": "us", "AOA": "deg", "SSA": "deg"}
+    native_format = bytearray(b"<Qff")
+    orders = [0, 1, 2]
+    lengths = [1, 1, 1]
+    array_lengths = [0, 0, 0]
+    crc_extra = 205
+    unpacker = struct.Struct("<Qff")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, time_usec: int, AOA: float, SSA: float):
+        MAVLink_message.__init__(self, MAVLink_aoa_ssa_message.id, MAVLink_aoa_ssa_message.msgname)
+        self._fieldnames = MAVLink_aoa_ssa_message.fieldnames
+        self._instance_field = MAVLink_aoa_ssa_message.instance_field
+        self._instance_offset = MAVLink_aoa_ssa_message.instance_offset
+        self.time_usec = time_usec
+        self.AOA = AOA
+        self.SSA = SSA
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.time_usec, self.AOA, self.SSA), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_aoa_ssa_message, "name", mavlink_msg_deprecated_name_property())
 
 
 class MAVLink_scan_fast_message(MAVLink_message):
@@ -2110,13 +2981,23 @@ mavlink_map: Dict[int, Type[MAVLink_message]] = {
     MAVLINK_MSG_ID_PARAM_VALUE: MAVLink_param_value_message,
     MAVLINK_MSG_ID_PARAM_SET: MAVLink_param_set_message,
     MAVLINK_MSG_ID_GPS_RAW_INT: MAVLink_gps_raw_int_message,
+    MAVLINK_MSG_ID_SCALED_PRESSURE: MAVLink_scaled_pressure_message,
     MAVLINK_MSG_ID_ATTITUDE: MAVLink_attitude_message,
+    MAVLINK_MSG_ID_GLOBAL_POSITION_INT: MAVLink_global_position_int_message,
+    MAVLINK_MSG_ID_SERVO_OUTPUT_RAW: MAVLink_servo_output_raw_message,
+    MAVLINK_MSG_ID_MISSION_WRITE_PARTIAL_LIST: MAVLink_mission_write_partial_list_message,
+    MAVLINK_MSG_ID_MISSION_REQUEST: MAVLink_mission_request_message,
     MAVLINK_MSG_ID_MISSION_REQUEST_LIST: MAVLink_mission_request_list_message,
     MAVLINK_MSG_ID_MISSION_COUNT: MAVLink_mission_count_message,
+    MAVLINK_MSG_ID_MISSION_CLEAR_ALL: MAVLink_mission_clear_all_message,
+    MAVLINK_MSG_ID_MISSION_ACK: MAVLink_mission_ack_message,
+    MAVLINK_MSG_ID_MISSION_REQUEST_INT: MAVLink_mission_request_int_message,
+    MAVLINK_MSG_ID_VFR_HUD: MAVLink_vfr_hud_message,
     MAVLINK_MSG_ID_COMMAND_INT: MAVLink_command_int_message,
     MAVLINK_MSG_ID_COMMAND_LONG: MAVLink_command_long_message,
     MAVLINK_MSG_ID_COMMAND_ACK: MAVLink_command_ack_message,
     MAVLINK_MSG_ID_RADIO_STATUS: MAVLink_radio_status_message,
+    MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL: MAVLink_file_transfer_protocol_message,
     MAVLINK_MSG_ID_TIMESYNC: MAVLink_timesync_message,
     MAVLINK_MSG_ID_LOG_REQUEST_LIST: MAVLink_log_request_list_message,
     MAVLINK_MSG_ID_LOG_ENTRY: MAVLink_log_entry_message,
@@ -2124,8 +3005,16 @@ mavlink_map: Dict[int, Type[MAVLink_message]] = {
     MAVLINK_MSG_ID_LOG_DATA: MAVLink_log_data_message,
     MAVLINK_MSG_ID_LOG_ERASE: MAVLink_log_erase_message,
     MAVLINK_MSG_ID_LOG_REQUEST_END: MAVLink_log_request_end_message,
+    MAVLINK_MSG_ID_BATTERY_STATUS: MAVLink_battery_status_message,
+    MAVLINK_MSG_ID_AUTOPILOT_VERSION: MAVLink_autopilot_version_message,
+    MAVLINK_MSG_ID_WIND_COV: MAVLink_wind_cov_message,
+    MAVLINK_MSG_ID_HIGH_LATENCY2: MAVLink_high_latency2_message,
+    MAVLINK_MSG_ID_HOME_POSITION: MAVLink_home_position_message,
+    MAVLINK_MSG_ID_NAMED_VALUE_FLOAT: MAVLink_named_value_float_message,
     MAVLINK_MSG_ID_STATUSTEXT: MAVLink_statustext_message,
+    MAVLINK_MSG_ID_PARAM_ERROR: MAVLink_param_error_message,
     MAVLINK_MSG_ID_TUNNEL: MAVLink_tunnel_message,
+    MAVLINK_MSG_ID_AOA_SSA: MAVLink_aoa_ssa_message,
     MAVLINK_MSG_ID_SCAN_FAST: MAVLink_scan_fast_message,
     MAVLINK_MSG_ID_SCAN_SLOW: MAVLink_scan_slow_message,
     MAVLINK_MSG_ID_SCAN_RARE: MAVLink_scan_rare_message,
@@ -2819,6 +3708,36 @@ class MAVLink(object):
         """
         self.send(self.gps_raw_int_encode(time_usec, fix_type, lat, lon, alt, eph, epv, vel, cog, satellites_visible, alt_ellipsoid, h_acc, v_acc, vel_acc, hdg_acc, yaw), force_mavlink1=force_mavlink1)
 
+    def scaled_pressure_encode(self, time_boot_ms: int, press_abs: float, press_diff: float, temperature: int, temperature_press_diff: int = 0) -> MAVLink_scaled_pressure_message:
+        """
+        The pressure readings for the typical setup of one absolute and
+        differential pressure sensor. The units are as specified in
+        each field.
+
+        time_boot_ms              : Timestamp (time since system boot). [ms] (type:uint32_t)
+        press_abs                 : Absolute pressure [hPa] (type:float)
+        press_diff                : Differential pressure 1 [hPa] (type:float)
+        temperature               : Absolute pressure temperature [cdegC] (type:int16_t)
+        temperature_press_diff        : Differential pressure temperature (0, if not available). Report values of 0 (or 1) as 1 cdegC. [cdegC] (type:int16_t)
+
+        """
+        return MAVLink_scaled_pressure_message(time_boot_ms, press_abs, press_diff, temperature, temperature_press_diff)
+
+    def scaled_pressure_send(self, time_boot_ms: int, press_abs: float, press_diff: float, temperature: int, temperature_press_diff: int = 0, force_mavlink1: bool = False) -> None:
+        """
+        The pressure readings for the typical setup of one absolute and
+        differential pressure sensor. The units are as specified in
+        each field.
+
+        time_boot_ms              : Timestamp (time since system boot). [ms] (type:uint32_t)
+        press_abs                 : Absolute pressure [hPa] (type:float)
+        press_diff                : Differential pressure 1 [hPa] (type:float)
+        temperature               : Absolute pressure temperature [cdegC] (type:int16_t)
+        temperature_press_diff        : Differential pressure temperature (0, if not available). Report values of 0 (or 1) as 1 cdegC. [cdegC] (type:int16_t)
+
+        """
+        self.send(self.scaled_pressure_encode(time_boot_ms, press_abs, press_diff, temperature, temperature_press_diff), force_mavlink1=force_mavlink1)
+
     def attitude_encode(self, time_boot_ms: int, roll: float, pitch: float, yaw: float, rollspeed: float, pitchspeed: float, yawspeed: float) -> MAVLink_attitude_message:
         """
         The attitude in the aeronautical frame (right-handed, Z-down, Y-right,
@@ -2850,6 +3769,166 @@ class MAVLink(object):
 
         """
         self.send(self.attitude_encode(time_boot_ms, roll, pitch, yaw, rollspeed, pitchspeed, yawspeed), force_mavlink1=force_mavlink1)
+
+    def global_position_int_encode(self, time_boot_ms: int, lat: int, lon: int, alt: int, relative_alt: int, vx: int, vy: int, vz: int, hdg: int) -> MAVLink_global_position_int_message:
+        """
+        The filtered global position (e.g. fused GPS and accelerometers). The
+        position is in GPS-frame (right-handed, Z-up). It is designed
+        as scaled integer message since the resolution of float is not
+        sufficient.
+
+        time_boot_ms              : Timestamp (time since system boot). [ms] (type:uint32_t)
+        lat                       : Latitude, expressed [degE7] (type:int32_t)
+        lon                       : Longitude, expressed [degE7] (type:int32_t)
+        alt                       : Altitude (MSL). Note that virtually all GPS modules provide both WGS84 and MSL. [mm] (type:int32_t)
+        relative_alt              : Altitude above home [mm] (type:int32_t)
+        vx                        : Ground X Speed (Latitude, positive north) [cm/s] (type:int16_t)
+        vy                        : Ground Y Speed (Longitude, positive east) [cm/s] (type:int16_t)
+        vz                        : Ground Z Speed (Altitude, positive down) [cm/s] (type:int16_t)
+        hdg                       : Vehicle heading (yaw angle), 0.0..359.99 degrees. If unknown, set to: UINT16_MAX [cdeg] (type:uint16_t)
+
+        """
+        return MAVLink_global_position_int_message(time_boot_ms, lat, lon, alt, relative_alt, vx, vy, vz, hdg)
+
+    def global_position_int_send(self, time_boot_ms: int, lat: int, lon: int, alt: int, relative_alt: int, vx: int, vy: int, vz: int, hdg: int, force_mavlink1: bool = False) -> None:
+        """
+        The filtered global position (e.g. fused GPS and accelerometers). The
+        position is in GPS-frame (right-handed, Z-up). It is designed
+        as scaled integer message since the resolution of float is not
+        sufficient.
+
+        time_boot_ms              : Timestamp (time since system boot). [ms] (type:uint32_t)
+        lat                       : Latitude, expressed [degE7] (type:int32_t)
+        lon                       : Longitude, expressed [degE7] (type:int32_t)
+        alt                       : Altitude (MSL). Note that virtually all GPS modules provide both WGS84 and MSL. [mm] (type:int32_t)
+        relative_alt              : Altitude above home [mm] (type:int32_t)
+        vx                        : Ground X Speed (Latitude, positive north) [cm/s] (type:int16_t)
+        vy                        : Ground Y Speed (Longitude, positive east) [cm/s] (type:int16_t)
+        vz                        : Ground Z Speed (Altitude, positive down) [cm/s] (type:int16_t)
+        hdg                       : Vehicle heading (yaw angle), 0.0..359.99 degrees. If unknown, set to: UINT16_MAX [cdeg] (type:uint16_t)
+
+        """
+        self.send(self.global_position_int_encode(time_boot_ms, lat, lon, alt, relative_alt, vx, vy, vz, hdg), force_mavlink1=force_mavlink1)
+
+    def servo_output_raw_encode(self, time_usec: int, port: int, servo1_raw: int, servo2_raw: int, servo3_raw: int, servo4_raw: int, servo5_raw: int, servo6_raw: int, servo7_raw: int, servo8_raw: int, servo9_raw: int = 0, servo10_raw: int = 0, servo11_raw: int = 0, servo12_raw: int = 0, servo13_raw: int = 0, servo14_raw: int = 0, servo15_raw: int = 0, servo16_raw: int = 0) -> MAVLink_servo_output_raw_message:
+        """
+        Superseded by ACTUATOR_OUTPUT_STATUS. The RAW values of the servo
+        outputs (for RC input from the remote, use the RC_CHANNELS
+        messages). The standard PPM modulation is as follows: 1000
+        microseconds: 0%, 2000 microseconds: 100%.
+
+        time_usec                 : Timestamp (UNIX Epoch time or time since system boot). The receiving end can infer timestamp format (since 1.1.1970 or since system boot) by checking for the magnitude of the number. [us] (type:uint32_t)
+        port                      : Servo output port (set of 8 outputs = 1 port). Flight stacks running on Pixhawk should use: 0 = MAIN, 1 = AUX. (type:uint8_t)
+        servo1_raw                : Servo output 1 value [us] (type:uint16_t)
+        servo2_raw                : Servo output 2 value [us] (type:uint16_t)
+        servo3_raw                : Servo output 3 value [us] (type:uint16_t)
+        servo4_raw                : Servo output 4 value [us] (type:uint16_t)
+        servo5_raw                : Servo output 5 value [us] (type:uint16_t)
+        servo6_raw                : Servo output 6 value [us] (type:uint16_t)
+        servo7_raw                : Servo output 7 value [us] (type:uint16_t)
+        servo8_raw                : Servo output 8 value [us] (type:uint16_t)
+        servo9_raw                : Servo output 9 value [us] (type:uint16_t)
+        servo10_raw               : Servo output 10 value [us] (type:uint16_t)
+        servo11_raw               : Servo output 11 value [us] (type:uint16_t)
+        servo12_raw               : Servo output 12 value [us] (type:uint16_t)
+        servo13_raw               : Servo output 13 value [us] (type:uint16_t)
+        servo14_raw               : Servo output 14 value [us] (type:uint16_t)
+        servo15_raw               : Servo output 15 value [us] (type:uint16_t)
+        servo16_raw               : Servo output 16 value [us] (type:uint16_t)
+
+        """
+        return MAVLink_servo_output_raw_message(time_usec, port, servo1_raw, servo2_raw, servo3_raw, servo4_raw, servo5_raw, servo6_raw, servo7_raw, servo8_raw, servo9_raw, servo10_raw, servo11_raw, servo12_raw, servo13_raw, servo14_raw, servo15_raw, servo16_raw)
+
+    def servo_output_raw_send(self, time_usec: int, port: int, servo1_raw: int, servo2_raw: int, servo3_raw: int, servo4_raw: int, servo5_raw: int, servo6_raw: int, servo7_raw: int, servo8_raw: int, servo9_raw: int = 0, servo10_raw: int = 0, servo11_raw: int = 0, servo12_raw: int = 0, servo13_raw: int = 0, servo14_raw: int = 0, servo15_raw: int = 0, servo16_raw: int = 0, force_mavlink1: bool = False) -> None:
+        """
+        Superseded by ACTUATOR_OUTPUT_STATUS. The RAW values of the servo
+        outputs (for RC input from the remote, use the RC_CHANNELS
+        messages). The standard PPM modulation is as follows: 1000
+        microseconds: 0%, 2000 microseconds: 100%.
+
+        time_usec                 : Timestamp (UNIX Epoch time or time since system boot). The receiving end can infer timestamp format (since 1.1.1970 or since system boot) by checking for the magnitude of the number. [us] (type:uint32_t)
+        port                      : Servo output port (set of 8 outputs = 1 port). Flight stacks running on Pixhawk should use: 0 = MAIN, 1 = AUX. (type:uint8_t)
+        servo1_raw                : Servo output 1 value [us] (type:uint16_t)
+        servo2_raw                : Servo output 2 value [us] (type:uint16_t)
+        servo3_raw                : Servo output 3 value [us] (type:uint16_t)
+        servo4_raw                : Servo output 4 value [us] (type:uint16_t)
+        servo5_raw                : Servo output 5 value [us] (type:uint16_t)
+        servo6_raw                : Servo output 6 value [us] (type:uint16_t)
+        servo7_raw                : Servo output 7 value [us] (type:uint16_t)
+        servo8_raw                : Servo output 8 value [us] (type:uint16_t)
+        servo9_raw                : Servo output 9 value [us] (type:uint16_t)
+        servo10_raw               : Servo output 10 value [us] (type:uint16_t)
+        servo11_raw               : Servo output 11 value [us] (type:uint16_t)
+        servo12_raw               : Servo output 12 value [us] (type:uint16_t)
+        servo13_raw               : Servo output 13 value [us] (type:uint16_t)
+        servo14_raw               : Servo output 14 value [us] (type:uint16_t)
+        servo15_raw               : Servo output 15 value [us] (type:uint16_t)
+        servo16_raw               : Servo output 16 value [us] (type:uint16_t)
+
+        """
+        self.send(self.servo_output_raw_encode(time_usec, port, servo1_raw, servo2_raw, servo3_raw, servo4_raw, servo5_raw, servo6_raw, servo7_raw, servo8_raw, servo9_raw, servo10_raw, servo11_raw, servo12_raw, servo13_raw, servo14_raw, servo15_raw, servo16_raw), force_mavlink1=force_mavlink1)
+
+    def mission_write_partial_list_encode(self, target_system: int, target_component: int, start_index: int, end_index: int, mission_type: int = 0) -> MAVLink_mission_write_partial_list_message:
+        """
+        This message is sent to the MAV to write a partial list. If start
+        index == end index, only one item will be transmitted /
+        updated. If the start index is NOT 0 and above the current
+        list size, this request should be REJECTED!
+
+        target_system             : System ID (type:uint8_t)
+        target_component          : Component ID (type:uint8_t)
+        start_index               : Start index. Must be smaller / equal to the largest index of the current onboard list. (type:int16_t)
+        end_index                 : End index, equal or greater than start index. (type:int16_t)
+        mission_type              : Mission type. (type:uint8_t)
+
+        """
+        return MAVLink_mission_write_partial_list_message(target_system, target_component, start_index, end_index, mission_type)
+
+    def mission_write_partial_list_send(self, target_system: int, target_component: int, start_index: int, end_index: int, mission_type: int = 0, force_mavlink1: bool = False) -> None:
+        """
+        This message is sent to the MAV to write a partial list. If start
+        index == end index, only one item will be transmitted /
+        updated. If the start index is NOT 0 and above the current
+        list size, this request should be REJECTED!
+
+        target_system             : System ID (type:uint8_t)
+        target_component          : Component ID (type:uint8_t)
+        start_index               : Start index. Must be smaller / equal to the largest index of the current onboard list. (type:int16_t)
+        end_index                 : End index, equal or greater than start index. (type:int16_t)
+        mission_type              : Mission type. (type:uint8_t)
+
+        """
+        self.send(self.mission_write_partial_list_encode(target_system, target_component, start_index, end_index, mission_type), force_mavlink1=force_mavlink1)
+
+    def mission_request_encode(self, target_system: int, target_component: int, seq: int, mission_type: int = 0) -> MAVLink_mission_request_message:
+        """
+        Request the information of the mission item with the sequence number
+        seq. The response of the system to this message should be a
+        MISSION_ITEM message.
+        https://mavlink.io/en/services/mission.html
+
+        target_system             : System ID (type:uint8_t)
+        target_component          : Component ID (type:uint8_t)
+        seq                       : Sequence (type:uint16_t)
+        mission_type              : Mission type. (type:uint8_t)
+
+        """
+        return MAVLink_mission_request_message(target_system, target_component, seq, mission_type)
+
+    def mission_request_send(self, target_system: int, target_component: int, seq: int, mission_type: int = 0, force_mavlink1: bool = False) -> None:
+        """
+        Request the information of the mission item with the sequence number
+        seq. The response of the system to this message should be a
+        MISSION_ITEM message.
+        https://mavlink.io/en/services/mission.html
+
+        target_system             : System ID (type:uint8_t)
+        target_component          : Component ID (type:uint8_t)
+        seq                       : Sequence (type:uint16_t)
+        mission_type              : Mission type. (type:uint8_t)
+
+        """
+        self.send(self.mission_request_encode(target_system, target_component, seq, mission_type), force_mavlink1=force_mavlink1)
 
     def mission_request_list_encode(self, target_system: int, target_component: int, mission_type: int = 0) -> MAVLink_mission_request_list_message:
         """
@@ -2902,6 +3981,114 @@ class MAVLink(object):
 
         """
         self.send(self.mission_count_encode(target_system, target_component, count, mission_type), force_mavlink1=force_mavlink1)
+
+    def mission_clear_all_encode(self, target_system: int, target_component: int, mission_type: int = 0) -> MAVLink_mission_clear_all_message:
+        """
+        Delete all mission items at once.
+
+        target_system             : System ID (type:uint8_t)
+        target_component          : Component ID (type:uint8_t)
+        mission_type              : Mission type. (type:uint8_t)
+
+        """
+        return MAVLink_mission_clear_all_message(target_system, target_component, mission_type)
+
+    def mission_clear_all_send(self, target_system: int, target_component: int, mission_type: int = 0, force_mavlink1: bool = False) -> None:
+        """
+        Delete all mission items at once.
+
+        target_system             : System ID (type:uint8_t)
+        target_component          : Component ID (type:uint8_t)
+        mission_type              : Mission type. (type:uint8_t)
+
+        """
+        self.send(self.mission_clear_all_encode(target_system, target_component, mission_type), force_mavlink1=force_mavlink1)
+
+    def mission_ack_encode(self, target_system: int, target_component: int, type: int, mission_type: int = 0) -> MAVLink_mission_ack_message:
+        """
+        Acknowledgment message during waypoint handling. The type field states
+        if this message is a positive ack (type=0) or if an error
+        happened (type=non-zero).
+
+        target_system             : System ID (type:uint8_t)
+        target_component          : Component ID (type:uint8_t)
+        type                      : Mission result. (type:uint8_t)
+        mission_type              : Mission type. (type:uint8_t)
+
+        """
+        return MAVLink_mission_ack_message(target_system, target_component, type, mission_type)
+
+    def mission_ack_send(self, target_system: int, target_component: int, type: int, mission_type: int = 0, force_mavlink1: bool = False) -> None:
+        """
+        Acknowledgment message during waypoint handling. The type field states
+        if this message is a positive ack (type=0) or if an error
+        happened (type=non-zero).
+
+        target_system             : System ID (type:uint8_t)
+        target_component          : Component ID (type:uint8_t)
+        type                      : Mission result. (type:uint8_t)
+        mission_type              : Mission type. (type:uint8_t)
+
+        """
+        self.send(self.mission_ack_encode(target_system, target_component, type, mission_type), force_mavlink1=force_mavlink1)
+
+    def mission_request_int_encode(self, target_system: int, target_component: int, seq: int, mission_type: int = 0) -> MAVLink_mission_request_int_message:
+        """
+        Request the information of the mission item with the sequence number
+        seq. The response of the system to this message should be a
+        MISSION_ITEM_INT message.
+        https://mavlink.io/en/services/mission.html
+
+        target_system             : System ID (type:uint8_t)
+        target_component          : Component ID (type:uint8_t)
+        seq                       : Sequence (type:uint16_t)
+        mission_type              : Mission type. (type:uint8_t)
+
+        """
+        return MAVLink_mission_request_int_message(target_system, target_component, seq, mission_type)
+
+    def mission_request_int_send(self, target_system: int, target_component: int, seq: int, mission_type: int = 0, force_mavlink1: bool = False) -> None:
+        """
+        Request the information of the mission item with the sequence number
+        seq. The response of the system to this message should be a
+        MISSION_ITEM_INT message.
+        https://mavlink.io/en/services/mission.html
+
+        target_system             : System ID (type:uint8_t)
+        target_component          : Component ID (type:uint8_t)
+        seq                       : Sequence (type:uint16_t)
+        mission_type              : Mission type. (type:uint8_t)
+
+        """
+        self.send(self.mission_request_int_encode(target_system, target_component, seq, mission_type), force_mavlink1=force_mavlink1)
+
+    def vfr_hud_encode(self, airspeed: float, groundspeed: float, heading: int, throttle: int, alt: float, climb: float) -> MAVLink_vfr_hud_message:
+        """
+        Metrics typically displayed on a HUD for fixed wing aircraft.
+
+        airspeed                  : Vehicle speed in form appropriate for vehicle type. For standard aircraft this is typically calibrated airspeed (CAS) or indicated airspeed (IAS) - either of which can be used by a pilot to estimate stall speed. [m/s] (type:float)
+        groundspeed               : Current ground speed. [m/s] (type:float)
+        heading                   : Current heading in compass units (0-360, 0=north). [deg] (type:int16_t)
+        throttle                  : Current throttle setting (0 to 100). [%] (type:uint16_t)
+        alt                       : Current altitude (MSL). [m] (type:float)
+        climb                     : Current climb rate. [m/s] (type:float)
+
+        """
+        return MAVLink_vfr_hud_message(airspeed, groundspeed, heading, throttle, alt, climb)
+
+    def vfr_hud_send(self, airspeed: float, groundspeed: float, heading: int, throttle: int, alt: float, climb: float, force_mavlink1: bool = False) -> None:
+        """
+        Metrics typically displayed on a HUD for fixed wing aircraft.
+
+        airspeed                  : Vehicle speed in form appropriate for vehicle type. For standard aircraft this is typically calibrated airspeed (CAS) or indicated airspeed (IAS) - either of which can be used by a pilot to estimate stall speed. [m/s] (type:float)
+        groundspeed               : Current ground speed. [m/s] (type:float)
+        heading                   : Current heading in compass units (0-360, 0=north). [deg] (type:int16_t)
+        throttle                  : Current throttle setting (0 to 100). [%] (type:uint16_t)
+        alt                       : Current altitude (MSL). [m] (type:float)
+        climb                     : Current climb rate. [m/s] (type:float)
+
+        """
+        self.send(self.vfr_hud_encode(airspeed, groundspeed, heading, throttle, alt, climb), force_mavlink1=force_mavlink1)
 
     def command_int_encode(self, target_system: int, target_component: int, frame: int, command: int, current: int, autocontinue: int, param1: float, param2: float, param3: float, param4: float, x: int, y: int, z: float) -> MAVLink_command_int_message:
         """
@@ -3060,6 +4247,32 @@ class MAVLink(object):
 
         """
         self.send(self.radio_status_encode(rssi, remrssi, txbuf, noise, remnoise, rxerrors, fixed), force_mavlink1=force_mavlink1)
+
+    def file_transfer_protocol_encode(self, target_network: int, target_system: int, target_component: int, payload: Sequence[int]) -> MAVLink_file_transfer_protocol_message:
+        """
+        File transfer protocol message:
+        https://mavlink.io/en/services/ftp.html.
+
+        target_network            : Network ID (0 for broadcast) (type:uint8_t)
+        target_system             : System ID (0 for broadcast) (type:uint8_t)
+        target_component          : Component ID (0 for broadcast) (type:uint8_t)
+        payload                   : Variable length payload. The length is defined by the remaining message length when subtracting the header and other fields. The content/format of this block is defined in https://mavlink.io/en/services/ftp.html. (type:uint8_t)
+
+        """
+        return MAVLink_file_transfer_protocol_message(target_network, target_system, target_component, payload)
+
+    def file_transfer_protocol_send(self, target_network: int, target_system: int, target_component: int, payload: Sequence[int], force_mavlink1: bool = False) -> None:
+        """
+        File transfer protocol message:
+        https://mavlink.io/en/services/ftp.html.
+
+        target_network            : Network ID (0 for broadcast) (type:uint8_t)
+        target_system             : System ID (0 for broadcast) (type:uint8_t)
+        target_component          : Component ID (0 for broadcast) (type:uint8_t)
+        payload                   : Variable length payload. The length is defined by the remaining message length when subtracting the header and other fields. The content/format of this block is defined in https://mavlink.io/en/services/ftp.html. (type:uint8_t)
+
+        """
+        self.send(self.file_transfer_protocol_encode(target_network, target_system, target_component, payload), force_mavlink1=force_mavlink1)
 
     def timesync_encode(self, tc1: int, ts1: int) -> MAVLink_timesync_message:
         """
@@ -3267,6 +4480,290 @@ class MAVLink(object):
         """
         self.send(self.log_request_end_encode(target_system, target_component), force_mavlink1=force_mavlink1)
 
+    def battery_status_encode(self, id: int, battery_function: int, type: int, temperature: int, voltages: Sequence[int], current_battery: int, current_consumed: int, energy_consumed: int, battery_remaining: int, time_remaining: int = 0, charge_state: int = 0, voltages_ext: Sequence[int] = (0, 0, 0, 0), mode: int = 0, fault_bitmask: int = 0) -> MAVLink_battery_status_message:
+        """
+        Battery information
+
+        id                        : Battery ID (type:uint8_t)
+        battery_function          : Function of the battery (type:uint8_t)
+        type                      : Type (chemistry) of the battery (type:uint8_t)
+        temperature               : Temperature of the battery. INT16_MAX for unknown temperature. [cdegC] (type:int16_t)
+        voltages                  : Battery voltage of cells 1 to 10 (see voltages_ext for cells 11-14). Cells in this field above the valid cell count for this battery should have the UINT16_MAX value. If individual cell voltages are unknown or not measured for this battery, then the overall battery voltage should be filled in cell 0, with all others set to UINT16_MAX. If the voltage of the battery is greater than (UINT16_MAX - 1), then cell 0 should be set to (UINT16_MAX - 1), and cell 1 to the remaining voltage. This can be extended to multiple cells if the total voltage is greater than 2 * (UINT16_MAX - 1). [mV] (type:uint16_t)
+        current_battery           : Battery current, -1: autopilot does not measure the current. Value may overflow/rollover for very high currents (> 327.67A) [cA] (type:int16_t)
+        current_consumed          : Consumed charge, -1: autopilot does not provide consumption estimate [mAh] (type:int32_t)
+        energy_consumed           : Consumed energy, -1: autopilot does not provide energy consumption estimate [hJ] (type:int32_t)
+        battery_remaining         : Remaining battery energy. Values: [0-100], -1: autopilot does not estimate the remaining battery. [%] (type:int8_t)
+        time_remaining            : Remaining battery time, 0: autopilot does not provide remaining battery time estimate [s] (type:int32_t)
+        charge_state              : State for extent of discharge, provided by autopilot for warning or external reactions (type:uint8_t)
+        voltages_ext              : Battery voltages for cells 11 to 14. Cells above the valid cell count for this battery should have a value of 0, where zero indicates not supported (note, this is different than for the voltages field and allows empty byte truncation). If the measured value is 0 then 1 should be sent instead. [mV] (type:uint16_t)
+        mode                      : Battery mode. Default (0) is that battery mode reporting is not supported or battery is in normal-use mode. (type:uint8_t)
+        fault_bitmask             : Fault/health indications. These should be set when charge_state is MAV_BATTERY_CHARGE_STATE_FAILED or MAV_BATTERY_CHARGE_STATE_UNHEALTHY (if not, fault reporting is not supported). (type:uint32_t)
+
+        """
+        return MAVLink_battery_status_message(id, battery_function, type, temperature, voltages, current_battery, current_consumed, energy_consumed, battery_remaining, time_remaining, charge_state, voltages_ext, mode, fault_bitmask)
+
+    def battery_status_send(self, id: int, battery_function: int, type: int, temperature: int, voltages: Sequence[int], current_battery: int, current_consumed: int, energy_consumed: int, battery_remaining: int, time_remaining: int = 0, charge_state: int = 0, voltages_ext: Sequence[int] = (0, 0, 0, 0), mode: int = 0, fault_bitmask: int = 0, force_mavlink1: bool = False) -> None:
+        """
+        Battery information
+
+        id                        : Battery ID (type:uint8_t)
+        battery_function          : Function of the battery (type:uint8_t)
+        type                      : Type (chemistry) of the battery (type:uint8_t)
+        temperature               : Temperature of the battery. INT16_MAX for unknown temperature. [cdegC] (type:int16_t)
+        voltages                  : Battery voltage of cells 1 to 10 (see voltages_ext for cells 11-14). Cells in this field above the valid cell count for this battery should have the UINT16_MAX value. If individual cell voltages are unknown or not measured for this battery, then the overall battery voltage should be filled in cell 0, with all others set to UINT16_MAX. If the voltage of the battery is greater than (UINT16_MAX - 1), then cell 0 should be set to (UINT16_MAX - 1), and cell 1 to the remaining voltage. This can be extended to multiple cells if the total voltage is greater than 2 * (UINT16_MAX - 1). [mV] (type:uint16_t)
+        current_battery           : Battery current, -1: autopilot does not measure the current. Value may overflow/rollover for very high currents (> 327.67A) [cA] (type:int16_t)
+        current_consumed          : Consumed charge, -1: autopilot does not provide consumption estimate [mAh] (type:int32_t)
+        energy_consumed           : Consumed energy, -1: autopilot does not provide energy consumption estimate [hJ] (type:int32_t)
+        battery_remaining         : Remaining battery energy. Values: [0-100], -1: autopilot does not estimate the remaining battery. [%] (type:int8_t)
+        time_remaining            : Remaining battery time, 0: autopilot does not provide remaining battery time estimate [s] (type:int32_t)
+        charge_state              : State for extent of discharge, provided by autopilot for warning or external reactions (type:uint8_t)
+        voltages_ext              : Battery voltages for cells 11 to 14. Cells above the valid cell count for this battery should have a value of 0, where zero indicates not supported (note, this is different than for the voltages field and allows empty byte truncation). If the measured value is 0 then 1 should be sent instead. [mV] (type:uint16_t)
+        mode                      : Battery mode. Default (0) is that battery mode reporting is not supported or battery is in normal-use mode. (type:uint8_t)
+        fault_bitmask             : Fault/health indications. These should be set when charge_state is MAV_BATTERY_CHARGE_STATE_FAILED or MAV_BATTERY_CHARGE_STATE_UNHEALTHY (if not, fault reporting is not supported). (type:uint32_t)
+
+        """
+        self.send(self.battery_status_encode(id, battery_function, type, temperature, voltages, current_battery, current_consumed, energy_consumed, battery_remaining, time_remaining, charge_state, voltages_ext, mode, fault_bitmask), force_mavlink1=force_mavlink1)
+
+    def autopilot_version_encode(self, capabilities: int, flight_sw_version: int, middleware_sw_version: int, os_sw_version: int, board_version: int, flight_custom_version: Sequence[int], middleware_custom_version: Sequence[int], os_custom_version: Sequence[int], vendor_id: int, product_id: int, uid: int, uid2: Sequence[int] = (0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0)) -> MAVLink_autopilot_version_message:
+        """
+        Version and capability of autopilot software. This should be emitted
+        in response to a request with MAV_CMD_REQUEST_MESSAGE.
+
+        capabilities              : Bitmap of capabilities (type:uint64_t)
+        flight_sw_version         : Firmware version number. The field must be encoded as 4 bytes, where each byte (shown from MSB to LSB) is part of a semantic version: (major) (minor) (patch) (FIRMWARE_VERSION_TYPE). (type:uint32_t)
+        middleware_sw_version        : Middleware version number (type:uint32_t)
+        os_sw_version             : Operating system version number (type:uint32_t)
+        board_version             : HW / board version (last 8 bits should be silicon ID, if any). The first 16 bits of this field specify a board type from an enumeration stored at https://github.com/PX4/PX4-Bootloader/blob/master/board_types.txt and with extensive additions at https://github.com/ArduPilot/ardupilot/blob/master/Tools/AP_Bootloader/board_types.txt (type:uint32_t)
+        flight_custom_version        : Custom version field, commonly the first 8 bytes of the git hash. This is not an unique identifier, but should allow to identify the commit using the main version number even for very large code bases. (type:uint8_t)
+        middleware_custom_version        : Custom version field, commonly the first 8 bytes of the git hash. This is not an unique identifier, but should allow to identify the commit using the main version number even for very large code bases. (type:uint8_t)
+        os_custom_version         : Custom version field, commonly the first 8 bytes of the git hash. This is not an unique identifier, but should allow to identify the commit using the main version number even for very large code bases. (type:uint8_t)
+        vendor_id                 : ID of the board vendor (type:uint16_t)
+        product_id                : ID of the product (type:uint16_t)
+        uid                       : UID if provided by hardware (see uid2) (type:uint64_t)
+        uid2                      : UID if provided by hardware (supersedes the uid field. If this is non-zero, use this field, otherwise use uid) (type:uint8_t)
+
+        """
+        return MAVLink_autopilot_version_message(capabilities, flight_sw_version, middleware_sw_version, os_sw_version, board_version, flight_custom_version, middleware_custom_version, os_custom_version, vendor_id, product_id, uid, uid2)
+
+    def autopilot_version_send(self, capabilities: int, flight_sw_version: int, middleware_sw_version: int, os_sw_version: int, board_version: int, flight_custom_version: Sequence[int], middleware_custom_version: Sequence[int], os_custom_version: Sequence[int], vendor_id: int, product_id: int, uid: int, uid2: Sequence[int] = (0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0), force_mavlink1: bool = False) -> None:
+        """
+        Version and capability of autopilot software. This should be emitted
+        in response to a request with MAV_CMD_REQUEST_MESSAGE.
+
+        capabilities              : Bitmap of capabilities (type:uint64_t)
+        flight_sw_version         : Firmware version number. The field must be encoded as 4 bytes, where each byte (shown from MSB to LSB) is part of a semantic version: (major) (minor) (patch) (FIRMWARE_VERSION_TYPE). (type:uint32_t)
+        middleware_sw_version        : Middleware version number (type:uint32_t)
+        os_sw_version             : Operating system version number (type:uint32_t)
+        board_version             : HW / board version (last 8 bits should be silicon ID, if any). The first 16 bits of this field specify a board type from an enumeration stored at https://github.com/PX4/PX4-Bootloader/blob/master/board_types.txt and with extensive additions at https://github.com/ArduPilot/ardupilot/blob/master/Tools/AP_Bootloader/board_types.txt (type:uint32_t)
+        flight_custom_version        : Custom version field, commonly the first 8 bytes of the git hash. This is not an unique identifier, but should allow to identify the commit using the main version number even for very large code bases. (type:uint8_t)
+        middleware_custom_version        : Custom version field, commonly the first 8 bytes of the git hash. This is not an unique identifier, but should allow to identify the commit using the main version number even for very large code bases. (type:uint8_t)
+        os_custom_version         : Custom version field, commonly the first 8 bytes of the git hash. This is not an unique identifier, but should allow to identify the commit using the main version number even for very large code bases. (type:uint8_t)
+        vendor_id                 : ID of the board vendor (type:uint16_t)
+        product_id                : ID of the product (type:uint16_t)
+        uid                       : UID if provided by hardware (see uid2) (type:uint64_t)
+        uid2                      : UID if provided by hardware (supersedes the uid field. If this is non-zero, use this field, otherwise use uid) (type:uint8_t)
+
+        """
+        self.send(self.autopilot_version_encode(capabilities, flight_sw_version, middleware_sw_version, os_sw_version, board_version, flight_custom_version, middleware_custom_version, os_custom_version, vendor_id, product_id, uid, uid2), force_mavlink1=force_mavlink1)
+
+    def wind_cov_encode(self, time_usec: int, wind_x: float, wind_y: float, wind_z: float, var_horiz: float, var_vert: float, wind_alt: float, horiz_accuracy: float, vert_accuracy: float) -> MAVLink_wind_cov_message:
+        """
+        Wind estimate from vehicle. Note that despite the name, this message
+        does not actually contain any covariances but instead
+        variability and accuracy fields in terms of standard deviation
+        (1-STD).
+
+        time_usec                 : Timestamp (UNIX Epoch time or time since system boot). The receiving end can infer timestamp format (since 1.1.1970 or since system boot) by checking for the magnitude of the number. [us] (type:uint64_t)
+        wind_x                    : Wind in North (NED) direction (NAN if unknown) [m/s] (type:float)
+        wind_y                    : Wind in East (NED) direction (NAN if unknown) [m/s] (type:float)
+        wind_z                    : Wind in down (NED) direction (NAN if unknown) [m/s] (type:float)
+        var_horiz                 : Variability of wind in XY, 1-STD estimated from a 1 Hz lowpassed wind estimate (NAN if unknown) [m/s] (type:float)
+        var_vert                  : Variability of wind in Z, 1-STD estimated from a 1 Hz lowpassed wind estimate (NAN if unknown) [m/s] (type:float)
+        wind_alt                  : Altitude (MSL) that this measurement was taken at (NAN if unknown) [m] (type:float)
+        horiz_accuracy            : Horizontal speed 1-STD accuracy (0 if unknown) [m/s] (type:float)
+        vert_accuracy             : Vertical speed 1-STD accuracy (0 if unknown) [m/s] (type:float)
+
+        """
+        return MAVLink_wind_cov_message(time_usec, wind_x, wind_y, wind_z, var_horiz, var_vert, wind_alt, horiz_accuracy, vert_accuracy)
+
+    def wind_cov_send(self, time_usec: int, wind_x: float, wind_y: float, wind_z: float, var_horiz: float, var_vert: float, wind_alt: float, horiz_accuracy: float, vert_accuracy: float, force_mavlink1: bool = False) -> None:
+        """
+        Wind estimate from vehicle. Note that despite the name, this message
+        does not actually contain any covariances but instead
+        variability and accuracy fields in terms of standard deviation
+        (1-STD).
+
+        time_usec                 : Timestamp (UNIX Epoch time or time since system boot). The receiving end can infer timestamp format (since 1.1.1970 or since system boot) by checking for the magnitude of the number. [us] (type:uint64_t)
+        wind_x                    : Wind in North (NED) direction (NAN if unknown) [m/s] (type:float)
+        wind_y                    : Wind in East (NED) direction (NAN if unknown) [m/s] (type:float)
+        wind_z                    : Wind in down (NED) direction (NAN if unknown) [m/s] (type:float)
+        var_horiz                 : Variability of wind in XY, 1-STD estimated from a 1 Hz lowpassed wind estimate (NAN if unknown) [m/s] (type:float)
+        var_vert                  : Variability of wind in Z, 1-STD estimated from a 1 Hz lowpassed wind estimate (NAN if unknown) [m/s] (type:float)
+        wind_alt                  : Altitude (MSL) that this measurement was taken at (NAN if unknown) [m] (type:float)
+        horiz_accuracy            : Horizontal speed 1-STD accuracy (0 if unknown) [m/s] (type:float)
+        vert_accuracy             : Vertical speed 1-STD accuracy (0 if unknown) [m/s] (type:float)
+
+        """
+        self.send(self.wind_cov_encode(time_usec, wind_x, wind_y, wind_z, var_horiz, var_vert, wind_alt, horiz_accuracy, vert_accuracy), force_mavlink1=force_mavlink1)
+
+    def high_latency2_encode(self, timestamp: int, type: int, autopilot: int, custom_mode: int, latitude: int, longitude: int, altitude: int, target_altitude: int, heading: int, target_heading: int, target_distance: int, throttle: int, airspeed: int, airspeed_sp: int, groundspeed: int, windspeed: int, wind_heading: int, eph: int, epv: int, temperature_air: int, climb_rate: int, battery: int, wp_num: int, failure_flags: int, custom0: int, custom1: int, custom2: int) -> MAVLink_high_latency2_message:
+        """
+        Message appropriate for high latency connections like Iridium (version
+        2)
+
+        timestamp                 : Timestamp (milliseconds since boot or Unix epoch) [ms] (type:uint32_t)
+        type                      : Type of the MAV (quadrotor, helicopter, etc.) (type:uint8_t)
+        autopilot                 : Autopilot type / class. Use MAV_AUTOPILOT_INVALID for components that are not flight controllers. (type:uint8_t)
+        custom_mode               : A bitfield for use for autopilot-specific flags (2 byte version). (type:uint16_t)
+        latitude                  : Latitude [degE7] (type:int32_t)
+        longitude                 : Longitude [degE7] (type:int32_t)
+        altitude                  : Altitude above mean sea level [m] (type:int16_t)
+        target_altitude           : Altitude setpoint [m] (type:int16_t)
+        heading                   : Heading [deg/2] (type:uint8_t)
+        target_heading            : Heading setpoint [deg/2] (type:uint8_t)
+        target_distance           : Distance to target waypoint or position [dam] (type:uint16_t)
+        throttle                  : Throttle [%] (type:uint8_t)
+        airspeed                  : Airspeed [m/s*5] (type:uint8_t)
+        airspeed_sp               : Airspeed setpoint [m/s*5] (type:uint8_t)
+        groundspeed               : Groundspeed [m/s*5] (type:uint8_t)
+        windspeed                 : Windspeed [m/s*5] (type:uint8_t)
+        wind_heading              : Wind heading [deg/2] (type:uint8_t)
+        eph                       : Maximum error horizontal position since last message [dm] (type:uint8_t)
+        epv                       : Maximum error vertical position since last message [dm] (type:uint8_t)
+        temperature_air           : Air temperature from airspeed sensor [degC] (type:int8_t)
+        climb_rate                : Maximum climb rate magnitude since last message [dm/s] (type:int8_t)
+        battery                   : Battery level (-1 if field not provided). [%] (type:int8_t)
+        wp_num                    : Current waypoint number (type:uint16_t)
+        failure_flags             : Bitmap of failure flags. (type:uint16_t)
+        custom0                   : Field for custom payload. (type:int8_t)
+        custom1                   : Field for custom payload. (type:int8_t)
+        custom2                   : Field for custom payload. (type:int8_t)
+
+        """
+        return MAVLink_high_latency2_message(timestamp, type, autopilot, custom_mode, latitude, longitude, altitude, target_altitude, heading, target_heading, target_distance, throttle, airspeed, airspeed_sp, groundspeed, windspeed, wind_heading, eph, epv, temperature_air, climb_rate, battery, wp_num, failure_flags, custom0, custom1, custom2)
+
+    def high_latency2_send(self, timestamp: int, type: int, autopilot: int, custom_mode: int, latitude: int, longitude: int, altitude: int, target_altitude: int, heading: int, target_heading: int, target_distance: int, throttle: int, airspeed: int, airspeed_sp: int, groundspeed: int, windspeed: int, wind_heading: int, eph: int, epv: int, temperature_air: int, climb_rate: int, battery: int, wp_num: int, failure_flags: int, custom0: int, custom1: int, custom2: int, force_mavlink1: bool = False) -> None:
+        """
+        Message appropriate for high latency connections like Iridium (version
+        2)
+
+        timestamp                 : Timestamp (milliseconds since boot or Unix epoch) [ms] (type:uint32_t)
+        type                      : Type of the MAV (quadrotor, helicopter, etc.) (type:uint8_t)
+        autopilot                 : Autopilot type / class. Use MAV_AUTOPILOT_INVALID for components that are not flight controllers. (type:uint8_t)
+        custom_mode               : A bitfield for use for autopilot-specific flags (2 byte version). (type:uint16_t)
+        latitude                  : Latitude [degE7] (type:int32_t)
+        longitude                 : Longitude [degE7] (type:int32_t)
+        altitude                  : Altitude above mean sea level [m] (type:int16_t)
+        target_altitude           : Altitude setpoint [m] (type:int16_t)
+        heading                   : Heading [deg/2] (type:uint8_t)
+        target_heading            : Heading setpoint [deg/2] (type:uint8_t)
+        target_distance           : Distance to target waypoint or position [dam] (type:uint16_t)
+        throttle                  : Throttle [%] (type:uint8_t)
+        airspeed                  : Airspeed [m/s*5] (type:uint8_t)
+        airspeed_sp               : Airspeed setpoint [m/s*5] (type:uint8_t)
+        groundspeed               : Groundspeed [m/s*5] (type:uint8_t)
+        windspeed                 : Windspeed [m/s*5] (type:uint8_t)
+        wind_heading              : Wind heading [deg/2] (type:uint8_t)
+        eph                       : Maximum error horizontal position since last message [dm] (type:uint8_t)
+        epv                       : Maximum error vertical position since last message [dm] (type:uint8_t)
+        temperature_air           : Air temperature from airspeed sensor [degC] (type:int8_t)
+        climb_rate                : Maximum climb rate magnitude since last message [dm/s] (type:int8_t)
+        battery                   : Battery level (-1 if field not provided). [%] (type:int8_t)
+        wp_num                    : Current waypoint number (type:uint16_t)
+        failure_flags             : Bitmap of failure flags. (type:uint16_t)
+        custom0                   : Field for custom payload. (type:int8_t)
+        custom1                   : Field for custom payload. (type:int8_t)
+        custom2                   : Field for custom payload. (type:int8_t)
+
+        """
+        self.send(self.high_latency2_encode(timestamp, type, autopilot, custom_mode, latitude, longitude, altitude, target_altitude, heading, target_heading, target_distance, throttle, airspeed, airspeed_sp, groundspeed, windspeed, wind_heading, eph, epv, temperature_air, climb_rate, battery, wp_num, failure_flags, custom0, custom1, custom2), force_mavlink1=force_mavlink1)
+
+    def home_position_encode(self, latitude: int, longitude: int, altitude: int, x: float, y: float, z: float, q: Sequence[float], approach_x: float, approach_y: float, approach_z: float, time_usec: int = 0) -> MAVLink_home_position_message:
+        """
+        This message can be requested by sending the MAV_CMD_GET_HOME_POSITION
+        command. The position the system will return to and land on.
+        The position is set automatically by the system during the
+        takeoff in case it was not explicitly set by the operator
+        before or after. The global and local positions encode the
+        position in the respective coordinate frames, while the q
+        parameter encodes the orientation of the surface. Under normal
+        conditions it describes the heading and terrain slope, which
+        can be used by the aircraft to adjust the approach. The
+        approach 3D vector describes the point to which the system
+        should fly in normal flight mode and then perform a landing
+        sequence along the vector.
+
+        latitude                  : Latitude (WGS84) [degE7] (type:int32_t)
+        longitude                 : Longitude (WGS84) [degE7] (type:int32_t)
+        altitude                  : Altitude (MSL). Positive for up. [mm] (type:int32_t)
+        x                         : Local X position of this position in the local coordinate frame [m] (type:float)
+        y                         : Local Y position of this position in the local coordinate frame [m] (type:float)
+        z                         : Local Z position of this position in the local coordinate frame [m] (type:float)
+        q                         : World to surface normal and heading transformation of the takeoff position. Used to indicate the heading and slope of the ground (type:float)
+        approach_x                : Local X position of the end of the approach vector. Multicopters should set this position based on their takeoff path. Grass-landing fixed wing aircraft should set it the same way as multicopters. Runway-landing fixed wing aircraft should set it to the opposite direction of the takeoff, assuming the takeoff happened from the threshold / touchdown zone. [m] (type:float)
+        approach_y                : Local Y position of the end of the approach vector. Multicopters should set this position based on their takeoff path. Grass-landing fixed wing aircraft should set it the same way as multicopters. Runway-landing fixed wing aircraft should set it to the opposite direction of the takeoff, assuming the takeoff happened from the threshold / touchdown zone. [m] (type:float)
+        approach_z                : Local Z position of the end of the approach vector. Multicopters should set this position based on their takeoff path. Grass-landing fixed wing aircraft should set it the same way as multicopters. Runway-landing fixed wing aircraft should set it to the opposite direction of the takeoff, assuming the takeoff happened from the threshold / touchdown zone. [m] (type:float)
+        time_usec                 : Timestamp (UNIX Epoch time or time since system boot). The receiving end can infer timestamp format (since 1.1.1970 or since system boot) by checking for the magnitude of the number. [us] (type:uint64_t)
+
+        """
+        return MAVLink_home_position_message(latitude, longitude, altitude, x, y, z, q, approach_x, approach_y, approach_z, time_usec)
+
+    def home_position_send(self, latitude: int, longitude: int, altitude: int, x: float, y: float, z: float, q: Sequence[float], approach_x: float, approach_y: float, approach_z: float, time_usec: int = 0, force_mavlink1: bool = False) -> None:
+        """
+        This message can be requested by sending the MAV_CMD_GET_HOME_POSITION
+        command. The position the system will return to and land on.
+        The position is set automatically by the system during the
+        takeoff in case it was not explicitly set by the operator
+        before or after. The global and local positions encode the
+        position in the respective coordinate frames, while the q
+        parameter encodes the orientation of the surface. Under normal
+        conditions it describes the heading and terrain slope, which
+        can be used by the aircraft to adjust the approach. The
+        approach 3D vector describes the point to which the system
+        should fly in normal flight mode and then perform a landing
+        sequence along the vector.
+
+        latitude                  : Latitude (WGS84) [degE7] (type:int32_t)
+        longitude                 : Longitude (WGS84) [degE7] (type:int32_t)
+        altitude                  : Altitude (MSL). Positive for up. [mm] (type:int32_t)
+        x                         : Local X position of this position in the local coordinate frame [m] (type:float)
+        y                         : Local Y position of this position in the local coordinate frame [m] (type:float)
+        z                         : Local Z position of this position in the local coordinate frame [m] (type:float)
+        q                         : World to surface normal and heading transformation of the takeoff position. Used to indicate the heading and slope of the ground (type:float)
+        approach_x                : Local X position of the end of the approach vector. Multicopters should set this position based on their takeoff path. Grass-landing fixed wing aircraft should set it the same way as multicopters. Runway-landing fixed wing aircraft should set it to the opposite direction of the takeoff, assuming the takeoff happened from the threshold / touchdown zone. [m] (type:float)
+        approach_y                : Local Y position of the end of the approach vector. Multicopters should set this position based on their takeoff path. Grass-landing fixed wing aircraft should set it the same way as multicopters. Runway-landing fixed wing aircraft should set it to the opposite direction of the takeoff, assuming the takeoff happened from the threshold / touchdown zone. [m] (type:float)
+        approach_z                : Local Z position of the end of the approach vector. Multicopters should set this position based on their takeoff path. Grass-landing fixed wing aircraft should set it the same way as multicopters. Runway-landing fixed wing aircraft should set it to the opposite direction of the takeoff, assuming the takeoff happened from the threshold / touchdown zone. [m] (type:float)
+        time_usec                 : Timestamp (UNIX Epoch time or time since system boot). The receiving end can infer timestamp format (since 1.1.1970 or since system boot) by checking for the magnitude of the number. [us] (type:uint64_t)
+
+        """
+        self.send(self.home_position_encode(latitude, longitude, altitude, x, y, z, q, approach_x, approach_y, approach_z, time_usec), force_mavlink1=force_mavlink1)
+
+    def named_value_float_encode(self, time_boot_ms: int, name: bytes, value: float) -> MAVLink_named_value_float_message:
+        """
+        Send a key-value pair as float. The use of this message is discouraged
+        for normal packets, but a quite efficient way for testing new
+        messages and getting experimental debug output.
+
+        time_boot_ms              : Timestamp (time since system boot). [ms] (type:uint32_t)
+        name                      : Name of the debug variable (type:char)
+        value                     : Floating point value (type:float)
+
+        """
+        return MAVLink_named_value_float_message(time_boot_ms, name, value)
+
+    def named_value_float_send(self, time_boot_ms: int, name: bytes, value: float, force_mavlink1: bool = False) -> None:
+        """
+        Send a key-value pair as float. The use of this message is discouraged
+        for normal packets, but a quite efficient way for testing new
+        messages and getting experimental debug output.
+
+        time_boot_ms              : Timestamp (time since system boot). [ms] (type:uint32_t)
+        name                      : Name of the debug variable (type:char)
+        value                     : Floating point value (type:float)
+
+        """
+        self.send(self.named_value_float_encode(time_boot_ms, name, value), force_mavlink1=force_mavlink1)
+
     def statustext_encode(self, severity: int, text: bytes, id: int = 0, chunk_seq: int = 0) -> MAVLink_statustext_message:
         """
         Status text message. These messages are printed in yellow in the COMM
@@ -3298,6 +4795,36 @@ class MAVLink(object):
 
         """
         self.send(self.statustext_encode(severity, text, id, chunk_seq), force_mavlink1=force_mavlink1)
+
+    def param_error_encode(self, target_system: int, target_component: int, param_id: bytes, param_index: int, error: int) -> MAVLink_param_error_message:
+        """
+        Parameter set/get error. Returned from a MAVLink node in response to
+        an error in the parameter protocol, for example failing to set
+        a parameter because it does not exist.
+
+        target_system             : System ID (type:uint8_t)
+        target_component          : Component ID (type:uint8_t)
+        param_id                  : Parameter id. Terminated by NULL if the length is less than 16 human-readable chars and WITHOUT null termination (NULL) byte if the length is exactly 16 chars - applications have to provide 16+1 bytes storage if the ID is stored as string (type:char)
+        param_index               : Parameter index. Will be -1 if the param ID field should be used as an identifier (else the param id will be ignored) (type:int16_t)
+        error                     : Error being returned to client. (type:uint8_t)
+
+        """
+        return MAVLink_param_error_message(target_system, target_component, param_id, param_index, error)
+
+    def param_error_send(self, target_system: int, target_component: int, param_id: bytes, param_index: int, error: int, force_mavlink1: bool = False) -> None:
+        """
+        Parameter set/get error. Returned from a MAVLink node in response to
+        an error in the parameter protocol, for example failing to set
+        a parameter because it does not exist.
+
+        target_system             : System ID (type:uint8_t)
+        target_component          : Component ID (type:uint8_t)
+        param_id                  : Parameter id. Terminated by NULL if the length is less than 16 human-readable chars and WITHOUT null termination (NULL) byte if the length is exactly 16 chars - applications have to provide 16+1 bytes storage if the ID is stored as string (type:char)
+        param_index               : Parameter index. Will be -1 if the param ID field should be used as an identifier (else the param id will be ignored) (type:int16_t)
+        error                     : Error being returned to client. (type:uint8_t)
+
+        """
+        self.send(self.param_error_encode(target_system, target_component, param_id, param_index, error), force_mavlink1=force_mavlink1)
 
     def tunnel_encode(self, target_system: int, target_component: int, payload_type: int, payload_length: int, payload: Sequence[int]) -> MAVLink_tunnel_message:
         """
@@ -3332,6 +4859,28 @@ class MAVLink(object):
 
         """
         self.send(self.tunnel_encode(target_system, target_component, payload_type, payload_length, payload), force_mavlink1=force_mavlink1)
+
+    def aoa_ssa_encode(self, time_usec: int, AOA: float, SSA: float) -> MAVLink_aoa_ssa_message:
+        """
+        Angle of Attack and Side Slip Angle.
+
+        time_usec                 : Timestamp (since boot or Unix epoch). [us] (type:uint64_t)
+        AOA                       : Angle of Attack. [deg] (type:float)
+        SSA                       : Side Slip Angle. [deg] (type:float)
+
+        """
+        return MAVLink_aoa_ssa_message(time_usec, AOA, SSA)
+
+    def aoa_ssa_send(self, time_usec: int, AOA: float, SSA: float, force_mavlink1: bool = False) -> None:
+        """
+        Angle of Attack and Side Slip Angle.
+
+        time_usec                 : Timestamp (since boot or Unix epoch). [us] (type:uint64_t)
+        AOA                       : Angle of Attack. [deg] (type:float)
+        SSA                       : Side Slip Angle. [deg] (type:float)
+
+        """
+        self.send(self.aoa_ssa_encode(time_usec, AOA, SSA), force_mavlink1=force_mavlink1)
 
     def scan_fast_encode(self, time_monotonic_ns_0: int, number: int, time_monotonic_ns_1: int, accel_x: int, accel_y: int, accel_z: int, gyro_x: int, gyro_y: int, gyro_z: int, imu_temperature: int, quaternion_w: int, quaternion_x: int, quaternion_y: int, quaternion_z: int, alpha_vane: int, beta_vane: int, elevon_left_pot: int, elevon_right_pot: int, rudder_pot: int, sensor_supply: int, pitot_pressure: int, static_pressure_0: int, static_temperature_0: int, thrust_load_0: int, pwm_1: int, pwm_2: int, pwm_3: int, pwm_4: int, pwm_5: int, pwm_6: int, offset_us: Sequence[int], time_monotonic_ns_2: int, boot: int, static_pressure_1: int, static_temperature_1: int, thrust_load_1: int, bits: Sequence[int], states: Sequence[int], missing: Sequence[int]) -> MAVLink_scan_fast_message:
         """
@@ -3852,26 +5401,18 @@ FOREIGN_MESSAGES = {
     26: (170, 24),
     27: (144, 29),
     28: (67, 16),
-    29: (115, 16),
     31: (246, 48),
     32: (185, 28),
-    33: (104, 28),
     34: (237, 22),
     35: (244, 22),
-    36: (222, 37),
     37: (212, 7),
-    38: (9, 7),
     39: (254, 38),
-    40: (230, 5),
     41: (28, 4),
     42: (28, 6),
-    45: (232, 3),
     46: (11, 2),
-    47: (153, 4),
     48: (41, 21),
     49: (39, 20),
     50: (78, 37),
-    51: (196, 5),
     54: (15, 27),
     55: (3, 25),
     61: (167, 72),
@@ -3884,7 +5425,6 @@ FOREIGN_MESSAGES = {
     69: (243, 30),
     70: (124, 38),
     73: (38, 38),
-    74: (20, 20),
     81: (106, 22),
     82: (49, 39),
     83: (22, 37),
@@ -3906,7 +5446,6 @@ FOREIGN_MESSAGES = {
     106: (138, 44),
     107: (108, 65),
     108: (32, 92),
-    110: (84, 254),
     112: (174, 12),
     113: (124, 39),
     114: (237, 44),
@@ -3935,8 +5474,6 @@ FOREIGN_MESSAGES = {
     143: (131, 16),
     144: (127, 93),
     146: (103, 100),
-    147: (154, 54),
-    148: (178, 78),
     149: (200, 60),
     150: (134, 42),
     151: (219, 8),
@@ -3990,13 +5527,10 @@ FOREIGN_MESSAGES = {
     225: (208, 73),
     226: (207, 8),
     230: (163, 42),
-    231: (105, 40),
     232: (151, 65),
     233: (35, 182),
     234: (150, 40),
-    235: (179, 42),
     241: (90, 32),
-    242: (104, 60),
     243: (85, 61),
     244: (95, 6),
     245: (130, 2),
@@ -4005,7 +5539,6 @@ FOREIGN_MESSAGES = {
     248: (8, 254),
     249: (204, 36),
     250: (49, 30),
-    251: (170, 18),
     252: (44, 18),
     254: (46, 9),
     256: (71, 42),
@@ -4054,7 +5587,6 @@ FOREIGN_MESSAGES = {
     335: (225, 24),
     339: (199, 5),
     340: (99, 70),
-    345: (209, 21),
     350: (232, 252),
     360: (11, 25),
     370: (75, 109),
@@ -4084,7 +5616,6 @@ FOREIGN_MESSAGES = {
     11005: (93, 230),
     11010: (46, 49),
     11011: (106, 44),
-    11020: (205, 16),
     11030: (144, 44),
     11031: (133, 44),
     11032: (85, 44),
