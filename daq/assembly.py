@@ -9,13 +9,18 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 
 from daq.acquisition.sampler import Sampler
+from daq.actuation.actuation import Actuation, Devices
+from daq.actuation.heartbeat import Heartbeat, HeartbeatError
+from daq.actuation.servos import plan_of
 from daq.clock import Clock
 from daq.config import LoggerConfig, read_aircraft, read_calibration
 from daq.contract.channels import CHANNELS
+from daq.contract.manoeuvre import load_manoeuvre
 from daq.contract.recordings.recording import (
     AIRCRAFT_ATTACHMENT,
     CALIBRATION_PREFIX,
     CONFIG_ATTACHMENT,
+    MANOEUVRE_ATTACHMENT,
     RecordingInfo,
     software_version,
 )
@@ -37,7 +42,7 @@ class Edge:
     """What the logger is connected to.
 
     bus, gnss, autopilot, pulse: as `daq.acquisition.sampler.Sampler` takes them. radio: the port to the ground, None without one.
-    source: real | simulated; every recording says it for good.
+    source: real | simulated; every recording says it for good. heartbeat: the line that enables the servo driver.
     """
 
     clock: Clock
@@ -48,6 +53,7 @@ class Edge:
     pulse: Callable[[], int | None] | None = None
     radio: BytePort | None = None
     storage: Storage | None = None
+    heartbeat: Heartbeat | None = None
 
 
 @dataclass(frozen=True)
@@ -59,6 +65,7 @@ class Assembly:
     recorder: Recorder
     link: RadioLink | None
     session: str
+    actuation: Actuation | None = None
 
 
 def session_name(config: LoggerConfig, clock: Clock, *, unique: bool = True) -> str:
@@ -89,6 +96,8 @@ def recording_info(config: LoggerConfig, text: str, session: str, source: str, s
     aircraft = read_aircraft(config.aircraft.file)
     if aircraft is not None:
         attachments[AIRCRAFT_ATTACHMENT] = aircraft
+    if config.sequencer is not None:
+        attachments[MANOEUVRE_ATTACHMENT] = config.sequencer.manoeuvre.read_bytes()
     return RecordingInfo(
         session=session,
         source=source,
@@ -119,6 +128,7 @@ def assemble(
     """
     timing = LoopTiming()
     first = session or session_name(config, edge.clock)
+    actuation = _actuation(config, edge)
     # Made once: a recording begun by command must not wait for the card that holds the calibration files.
     identity = recording_info(config, text, first, edge.source, edge.clock.utc_ns())
 
@@ -145,12 +155,14 @@ def assemble(
         edge.clock,
         sampler,
         recorder,
-        together=config.scan.together,
+        together=config.together,
         timing=timing,
         new_recorder=next_recorder,
         housekeeping=housekeeping,
         opening=opening,
     )
+    if actuation is not None:
+        logger.actuate(actuation)
     link = None
     if config.downlink is not None and edge.radio is not None:
         link = radio_link(
@@ -160,9 +172,24 @@ def assemble(
             papers=lambda: identity,
             recordings=config.recorder.directories,
             boot=boot,
-            turn_ns=min(TURN_NS, round(_UPLINK_SHARE * config.scan.together * config.scan.period_ns)),
+            turn_ns=min(TURN_NS, round(_UPLINK_SHARE * config.together * config.scan.period_ns)),
             facts=sampler.metadata,
         )
         link.report_on(logger)
         logger.connect(link, link.uplink)
-    return Assembly(logger, sampler, recorder, link, first)
+        if actuation is not None:
+            actuation.link_s = link.uplink.silence_s
+    return Assembly(logger, sampler, recorder, link, first, actuation)
+
+
+def _actuation(config: LoggerConfig, edge: Edge) -> Actuation | None:
+    """The sequencer with its manoeuvre checked; None where none is configured. Raises ManoeuvreError or HeartbeatError."""
+    if config.sequencer is None:
+        return None
+    if edge.bus is None or edge.heartbeat is None:
+        raise HeartbeatError(
+            "[sequencer] needs an I2C bus and a heartbeat line, and none was opened; set sequencer.heartbeat"
+        )
+    plan = plan_of(load_manoeuvre(config.sequencer.manoeuvre), config.sequencer)
+    devices = Devices(edge.bus, edge.heartbeat, edge.clock)
+    return Actuation(config.sequencer, plan, config.sensors, devices, 1.0 / config.scan.rate_hz)

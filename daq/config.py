@@ -10,6 +10,7 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from daq.actuation.config import LEAST_RATE_HZ, SequencerConfig
 from daq.contract.errors import UserError
 from daq.contract.input_files import parse_toml, read_text
 from daq.recorder.config import RecorderConfig
@@ -82,6 +83,7 @@ class LoggerConfig(Section):
     recorder: RecorderConfig = RecorderConfig()
     sensors: SensorsConfig
     downlink: DownlinkConfig | None = None
+    sequencer: SequencerConfig | None = None
     preflight: PreflightConfig = PreflightConfig()
     calibration: Path | None = None
 
@@ -90,6 +92,40 @@ class LoggerConfig(Section):
         if self.recorder.queue_s < self.recorder.flush_s:
             raise ValueError("recorder.queue_s must not be shorter than recorder.flush_s")
         return self
+
+    @model_validator(mode="after")
+    def _sequencer_is_served(self) -> "LoggerConfig":
+        if self.sequencer is not None:
+            check_sequencer(self.sequencer, self.sensors, self.scan.rate_hz)
+        return self
+
+    @property
+    def together(self) -> int:
+        """How many scans are finished together: one by one where a sequencer goes by them."""
+        return 1 if self.sequencer is not None else self.scan.together
+
+
+def check_sequencer(sequencer: SequencerConfig, sensors: SensorsConfig, rate_hz: float) -> None:
+    """Raise ValueError unless scans are frequent enough and show what the sequencer watches, at addresses of their own."""
+    if rate_hz < LEAST_RATE_HZ:
+        raise ValueError(f"sequencer goes by the scan; set scan.rate_hz to at least {LEAST_RATE_HZ:g}, not {rate_hz:g}")
+    limits = sequencer.limits
+    watched = {
+        "attitude": limits.bank_deg,
+        "imu": limits.load_factor,
+        "pitot": limits.airspeed,
+        "analog_a": limits.alpha_deg,
+        "gnss": limits.height_m,
+        "capture": any(o.readback for o in sequencer.output.values()) or None,
+    }
+    missing = [group for group, limit in watched.items() if limit is not None and group not in sensors.fitted]
+    if missing:
+        raise ValueError(f"sequencer watches {', '.join(missing)}, not fitted; fit it or set its limit aside")
+    taken = {getattr(sensors.section(g), "address", None): g for g in sensors.fitted}
+    for name, address in (("chip", sequencer.chip.address), ("pilot", sequencer.pilot.address)):
+        if address in taken or sequencer.chip.address == sequencer.pilot.address:
+            other = taken.get(address, "the other chip of the sequencer")
+            raise ValueError(f"sequencer.{name} and {other} share the I2C address 0x{address:02x}")
 
 
 def load_config(path: str | Path) -> tuple[LoggerConfig, str]:
@@ -136,6 +172,9 @@ def _anchor(config: LoggerConfig, base: Path) -> LoggerConfig:
         changes["calibration"] = base / config.calibration
     if config.aircraft.file:
         changes["aircraft"] = config.aircraft.model_copy(update={"file": str(base / config.aircraft.file)})
+    if config.sequencer is not None:
+        manoeuvre = base / config.sequencer.manoeuvre
+        changes["sequencer"] = config.sequencer.model_copy(update={"manoeuvre": manoeuvre})
     return config.model_copy(update=changes)
 
 

@@ -15,10 +15,11 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
-from daq.acquisition.health import HealthSummary
+from daq.acquisition.health import HealthSummary, as_message, repetitions
 from daq.acquisition.sampler import EventMark, UnfinishedScan
+from daq.actuation.actuation import Actuation
 from daq.clock import NS, Clock
-from daq.contract.recordings.messages import Event, Health, HealthEntry, LogLevel, Statistics
+from daq.contract.recordings.messages import Event, LogLevel, SequencerFrame, Statistics
 from daq.contract.scan import Scan, SensorState
 from daq.recorder.recorder import Recorder
 from daq.recorder.timing import LoopTiming
@@ -75,6 +76,10 @@ class Downlink(Protocol):
         """A sentence for the people on the ground; severity as in syslog, 3 error, 4 warning, 6 information."""
         ...
 
+    def sequencer(self, frame: SequencerFrame) -> None:
+        """What the sequencer is doing."""
+        ...
+
 
 class Control(Protocol):
     """What a command from the ground may do to the logger. Everything returns at once."""
@@ -94,6 +99,10 @@ class Control(Protocol):
 
     def mark_event(self, text: str, origin: str) -> Event:
         """Record an event marker at the present scan."""
+        ...
+
+    def ask_sequencer(self, digest: int | None) -> str:
+        """Start the manoeuvre whose digest begins with these 24 bits, or (None) stop; why not, empty when it is taken."""
         ...
 
     def say(self, level: LogLevel, name: str, text: str) -> None:
@@ -172,6 +181,7 @@ class Logger:
         self._taken: list[UnfinishedScan] = []  # not handed over yet
         self._newest: UnfinishedScan | None = None
         self._link_fault = ""
+        self._actuator: Actuation | None = None
         self._closers: list[threading.Thread] = []
         self._last_books: Statistics | None = None
         self._ended = 0  # recordings given up for closing
@@ -181,6 +191,12 @@ class Logger:
     def connect(self, downlink: Downlink, uplink: Uplink | None) -> None:
         """Give the logger its link, before it runs."""
         self._downlink, self._uplink = downlink, uplink
+
+    def actuate(self, actuator: Actuation) -> None:
+        """Give the logger what moves controls, before it runs; scans are then to be handed over one by one."""
+        if self._together != 1:
+            raise ValueError("controls cannot wait for several scans to be finished together")
+        self._actuator = actuator
 
     # ------------------------------------------------------------------------------------------ the loop
 
@@ -193,6 +209,8 @@ class Logger:
             self._begin()
             self._scan_until(stop)
         finally:
+            if self._actuator is not None:
+                self._actuator.close()
             books = self._end()
         return books
 
@@ -253,6 +271,8 @@ class Logger:
             return
         scans = [self._sampler.finish(t) for t in taken]
         for scan in scans:
+            if self._actuator is not None:
+                self._actuator.frame(scan, self)
             if self._recorder is not None:
                 self._recorder.scan(scan)
             self._watch_states(scan)
@@ -314,7 +334,7 @@ class Logger:
         self._next_health_ns = now + _HEALTH_PAUSE_NS
         summary = self._sampler.health()
         if self._recorder is not None:
-            self._recorder.health(_as_message(summary, self._clock.utc_ns(), self._number))
+            self._recorder.health(as_message(summary, self._clock.utc_ns(), self._number))
             self._recorder.detail(self._sampler.metadata())
         if summary.words != self._words:
             self._words = summary.words
@@ -361,6 +381,16 @@ class Logger:
         """Record an event marker at the present scan and tell the ground."""
         return self._mark(self._clock.monotonic_ns(), self._number, text, origin)
 
+    def ask_sequencer(self, digest: int | None) -> str:
+        """Pass the ground's wish on, to start the manoeuvre of this digest or (None) to stop; why not, empty when taken."""
+        return "there is no sequencer on board" if self._actuator is None else self._actuator.ask(digest)
+
+    def record_sequencer(self, frame: SequencerFrame, *, send: bool) -> bool:
+        """Record a frame of the sequencer, False when it cannot be, and with `send` tell the ground."""
+        if send and self._downlink is not None:
+            self._downlink.sequencer(frame)
+        return self._recorder is not None and self._recorder.sequencer(frame)
+
     def say(self, level: LogLevel, name: str, text: str) -> None:
         """Put a line into the recording, the journal, and, from warnings up, on the downlink."""
         _LOG.log(_PYTHON_LEVEL[level], "%s: %s", name, text)
@@ -391,8 +421,8 @@ class Logger:
         recorder, self._recorder = self._recorder, None
         if recorder is not None:
             summary = self._sampler.health()
-            recorder.health(_as_message(summary, self._clock.utc_ns(), self._number))
-            recorder.log(LogLevel.INFO, "logger", f"recording ends{_repetitions(summary)}")
+            recorder.health(as_message(summary, self._clock.utc_ns(), self._number))
+            recorder.log(LogLevel.INFO, "logger", f"recording ends{repetitions(summary)}")
             recorder.reach(self._number)
             self._ended += 1
             self._close(recorder, self._ended)
@@ -421,17 +451,3 @@ _PYTHON_LEVEL: Mapping[LogLevel, int] = {
     LogLevel.FATAL: logging.CRITICAL,
 }
 _SYSLOG: Mapping[LogLevel, int] = {LogLevel.WARNING: 4, LogLevel.ERROR: 3, LogLevel.FATAL: 2}
-
-
-def _repetitions(summary: HealthSummary) -> str:
-    """Which sensors had to be asked again, in words: a connector on its way out shows here first."""
-    found = [f"{g.title} {g.retries}" for g in summary.groups if g.retries]
-    return f"; transfers repeated: {', '.join(found)}" if found else ""
-
-
-def _as_message(summary: HealthSummary, utc_ns: int, number: int) -> Health:
-    entries = tuple(
-        HealthEntry(g.group, int(g.state), g.words, max(0, g.since_ns), max(0, g.setups - 1) + g.retries)
-        for g in summary.groups
-    )
-    return Health(summary.time_ns, max(0, utc_ns), number, entries)

@@ -12,7 +12,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Flown:
-    """What one simulated flight has left. summary: as `ground --json`; agreed: air and ground hold the same scans."""
+    """What one simulated flight has left. summary: as `ground --json`; agreed: air and ground hold the same scans.
+
+    sequencer: time [s] and words of each of its transitions.
+    """
 
     onboard: Path
     ground: Path | None
@@ -20,6 +23,7 @@ class Flown:
     summary: dict[str, Any]
     agreed: bool
     lines: list[str]
+    sequencer: tuple[tuple[float, str], ...] = ()
 
 
 def fly_scenario(
@@ -77,4 +81,12 @@ def fly_scenario(
         handed = hand_over(recordings[-1], ground_folder, origin="telemetry and backfill" if agreed else "telemetry")
         ground, lines = handed.path, handed.lines()
         summary["flight"] = str(ground)
-    return Flown(folder / "flight.mcap", ground, files.truth, summary, agreed, lines)
+    sequencer = _sequencer_words(folder / "onboard") if scenario.sequencer is not None else ()
+    return Flown(folder / "flight.mcap", ground, files.truth, summary, agreed, lines, sequencer)
+
+
+def _sequencer_words(onboard: Path) -> tuple[tuple[float, str], ...]:
+    from daq.contract.recordings.reading import read_recording
+
+    events = read_recording(onboard, salvage=True).events
+    return tuple((e.time_monotonic_ns * 1e-9, e.text) for e in events if e.origin == "sequencer")

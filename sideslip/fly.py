@@ -3,7 +3,7 @@
 import signal
 import threading
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -35,6 +35,11 @@ if TYPE_CHECKING:
 )
 @click.option("--no-backfill", is_flag=True, help="Keep what the radio delivered; fetch nothing after landing.")
 @click.option(
+    "--manoeuvre",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="A file of 'sideslip design', flown by the onboard sequencer; on a scenario without one the pilot arms it in the air.",
+)
+@click.option(
     "--json",
     "json_path",
     type=click.Path(path_type=Path),
@@ -50,6 +55,7 @@ def fly(
     live: bool,
     port: str | None,
     no_backfill: bool,
+    manoeuvre: Path | None,
     json_path: Path | None,
     show_list: bool,
 ) -> int:
@@ -74,6 +80,8 @@ def fly(
         )
         return 0
     chosen = load_scenario(scenario)
+    if manoeuvre is not None:
+        chosen = _with_manoeuvre(chosen, manoeuvre)
     folder = out or Path("flights") / chosen.name
     pace = _pace(speed, live or port is not None)
     if port is not None:
@@ -95,6 +103,8 @@ def fly(
             view.close()
     for line in flown.lines:
         click.echo(line)
+    for time_s, words in flown.sequencer:
+        click.echo(f"{time_s:8.2f} s  {words}")
     s = flown.summary
     lost = sum(b - a + 1 for a, b in s["scans_lost"])
     click.echo(f"radio: {s['scans_received']} scans received, {lost} lost, {s['backfilled']} fetched after landing")
@@ -103,6 +113,22 @@ def fly(
     if json_path is not None:
         write_json(s, json_path)
     return 0
+
+
+def _with_manoeuvre(scenario: "Scenario", path: Path) -> "Scenario":
+    """The scenario with a sequencer that flies this file. Raises ManoeuvreError for one that cannot be flown."""
+    from daq.contract.manoeuvre import load_manoeuvre
+    from firmware_sim.hardware.cockpit import switch_for
+
+    made = load_manoeuvre(path)
+    ordered = dict(scenario.logger)
+    ordered["sequencer"] = {**ordered.get("sequencer", {}), "manoeuvre": str(path.resolve())}
+    changes: dict[str, Any] = {"logger": ordered}
+    if scenario.sequencer is None:
+        changes["sequencer"] = {"switch": switch_for(scenario, made.duration_s)}
+        changes["flight"] = {"manoeuvres": "none"}
+        changes["manoeuvre"] = ()
+    return scenario.altered(**changes)
 
 
 RADIO_ON_S = 7 * 24 * 3600.0

@@ -68,6 +68,8 @@ class FakeLogger:
     marks: list[tuple[str, str]] = field(default_factory=list)
     starts: int = 0
     stops: int = 0
+    asked: list[int | None] = field(default_factory=list)
+    answer: str = ""
 
     def start_recording(self) -> bool:
         self.starts += 1
@@ -82,6 +84,10 @@ class FakeLogger:
     def mark_event(self, text: str, origin: str) -> Event:
         self.marks.append((text, origin))
         return Event(0, 0, len(self.marks), origin, text)
+
+    def ask_sequencer(self, digest: int | None) -> str:
+        self.asked.append(digest)
+        return self.answer
 
     def statistics(self) -> None:
         return None

@@ -7,10 +7,10 @@ from daq.acquisition.attitude import AttitudeFilter
 from daq.acquisition.health import Record
 from daq.acquisition.supervisor import Outcome
 from daq.contract.scan import RawValue, SensorState
-from daq.sensors.config import PitotConfig, SensorsConfig
+from daq.sensors.config import SensorsConfig
 from daq.sensors.gravity_reference import VelocityFix
 from daq.sensors.icm20948 import COUNTS_PER_DPS, COUNTS_PER_G
-from daq.sensors.ms4525do import FULL, SPAN
+from daq.sensors.ms4525do import nominal_transfer
 
 _USABLE = (SensorState.OK, SensorState.RECOVERING, SensorState.OUT_OF_RANGE)
 _SEA_LEVEL_DENSITY = 1.225
@@ -32,11 +32,7 @@ class AttitudeSource:
         self._filter = AttitudeFilter(config.attitude, imu_rate_hz, math.radians(gyro_range))
         lowpass_hz = getattr(imu, "accel_lowpass_hz", 0.0)
         self._imu_delay_s = 1.0 / (2.0 * math.pi * lowpass_hz) if lowpass_hz else 0.0
-        self._pascal_per_count = self._pascal_at_zero = math.nan
-        if isinstance(config.pitot, PitotConfig):
-            (low, high), (start, span) = config.pitot.range_pa, SPAN[config.pitot.output]
-            self._pascal_per_count = (high - low) / (span * FULL)
-            self._pascal_at_zero = low - start * FULL * self._pascal_per_count
+        self._pascal_per_count, self._pascal_at_zero = nominal_transfer(config.pitot)
         self._airspeed: float | None = None
         self._airspeed_ns = 0
 

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from daq.contract.channels import CHANNEL_BY_NAME, GROUPS
+from daq.contract.recordings.messages import Health, HealthEntry
 from daq.contract.scan import RawValue, SensorState
 from daq.sensors.config import HealthConfig
 
@@ -194,3 +195,18 @@ class Record:
             self.setups,
             self.required,
         )
+
+
+def repetitions(summary: HealthSummary) -> str:
+    """Which sensors had to be asked again, in words: a connector on its way out shows here first."""
+    found = [f"{g.title} {g.retries}" for g in summary.groups if g.retries]
+    return f"; transfers repeated: {', '.join(found)}" if found else ""
+
+
+def as_message(summary: HealthSummary, utc_ns: int, number: int) -> Health:
+    """The report as recordings have it. utc_ns: UTC of now [ns]; number: of the scan."""
+    entries = tuple(
+        HealthEntry(g.group, int(g.state), g.words, max(0, g.since_ns), max(0, g.setups - 1) + g.retries)
+        for g in summary.groups
+    )
+    return Health(summary.time_ns, max(0, utc_ns), number, entries)

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import cast
 
 from daq.clock import NS, Clock
-from daq.contract.recordings.messages import Event, Health, LogLevel, LogLine, Message, Statistics
+from daq.contract.recordings.messages import Event, Health, LogLevel, LogLine, Message, SequencerFrame, Statistics
 from daq.contract.recordings.recording import Entry, RecordingInfo, message_entry, scan_entry
 from daq.contract.scan import SCAN_TOPIC, Scan
 from daq.recorder.config import RecorderConfig
@@ -133,6 +133,10 @@ class Recorder:
         """Record a health report."""
         self._take_message(health)
 
+    def sequencer(self, frame: SequencerFrame) -> bool:
+        """Record what the sequencer did in one frame; False when the memory is full."""
+        return self._take_message(frame)
+
     def log(self, level: LogLevel, name: str, text: str) -> None:
         """Record a log line, stamped now."""
         self._take_message(LogLine(self._clock.monotonic_ns(), max(0, self._clock.utc_ns()), level, name, text))
@@ -205,10 +209,12 @@ class Recorder:
 
     # ------------------------------------------------------------------------------------------ bookkeeping
 
-    def _take_message(self, message: Message) -> None:
+    def _take_message(self, message: Message) -> bool:
         with self._news:
-            if len(self._inbox) <= self._capacity + _MESSAGE_ROOM and not self._given_up:
+            room = len(self._inbox) <= self._capacity + _MESSAGE_ROOM and not self._given_up
+            if room:
                 self._inbox.append(message)
+            return room
 
     # ------------------------------------------------------------------------------------------ the writer's thread
 

@@ -10,6 +10,7 @@ Self-test: two reads that agree; the part has no identity. Plausibility: status 
 2 means the sample was fetched before; counts at the ends, and two reads further apart than 255 counts, are out of range.
 """
 
+import math
 from collections.abc import Generator
 
 from daq.contract.scan import SensorState
@@ -21,6 +22,15 @@ NORMAL, RESERVED, FETCHED, FAULT = range(4)
 FULL = 0x3FFF
 LARGEST_JUMP = 0xFF
 SPAN = {"A": (0.1, 0.8), "B": (0.05, 0.9)}
+
+
+def nominal_transfer(config: object) -> tuple[float, float]:
+    """Pascal for each count, and pascal at count zero, by the data sheet; NaN for another kind of sensor."""
+    if not isinstance(config, PitotConfig):
+        return math.nan, math.nan
+    (low, high), (start, span) = config.range_pa, SPAN[config.output]
+    per_count = (high - low) / (span * FULL)
+    return per_count, low - start * FULL * per_count
 
 
 def split(data: bytes) -> tuple[int, int, int]:

@@ -8,10 +8,13 @@ import contextlib
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from enum import StrEnum
+from itertools import count
 from pathlib import Path
 from typing import Any
 
 from daq.acquisition.health import GroupHealth, HealthSummary
+from daq.actuation.actuation import Devices
+from daq.actuation.trial import Trial
 from daq.clock import NS, Clock
 from daq.config import LoggerConfig
 from daq.contract.scan import Scan, SensorState
@@ -33,11 +36,12 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One line of the table."""
+    """One line of the table. of_sequencer: it concerns what moves the controls."""
 
     name: str
     verdict: Verdict
     text: str
+    of_sequencer: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,10 +90,12 @@ def run_preflight(
     sampler: SensorSource,
     storage: Storage,
     radio: Callable[[], RadioReport | None] | None = None,
+    devices: Devices | None = None,
 ) -> Preflight:
     """Carry out all checks; takes the time of `preflight.scans` scans and a few writes.
 
     radio: listens to the radio and reports, None when nothing was heard; left out where no radio is fitted.
+    devices: what the sequencer drives, where one is configured; its trial then takes another second or two.
     """
     sampler.start()
     scans, lateness_us = _scan_for_a_while(config, clock, sampler)
@@ -101,6 +107,7 @@ def run_preflight(
         *(_card_checks(config, clock, storage)),
         _calibration_check(config),
         _radio_check(config, radio),
+        *_sequencer_checks(config, clock, sampler, devices),
     ]
     return Preflight(tuple(checks))
 
@@ -203,6 +210,23 @@ def _probe(storage: Storage, clock: Clock, path: Path) -> float:
         file.close()
         storage.remove(path)
     return slowest / 1e6
+
+
+def _sequencer_checks(
+    config: LoggerConfig, clock: Clock, sampler: SensorSource, devices: Devices | None
+) -> Iterable[Check]:
+    if config.sequencer is None:
+        return
+    if devices is None:
+        yield Check("sequencer", Verdict.NO_GO, "no bus or heartbeat line is open; set sequencer.heartbeat", True)
+        return
+    numbers = count(config.preflight.scans)
+
+    def take_scan() -> Scan:
+        return sampler.finish(sampler.take(next(numbers), clock.monotonic_ns()))
+
+    for finding in Trial(config.sequencer, devices, take_scan).findings():
+        yield Check(finding.what, Verdict.GO if finding.well else Verdict.NO_GO, finding.text, of_sequencer=True)
 
 
 def _calibration_check(config: LoggerConfig) -> Check:

@@ -4,7 +4,7 @@ import logging
 import signal
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
@@ -12,6 +12,8 @@ from types import FrameType
 from typing import Any
 
 from daq.acquisition.sampler import Sampler
+from daq.actuation.actuation import Devices
+from daq.actuation.heartbeat import FileHeartbeat
 from daq.assembly import Assembly, Edge, assemble
 from daq.clock import RealClock
 from daq.config import LoggerConfig, load_config
@@ -80,8 +82,8 @@ def preflight_on_hardware(path: Path) -> Preflight:
     """Open what the configuration names and carry out the preflight check."""
     config, _ = load_config(path)
     clock = RealClock()
-    with _opened(config, clock) as (hardware, radio):
-        return _preflight(config, clock, hardware, radio)
+    with _opened(config, clock) as (hardware, radio, heartbeat):
+        return _preflight(config, clock, hardware, radio, heartbeat)
 
 
 def record_on_hardware(path: Path, *, override: str | None, skip_preflight: bool) -> Outcome:
@@ -89,10 +91,23 @@ def record_on_hardware(path: Path, *, override: str | None, skip_preflight: bool
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
     config, text = load_config(path)
     clock = RealClock()
-    with _opened(config, clock) as (hardware, radio):
-        opening = _opening(None if skip_preflight else _preflight(config, clock, hardware, radio), override)
+    with _opened(config, clock) as (hardware, radio, heartbeat):
+        table = None if skip_preflight else _preflight(config, clock, hardware, radio, heartbeat)
+        opening = _opening(table, override)
+        why = without_sequencer(config, table)
+        if why is not None:
+            config = config.model_copy(update={"sequencer": None})
+            opening.append(Opening(LogLevel.WARNING, "sequencer", f"sequencer is off for this session: {why}"))
         edge = Edge(
-            clock, hardware.bus, hardware.gnss, "real", hardware.autopilot, hardware.pulse, radio, storage=RealStorage()
+            clock,
+            hardware.bus,
+            hardware.gnss,
+            "real",
+            hardware.autopilot,
+            hardware.pulse,
+            radio,
+            storage=RealStorage(),
+            heartbeat=heartbeat,
         )
         return run_until_signal(config, text, edge, opening)
 
@@ -133,7 +148,9 @@ def _status_line(made: Assembly) -> str:
     return f"{books.written} scans written, {books.dropped} dropped, {books.lost} lost; {made.sampler.health().words}"
 
 
-def _preflight(config: LoggerConfig, clock: RealClock, hardware: Hardware, radio: BytePort | None) -> Preflight:
+def _preflight(
+    config: LoggerConfig, clock: RealClock, hardware: Hardware, radio: BytePort | None, heartbeat: FileHeartbeat | None
+) -> Preflight:
     sampler = Sampler(
         config.sensors,
         hardware.bus,
@@ -146,7 +163,10 @@ def _preflight(config: LoggerConfig, clock: RealClock, hardware: Hardware, radio
     heard: Callable[[], RadioReport | None] | None = None
     if radio is not None:
         heard = lambda: listen(radio, clock)  # noqa: E731
-    return run_preflight(config, clock, sampler, RealStorage(), heard)
+    devices = None
+    if hardware.bus is not None and heartbeat is not None:
+        devices = Devices(hardware.bus, heartbeat, clock)
+    return run_preflight(config, clock, sampler, RealStorage(), heard, devices)
 
 
 def _opening(table: Preflight | None, override: str | None) -> list[Opening]:
@@ -159,6 +179,19 @@ def _opening(table: Preflight | None, override: str | None) -> list[Opening]:
     if override is None:
         raise PreflightRefusal(f"no-go: {reasons}; correct it, or record all the same with --override REASON")
     return [Opening(LogLevel.WARNING, "preflight", f"no-go overridden ({override}): {reasons}")]
+
+
+def without_sequencer(config: LoggerConfig, table: Preflight | None) -> str | None:
+    """Why a configured sequencer is left out of this session; None when it need not be.
+
+    An override is for recording in spite of a sensor. What moves the controls is not to be overridden.
+    """
+    if config.sequencer is None:
+        return None
+    if table is None:
+        return "the preflight check was skipped"
+    wrong = [f"{c.name}: {c.text}" for c in table.failed if c.of_sequencer]
+    return "; ".join(wrong) or None
 
 
 class _Stop:
@@ -201,17 +234,17 @@ def _quick_turns() -> Iterator[None]:
 
 
 @contextmanager
-def _opened(config: LoggerConfig, clock: RealClock) -> Iterator[tuple[Hardware, BytePort | None]]:
-    hardware = open_hardware(config.sensors, clock)
-    try:
+def _opened(config: LoggerConfig, clock: RealClock) -> Iterator[tuple[Hardware, BytePort | None, FileHeartbeat | None]]:
+    with ExitStack() as opened:
+        hardware = open_hardware(config.sensors, clock)
+        opened.callback(hardware.close)
         radio = _open_radio(config)
-        try:
-            yield hardware, radio
-        finally:
-            if radio is not None:
-                radio.close()
-    finally:
-        hardware.close()
+        if radio is not None:
+            opened.callback(radio.close)
+        heartbeat = None if config.sequencer is None else FileHeartbeat(config.sequencer.heartbeat)
+        if heartbeat is not None:
+            opened.callback(heartbeat.close)
+        yield hardware, radio, heartbeat
 
 
 def _open_radio(config: LoggerConfig) -> BytePort | None:

@@ -15,7 +15,7 @@ from daq.clock import NS, Clock
 from daq.contract.channels import Channel
 from daq.contract.link.scan_map import BLOCK, ScanMap
 from daq.contract.link.wire import SCAN_FAST_ID, SCAN_LABORATORY_ID, SCAN_RARE_ID, SCAN_SLOW_ID, layouts, pack_scan
-from daq.contract.recordings.messages import Event
+from daq.contract.recordings.messages import Event, SequencerFrame
 from daq.contract.scan import Scan
 from daq.telemetry.config import MIN_RATE_HZ, DownlinkConfig, max_rate
 from daq.telemetry.flight_state import flight_evidence
@@ -311,6 +311,23 @@ class Downlink:
             )
         )
 
+    def sequencer(self, frame: SequencerFrame) -> None:
+        """Tell the ground what the sequencer is doing."""
+        self.outbox.put_urgent(
+            item(
+                "SEQUENCER_STATUS",
+                time_monotonic_ns=frame.time_monotonic_ns,
+                number=frame.number,
+                elapsed_ms=min(frame.elapsed_us // 1000, 2**32 - 1),
+                boot=self.boot,
+                state=frame.state,
+                reason=frame.reason,
+                switch_position=frame.switch,
+                flags=frame.beating | frame.limited << 1,
+                increments=[_increment(value) for value in (*frame.increments, 0.0, 0.0, 0.0)[:3]],
+            )
+        )
+
     # -------------------------------------------------------------------------------------------------- adaptation
 
     def radio_status(self, txbuf: int, now_ns: int) -> None:
@@ -358,6 +375,11 @@ class _Turns:
             return False
         self._sent.update(dict.fromkeys((*present, waiting), scan.time))
         return True
+
+
+def _increment(value: float) -> int:
+    """An increment of a control [1e-4 rad]."""
+    return min(max(round(value * 1e4), -32767), 32767)
 
 
 class _Timers:

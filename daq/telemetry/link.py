@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Protocol
 
 from daq.clock import Clock
-from daq.contract.recordings.messages import Event, Statistics
+from daq.contract.recordings.messages import Event, SequencerFrame, Statistics
 from daq.contract.recordings.recording import RecordingInfo
 from daq.contract.scan import Scan
 from daq.telemetry.backfill import BackfillServer, ScanStore
@@ -95,6 +95,9 @@ class _NoLogger:
     def mark_event(self, text: str, origin: str) -> Event:
         return Event(0, 0, 0, origin, text)
 
+    def ask_sequencer(self, digest: int | None) -> str:
+        return "the logger has ended"
+
 
 @dataclass
 class RadioLink:
@@ -123,6 +126,10 @@ class RadioLink:
     def text(self, severity: int, words: str, /) -> None:
         """Send a sentence to the ground."""
         self.downlink.text(severity, words)
+
+    def sequencer(self, frame: SequencerFrame) -> None:
+        """Tell the ground what the sequencer is doing."""
+        self.downlink.sequencer(frame)
 
     def idle(self, now_ns: int) -> None:
         """Both directions once, with no logger behind: backfill and downloads after the last scan."""

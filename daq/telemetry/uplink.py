@@ -46,7 +46,7 @@ FRAMES = 128
 """Frames taken in a turn; each costs some 10 us, twenty times what a ground station sends in a turn."""
 _MEMORY = 256
 _REPEAT_NS = 30 * NS
-_NOTICE = 5
+_NOTICE, _WARNING = 5, 4
 _PATIENCE_S = 2.0  # for a save of the signing timestamps that is under way when the link is closed
 Fields = Mapping[str, Any]
 
@@ -75,6 +75,10 @@ class LoggerControl(Protocol):
 
     def mark_event(self, text: str, origin: str) -> Event:
         """Record an event at the present scan."""
+        ...
+
+    def ask_sequencer(self, digest: int | None) -> str:
+        """Start the manoeuvre whose digest begins with these 24 bits, or (None) stop; why not, empty when it is taken."""
         ...
 
 
@@ -115,6 +119,7 @@ class Uplink:
         self._introduced_ns: int | None = None
         self._done: OrderedDict[tuple[Any, ...], tuple[int, int]] = OrderedDict()  # command -> time, result
         self._saver: Future[None] | None = None
+        self._heard_ns: int | None = None  # when a frame of the ground was last taken
         self._worker = Worker("uplink-signing")
         downlink.outbox.bulk = self._next_bulk
         self._handlers: Mapping[str, Callable[[Fields, int], bool]] = {
@@ -172,6 +177,10 @@ class Uplink:
         if more:
             self._refusals.note(f"{more} datagrams dropped unread: too long, or too many to be read")
 
+    def silence_s(self, now_ns: int) -> float | None:
+        """Seconds since a frame of the ground was last taken; None when none ever was. A radio's own report does not count."""
+        return None if self._heard_ns is None else (now_ns - self._heard_ns) * 1e-9
+
     def close(self) -> None:
         """End the worker threads and save the signing timestamps."""
         if not self._worker.close(_PATIENCE_S):
@@ -202,6 +211,8 @@ class Uplink:
             if not verdict.accepted:
                 self._refuse_unproven(frame, verdict)
                 return
+        if frame.msg_id != RADIO_STATUS_ID:
+            self._heard_ns = now_ns
         fields = frame.fields()
         target = fields.get("target_system", 0)
         if target not in (0, self._downlink.config.system_id):
@@ -362,6 +373,8 @@ class Uplink:
                 return self._set_rate(parameters)
             case c.PREFLIGHT_CALIBRATION:
                 return self._zero_pitot(parameters, now_ns, control)
+            case c.SEQUENCER:
+                return self._sequence(frame, parameters, control)
             case _:
                 return c.UNSUPPORTED
 
@@ -383,6 +396,20 @@ class Uplink:
             if not why and control.start_recording():
                 self._budget.started(now_ns)
         return why
+
+    def _sequence(self, frame: Frame, parameters: tuple[float, ...], control: LoggerControl) -> int:
+        """Start or stop the sequencer. To start moves the controls: only a frame that a key has proven may."""
+        if parameters[0] not in (0.0, 1.0) or any(parameters[2:]) or not 0.0 <= parameters[1] < 2**24:
+            return c.UNSUPPORTED
+        start = parameters[0] == 1.0
+        if start and self._signer is None:
+            self._refusals.note("refused to start the sequencer: this link has no key; set downlink.key_file")
+            return c.DENIED
+        why = control.ask_sequencer(int(parameters[1]) if start else None)
+        if why:
+            self._downlink.text(_WARNING, f"sequencer does not {'start' if start else 'stop'}: {why}")
+            return c.TEMPORARILY_REJECTED
+        return c.ACCEPTED
 
     def _set_rate(self, parameters: tuple[float, ...]) -> int:
         if parameters[0] != SCAN_FAST_ID:

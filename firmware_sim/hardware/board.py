@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_sim.hardware.bus import Chip
+from firmware_sim.hardware.cockpit import Cockpit
 from firmware_sim.hardware.faults import ADDRESSES, FaultSet
 from firmware_sim.hardware.instruments import Instruments
 from firmware_sim.hardware.registers.ads1115 import Ads1115
@@ -18,6 +19,7 @@ from firmware_sim.hardware.registers.chip import Inputs
 from firmware_sim.hardware.registers.icm20948 import Icm20948
 from firmware_sim.hardware.registers.ms4525do import Ms4525do
 from firmware_sim.hardware.registers.nau7802 import Nau7802
+from firmware_sim.hardware.registers.pca9685 import ALLCALL_ADDRESS, AllCall
 from firmware_sim.hardware.sensor_models import NAU7802_GAIN, SensorModels
 from firmware_sim.hardware.signals import AT
 
@@ -42,12 +44,15 @@ class Board:
     pitot: Ms4525do
 
 
-def build_board(instruments: Instruments, faults: FaultSet) -> Board:
-    """All chips of the aircraft, looking at these instruments through the value faults of the scenario."""
+def build_board(instruments: Instruments, faults: FaultSet, cockpit: Cockpit | None = None) -> Board:
+    """All chips of the aircraft, looking at these instruments through the value faults of the scenario.
+
+    cockpit: with a sequencer, whose servo driver and second capture co-processor then are on the bus too.
+    """
     models = instruments.models
     imu = _imu(instruments, faults)
     pitot = Ms4525do(_pitot(instruments, faults))
-    capture = Capture(_capture(instruments, faults))
+    capture = Capture(_capture(instruments, faults, cockpit))
     thrust = Nau7802(_thrust(instruments, faults))
     static = Bmp390(
         faults.bend("static", instruments.inputs("static_pressure", "static_temperature")),
@@ -66,6 +71,10 @@ def build_board(instruments: Instruments, faults: FaultSet) -> Board:
     for device, wiring in ADC_WIRING.items():
         clock_error = float(instruments.generator(f"{device} clock").uniform(-0.08, 0.08))
         chips[ADDRESSES[device]] = Ads1115(_volts(instruments, faults, wiring), clock_error)
+    if cockpit is not None:
+        chips[ADDRESSES["servo_driver"]] = cockpit.chip
+        chips[ALLCALL_ADDRESS] = AllCall(cockpit.chip)
+        chips[ADDRESSES["pilot_inputs"]] = Capture(_pilot_inputs(instruments, faults, cockpit))
     return Board(chips, imu, capture, pitot)
 
 
@@ -112,17 +121,30 @@ def _thrust(instruments: Instruments, faults: FaultSet) -> Inputs:
     return faults.bend("thrust", lambda time_ns: (raw(time_ns)[0] + sigma * rng.standard_normal(),))
 
 
-def _capture(instruments: Instruments, faults: FaultSet) -> Inputs:
+def _capture(instruments: Instruments, faults: FaultSet, cockpit: Cockpit | None) -> Inputs:
     names = (*(f"pwm_{i}" for i in range(1, 7)), *(f"digital_{i}" for i in range(1, 6)))
     raw, rng = instruments.inputs(*names), instruments.generator("capture")
     sigma = instruments.models.capture.jitter_us * 1e-6
 
     def inputs(time_ns: int) -> NDArray[np.float64]:
         values = np.array(raw(time_ns))
+        if cockpit is not None:
+            values = cockpit.behind(time_ns, values)
         values[:6] += (values[:6] > 0.0) * (sigma * rng.standard_normal())
         return values
 
     return faults.bend("capture", inputs)
+
+
+def _pilot_inputs(instruments: Instruments, faults: FaultSet, cockpit: Cockpit) -> Inputs:
+    rng, sigma = instruments.generator("pilot_inputs"), instruments.models.capture.jitter_us * 1e-6
+
+    def inputs(time_ns: int) -> NDArray[np.float64]:
+        values = np.array(cockpit.receiver(time_ns))
+        values[:6] += (values[:6] > 0.0) * (sigma * rng.standard_normal(6))
+        return values
+
+    return faults.bend("pilot_inputs", inputs)
 
 
 def _volts(

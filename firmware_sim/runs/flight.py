@@ -14,9 +14,11 @@ from types import MappingProxyType
 from typing import Any, Literal
 
 from daq.acquisition.sampler import UnfinishedScan
+from daq.actuation.servos import plan_of
 from daq.assembly import Assembly, Edge, assemble
 from daq.clock import SimulatedClock
 from daq.config import LoggerConfig, parse_config
+from daq.contract.manoeuvre import load_manoeuvre
 from daq.contract.recordings.messages import Statistics
 from daq.sensors.bus import SerialPort
 from daq.sensors.config import ExtraConfig
@@ -27,10 +29,12 @@ from firmware_sim.hardware.autopilot import Autopilot
 from firmware_sim.hardware.board import Board, build_board
 from firmware_sim.hardware.bus import SimulatedBus
 from firmware_sim.hardware.card import SimulatedCard
-from firmware_sim.hardware.faults import ADDRESSES, Events, FaultSet, PowerTaker, parse_faults
+from firmware_sim.hardware.cockpit import Cockpit, parse_cockpit
+from firmware_sim.hardware.faults import ADDRESSES, ONLY_WITH_SEQUENCER, Events, FaultSet, PowerTaker, parse_faults
 from firmware_sim.hardware.gnss import GnssReceiver
 from firmware_sim.hardware.instruments import Instruments, TruthSource
 from firmware_sim.hardware.laboratory import laboratory_chips
+from firmware_sim.hardware.multiplexer import Monostable
 from firmware_sim.hardware.radio import RadioLink, parse_radio
 from firmware_sim.hardware.sensor_models import SensorModels, merged, parse_sensors
 from firmware_sim.hardware.serial import PseudoTerminal, SimulatedSerial
@@ -45,6 +49,10 @@ START_UTC_NS = int(dt.datetime(2026, 6, 1, 6, 30, tzinfo=dt.UTC).timestamp()) * 
 SERVE_STEP_NS = 50_000_000
 
 CONFIG_FILE = Path(__file__).parents[2] / "daq" / "configs" / "cdfp.toml"
+SEQUENCER_FILE = CONFIG_FILE.with_name("cdfp_sequencer.toml")
+"""What a configuration with a sequencer has besides; merged in for scenarios with a table [sequencer]."""
+MANOEUVRE_FILE = Path(__file__).parents[1] / "scenarios" / "manoeuvres" / "lateral_3211.toml"
+"""Flown by them unless the configuration or `sideslip fly --manoeuvre` names another."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +80,7 @@ def build_aircraft(
     clock: SimulatedClock,
     seed: int,
     extra: Mapping[str, ExtraConfig] = MappingProxyType({}),
+    cockpit: Cockpit | None = None,
 ) -> Aircraft:
     """Instruments, chips, bus and GPS of an aircraft that moves as `source` says, time zero being the clock's now.
 
@@ -79,7 +88,7 @@ def build_aircraft(
     """
     origin = clock.monotonic_ns()
     instruments = Instruments(source, models, seed, origin)
-    board = build_board(instruments, faults)
+    board = build_board(instruments, faults, cockpit)
     own = laboratory_chips(extra, instruments)
     for address in own.keys() & board.chips.keys():
         raise ScenarioError(
@@ -88,7 +97,9 @@ def build_aircraft(
     bus = SimulatedBus(clock, {**board.chips, **own}, instruments.models.bus, faults.disturb)
     gnss = GnssReceiver(instruments, clock.utc_ns(), faults.gnss_corrupt)
     autopilot = Autopilot(instruments)
-    powered: dict[str, PowerTaker] = {device: board.chips[address] for device, address in ADDRESSES.items()}
+    powered: dict[str, PowerTaker] = {
+        device: board.chips[address] for device, address in ADDRESSES.items() if address in board.chips
+    }
     events = Events(faults, {**powered, "gnss": gnss, "autopilot": autopilot}, clock.step_utc, origin)
     events.at(origin)
     if events.any_left:
@@ -129,6 +140,7 @@ class SimulatedFlight:
     cancelled: bool = False
     scan_times: list[float] = field(default_factory=list)
     closers: list[Callable[[], None]] = field(default_factory=list)
+    cockpit: Cockpit | None = None
 
     def run(self) -> FlightFiles:
         """Fly to the end, or until `cancelled`, and write the files beside the recording."""
@@ -208,7 +220,8 @@ def prepare_flight(
     config_file: the logger's configuration, of which `[logger]` of the scenario replaces keys. calibration: directory
     embedded in the recording. source: something else than the scenario's flight to look at (a bench). gnss_port: the
     GPS on a serial port in memory, or on a real pseudo-terminal opened by pyserial.
-    Raises ScenarioError for a mistake in the scenario's tables, ConfigError for one in the configuration.
+    Raises ScenarioError for a mistake in the scenario's tables, ConfigError for one in the configuration, ManoeuvreError
+    for a manoeuvre that this aircraft must not fly.
     """
     if seed is not None:
         scenario = scenario.altered(flight={"seed": seed})
@@ -221,9 +234,12 @@ def prepare_flight(
     if calibration is not None:
         calibration = calibration_of(craft, calibration, folder)
     config, text = logger_config(scenario, folder, config_file, calibration)
+    if config.sequencer is not None:
+        plan_of(load_manoeuvre(config.sequencer.manoeuvre), config.sequencer)  # before any file is made
     clock = SimulatedClock(START_UTC_NS, speed=speed)
-    world = TruthFile(source or World(scenario, seed), folder / "truth.csv")
-    aircraft = build_aircraft(world, models, faults, clock, seed, config.sensors.extra)
+    cockpit = _cockpit(scenario, clock)
+    world = TruthFile(source or World(scenario, seed, cockpit), folder / "truth.csv")
+    aircraft = build_aircraft(world, models, faults, clock, seed, config.sensors.extra, cockpit)
     radio = RadioLink(radio_model, clock.monotonic_ns, seed, faults.radio_lost)
     gnss, closers = _gnss_port(aircraft, gnss_port)
     capture = config.sensors.capture
@@ -238,6 +254,7 @@ def prepare_flight(
         pulse=aircraft.newest_pulse if models.gnss.pulse else None,
         radio=radio.air if config.downlink is not None else None,
         storage=SimulatedCard(faults, clock),
+        heartbeat=cockpit.monostable if cockpit is not None else None,
     )
     session = f"{scenario.name}_{seed}"
     assembly = assemble(config, text, edge, session=session, folder="", boot=1 + seed % 255)
@@ -257,6 +274,7 @@ def prepare_flight(
         truth=world,
         duration_s=scenario.total_s if duration_s is None else duration_s,
         closers=closers,
+        cockpit=cockpit,
     )
     flight.note_scans()
     return flight
@@ -266,6 +284,19 @@ def simulate_flight(scenario: Scenario, folder: Path, **options: Any) -> FlightF
     """Fly a scenario with nobody on the ground; options as `prepare_flight`."""
     with prepare_flight(scenario, folder, **options) as flight:
         return flight.run()
+
+
+def _cockpit(scenario: Scenario, clock: SimulatedClock) -> Cockpit | None:
+    """The pilot's side, with the scenario's switch; None for a scenario without a sequencer."""
+    if scenario.sequencer is None:
+        lonely = [f["device"] for f in scenario.faults if f.get("device") in ONLY_WITH_SEQUENCER]
+        if lonely:
+            raise ScenarioError(
+                f"scenario {scenario.name}: faults: {lonely[0]!r} is there only with a table [sequencer]"
+            )
+        return None
+    table = parse_cockpit(scenario.sequencer, scenario.name)
+    return Cockpit(table, Monostable(clock.monotonic_ns), scenario.takeoff_s)
 
 
 def _gnss_port(aircraft: Aircraft, kind: Literal["memory", "pty"]) -> tuple[SerialPort, list[Callable[[], None]]]:
@@ -287,7 +318,11 @@ def logger_config(
 
     The text goes into the recording, so it names folders as another machine could read them, not where they lie here.
     """
-    table = merged(tomllib.loads(config_file.read_text(encoding="utf-8")), scenario.logger)
+    table = tomllib.loads(config_file.read_text(encoding="utf-8"))
+    if scenario.sequencer is not None:
+        table = merged(table, tomllib.loads(SEQUENCER_FILE.read_text(encoding="utf-8")))
+        table["sequencer"]["manoeuvre"] = str(MANOEUVRE_FILE)
+    table = merged(table, scenario.logger)
     craft = load_aircraft(scenario.flight.aircraft)
     table.setdefault("aircraft", {})["name"] = craft.name
     table.pop("calibration", None)
@@ -295,6 +330,9 @@ def logger_config(
         table["downlink"].pop("port", None)
     here: dict[str, Any] = {"recorder": {"directories": [str((folder / "onboard").resolve())]}}
     told: dict[str, Any] = {"recorder": {"directories": ["onboard"]}}
+    if scenario.sequencer is not None:
+        manoeuvre = Path(table["sequencer"]["manoeuvre"]).resolve()
+        here["sequencer"], told["sequencer"] = {"manoeuvre": str(manoeuvre)}, {"manoeuvre": "manoeuvre.toml"}
     if calibration is not None:
         here["calibration"] = str(calibration.resolve())
         told["calibration"] = calibration.name

@@ -1,7 +1,8 @@
 """A scenario: everything that decides a simulated flight, as a TOML file.
 
 The tables flown here are [flight], [wind], [derivatives], [[manoeuvre]], [[hidden]], [ground] and [site]; the tables
-[sensors], [[faults]], [radio] and [logger] belong to instruments, bus, radio and logger, and are passed through as they stand.
+[sensors], [[faults]], [radio], [logger] and [sequencer] belong to instruments, bus, radio, logger and cockpit, and are passed
+through as they stand.
 """
 
 from collections.abc import Mapping
@@ -123,6 +124,7 @@ class Scenario(_Table):
     faults: tuple[Mapping[str, Any], ...] = ()
     radio: Mapping[str, Any] = Field(default_factory=dict)
     logger: Mapping[str, Any] = Field(default_factory=dict)
+    sequencer: Mapping[str, Any] | None = None
 
     @field_validator("name")
     @classmethod
@@ -142,6 +144,11 @@ class Scenario(_Table):
                     f"entry {i + 1}: no effect named {item.name!r}; known are {', '.join(sorted(EFFECTS))}"
                 )
         return hidden
+
+    @property
+    def takeoff_s(self) -> float:
+        """Time of the recording at which free flight begins [s]."""
+        return self.ground.before_s + self.ground.launch_s if self.ground.before_s > 0.0 else 0.0
 
     @property
     def total_s(self) -> float:

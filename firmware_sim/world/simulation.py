@@ -7,6 +7,7 @@ gusts, effects), so it is the same flight alone or in a crowd.
 
 from collections.abc import Sequence
 from dataclasses import fields
+from typing import Protocol
 
 import numpy as np
 
@@ -75,6 +76,30 @@ def _plan(scenario: Scenario, seed: int) -> StickPlan:
     return plan_sticks(manoeuvres_of(scenario, seed), flight.duration_s, flight.hand_deg, _stream(seed, _HAND))
 
 
+class Wiring(Protocol):
+    """What stands between the pilot's hands and the servos. Times are seconds of free flight, negative while settling."""
+
+    def hands_still(self, time: float, /) -> bool:
+        """Whether the pilot leaves his sticks where they are."""
+        ...
+
+    def route(self, time: float, wanted: Commands, /) -> Commands:
+        """What the servos get in the frame that begins now."""
+        ...
+
+
+class Straight:
+    """Nothing stands between."""
+
+    def hands_still(self, time: float) -> bool:
+        """Never."""
+        return False
+
+    def route(self, time: float, wanted: Commands) -> Commands:
+        """What the pilot wants."""
+        return wanted
+
+
 class _Noise:
     """Unit white noise per step and flight, variance 1 / step, drawn in chunks."""
 
@@ -98,8 +123,11 @@ class Simulation:
     All scenarios must share aircraft, site, integration rate and the names of what is hidden.
     """
 
-    def __init__(self, scenarios: Sequence[Scenario], seeds: Sequence[int], *, many: bool) -> None:
+    def __init__(
+        self, scenarios: Sequence[Scenario], seeds: Sequence[int], *, many: bool, wiring: Wiring | None = None
+    ) -> None:
         first = scenarios[0]
+        self.wiring: Wiring = wiring or Straight()
         self._check_alike(scenarios, many)
         self.xp = xp = array_maths(len(scenarios)) if many else FLOATS
         self.aircraft: Aircraft = load_aircraft(first.flight.aircraft)
@@ -135,7 +163,7 @@ class Simulation:
         throttle = self.trim.thrust / self.plant.thrust_available(speed)
         plans = [_plan(s, seed) for s, seed in zip(scenarios, seeds, strict=True)]
         self.pilot = Pilot(self.trim, join_plans(plans) if many else plans[0], throttle, xp, self.plant.servos)
-        self.commands = Commands(self.trim.elevator, self.trim.elevator, xp.full(0.0), throttle)
+        self.commands = self._wanted = Commands(self.trim.elevator, self.trim.elevator, xp.full(0.0), throttle)
         self._noise = _Noise(seeds, self.h, xp)
         self._held_noise = self._noise.next()
         self._dx = xp.new_state(self.plant.size)
@@ -195,7 +223,9 @@ class Simulation:
         """Advance by one grid step."""
         if self.k % self._per_frame == 0:
             motion = self.plant.evaluate(self.time, self.x, self.commands, self._held_noise, self._dx)
-            self.commands = self.pilot.act(self.k // self._per_frame, motion)
+            if not self.wiring.hands_still(self.time):
+                self._wanted = self.pilot.act(self.k // self._per_frame, motion)
+            self.commands = self.wiring.route(self.time, self._wanted)
         self.x = self.plant.step(self.time, self.x, self.commands, self._held_noise, self.h)
         self.k += 1
         self._held_noise = self._noise.next()

@@ -16,7 +16,7 @@ from firmware_sim.physics.effects.base import Sensed
 from firmware_sim.physics.motion import Motion
 from firmware_sim.world.ground import ScriptedPath
 from firmware_sim.world.scenario import GroundTable, Scenario
-from firmware_sim.world.simulation import SENSED_NAMES, Simulation, derivatives_of
+from firmware_sim.world.simulation import SENSED_NAMES, Simulation, Wiring, derivatives_of
 from firmware_sim.world.truth import TRUTH_COLUMNS, Truth, truth_of
 
 Array = NDArray[np.float64]
@@ -26,17 +26,17 @@ class World:
     """One flight of a scenario. Time zero is where the recording starts.
 
     `advance(t)` moves to `t` and returns the Truth there; time never goes back. What happens does not depend on the
-    instants asked for.
+    instants asked for, unless the `wiring` between pilot and servos goes by another clock.
     """
 
-    def __init__(self, scenario: Scenario, seed: int | None = None) -> None:
+    def __init__(self, scenario: Scenario, seed: int | None = None, wiring: Wiring | None = None) -> None:
         self.scenario = scenario
         self.seed = scenario.flight.seed if seed is None else seed
-        self._simulation = Simulation([scenario], [self.seed], many=False)
+        self._simulation = Simulation([scenario], [self.seed], many=False, wiring=wiring)
         self.aircraft: Aircraft = self._simulation.aircraft
         self.site = self._simulation.plant.site
         ground = scenario.ground
-        self.takeoff_time = ground.before_s + ground.launch_s if ground.before_s > 0.0 else 0.0
+        self.takeoff_time = scenario.takeoff_s
         self.duration = scenario.total_s
         self._launch: ScriptedPath | None = None
         if ground.before_s > 0.0:
@@ -88,9 +88,11 @@ def _truth(simulation: Simulation, m: Motion, x: object, time: float) -> Truth:
     return truth_of(time, m, sensed, simulation.commands, simulation.pilot.event, plant.site, undisturbed)
 
 
-def simulate_truth(scenario: Scenario, seed: int | None = None, rate_hz: float = 20.0) -> dict[str, Array]:
+def simulate_truth(
+    scenario: Scenario, seed: int | None = None, rate_hz: float = 20.0, wiring: Wiring | None = None
+) -> dict[str, Array]:
     """One flight, ground phases included: TRUTH_COLUMNS and `sensed_*`, each (samples,), at `rate_hz` from time zero."""
-    world = World(scenario, seed)
+    world = World(scenario, seed, wiring)
     samples = math.floor(world.duration * rate_hz + 1e-9) + 1
     rows, sensed = [], []
     for k in range(samples):
@@ -107,11 +109,13 @@ def simulate_many(
     rate_hz: float = 20.0,
     batch: int = 256,
     crowd_from: int = 7,
+    wiring: Wiring | None = None,
 ) -> list[dict[str, Array]]:
     """Many flights without ground phases, side by side where they can be; per flight as `simulate_truth`.
 
     Flights that share aircraft, site, duration and the names of what is hidden are flown together on arrays, up to
     `batch` at once; fewer than `crowd_from` are quicker one by one. The order of the result is the order asked for.
+    wiring: between pilot and servos of every flight; it must keep nothing of one flight.
     """
     groups: dict[object, list[int]] = {}
     for i, s in enumerate(scenarios):
@@ -125,16 +129,18 @@ def simulate_many(
             if len(chosen) < crowd_from:
                 for i in chosen:
                     airborne = scenarios[i].model_copy(update={"ground": GroundTable()})
-                    flights[i] = simulate_truth(airborne, seeds[i], rate_hz)
+                    flights[i] = simulate_truth(airborne, seeds[i], rate_hz, wiring)
                 continue
-            together = _fly_together([scenarios[i] for i in chosen], [seeds[i] for i in chosen], rate_hz)
+            together = _fly_together([scenarios[i] for i in chosen], [seeds[i] for i in chosen], rate_hz, wiring)
             for place, i in enumerate(chosen):
                 flights[i] = {name: np.ascontiguousarray(values[:, place]) for name, values in together.items()}
     return flights
 
 
-def _fly_together(scenarios: Sequence[Scenario], seeds: Sequence[int], rate_hz: float) -> dict[str, Array]:
-    simulation = Simulation(scenarios, seeds, many=True)
+def _fly_together(
+    scenarios: Sequence[Scenario], seeds: Sequence[int], rate_hz: float, wiring: Wiring | None
+) -> dict[str, Array]:
+    simulation = Simulation(scenarios, seeds, many=True, wiring=wiring)
     samples = math.floor(scenarios[0].flight.duration_s * rate_hz + 1e-9) + 1
     names = TRUTH_COLUMNS + tuple(f"sensed_{n}" for n in SENSED_NAMES)
     out = {name: np.empty((samples, len(scenarios))) for name in names}

@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping
 from typing import Protocol
 
 from daq.contract.scan import Scan
+from daq.contract.sequencing import Reason, State
 from groundstation.calibration.apply import Calibrator
 from groundstation.calibration.errors import CalibrationError
 from groundstation.calibration.schema import CalibrationSet
@@ -49,6 +50,7 @@ class Desk:
         self._alarms = Alarms(config.alarms)
         self._landing = LandingWatch(config.handover.landing)
         self._logger: ev.LoggerStatus | None = None
+        self._sequencer: ev.SequencerStatus | None = None
         self._link: ev.LinkStatistics | None = None
         self._backfill: ev.BackfillProgress | None = None
         self._last_heard_ns: int | None = None
@@ -142,6 +144,8 @@ class Desk:
                 if agreed and not (self._backfill is not None and self._backfill.agreed):
                     self._note("INFO", f"air and ground agree: {held} scans")
                 self._backfill = event
+            case ev.SequencerStatus():
+                self._sequencer = event
             case ev.LoggerStatus():
                 self._logger = event
                 self._announce(self._alarms.update(self.time, {"recorder.recording": float(event.recording)}))
@@ -170,6 +174,8 @@ class Desk:
                 f"- timing: 99 % within {s.lateness_p99_us / 1000:.1f} ms, {s.missed} slots missed",
                 f"- card: {free} free, {s.write_errors} write errors",
             ]
+        if self._sequencer is not None:
+            lines.append(f"- sequencer: {_sequencer_words(self._sequencer)}")
         if self._link is not None:
             latency = "unknown" if self._link.latency_s is None else f"{1e3 * self._link.latency_s:.0f} ms"
             lines.append(
@@ -182,3 +188,16 @@ class Desk:
         lines.append("")
         lines += [f"- **{level}** {name} ({state.value})" for name, state, level in held] or ["no alarms"]
         return "\n".join(lines)
+
+
+def _sequencer_words(status: ev.SequencerStatus) -> str:
+    """State, how long, increments and reason of the sequencer; numbers of a later release stay numbers."""
+    state = _words(State, status.state)
+    reason = _words(Reason, status.reason)
+    moved = ", ".join(f"{math.degrees(value):+.1f}" for value in status.increments)
+    return f"{state} for {status.elapsed_s:.1f} s, e a r {moved} deg" + (f" ({reason})" if reason else "")
+
+
+def _words(kind: type[State] | type[Reason], number: int) -> str:
+    known: State | Reason | None = kind._value2member_map_.get(number)  # type: ignore[assignment]
+    return f"{kind.__name__.lower()} {number}" if known is None else known.words

@@ -17,6 +17,8 @@ status            state of each aircraft, recorder, link and alarms in force
 ack               acknowledge alarms that are over
 mark              mark an event in the recording on board
 start | stop      begin or end the recording on board
+fly DIGEST        start the armed manoeuvre (six digits, told when it was armed); signed links only
+release           end the manoeuvre under way: the pilot gets the aircraft
 rate HZ           scans a second on the radio; 0: as configured on board
 zero              zero the pitot (refused unless the aircraft is clearly at rest)
 backfill MODE     off, lost (what the radio lost) or all (every scan in full)
@@ -117,6 +119,10 @@ class Console:
                 commander.stop_recording(system)
             case ["zero"]:
                 commander.zero_pitot(system)
+            case ["fly", digest] if _is_digest(digest):
+                commander.start_manoeuvre(system, digest)
+            case ["release"]:
+                commander.stop_manoeuvre(system)
             case ["rate", value] if _number(value) is not None:
                 commander.set_rate(system, _number(value) or 0.0)
             case ["backfill", ("off" | "lost" | "all") as mode]:
@@ -157,6 +163,10 @@ class Console:
             if number in self._station.receiver.logs(system).done:
                 del self._fetching[system]
                 self._echo(f"aircraft {system}: recording {number} is here: {path}")
+
+
+def _is_digest(text: str) -> bool:
+    return len(text) >= 6 and all(letter in "0123456789abcdef" for letter in text)
 
 
 def _number(text: str) -> float | None:

@@ -55,6 +55,14 @@ class Commander:
         """Zero the pitot; the aircraft refuses unless it is clearly at rest."""
         self._add(system, c.PREFLIGHT_CALIBRATION, 0.0, 0.0, 0.0, 0.0, 0.0, c.AIRSPEED_CALIBRATION)
 
+    def start_manoeuvre(self, system: int, digest: str) -> None:
+        """Start the armed manoeuvre with this digest; the aircraft obeys a signed wish only, with its pilot's switch at go."""
+        self._add(system, c.SEQUENCER, 1.0, float(int(digest[:6], 16)))
+
+    def stop_manoeuvre(self, system: int) -> None:
+        """End the manoeuvre under way."""
+        self._add(system, c.SEQUENCER, 0.0)
+
     def _add(self, system: int, command: int, *parameters: float) -> None:
         filled = parameters + (0.0,) * (7 - len(parameters))
         self._pending.append(_Pending(system, command, filled))

@@ -328,6 +328,26 @@ class AircraftDecoder:
             return
         self._out.append(ev.EventMarked(books.session, time_ns, number, f["origin"], f["text"], now_ns))
 
+    def _sequencer_status(self, frame: Frame, f: Mapping[str, Any], now_ns: int) -> None:
+        books = self._session(f["boot"])
+        if books is None:
+            return
+        self._out.append(
+            ev.SequencerStatus(
+                books.session,
+                f["time_monotonic_ns"],
+                f["number"],
+                f["state"],
+                f["reason"],
+                f["switch_position"],
+                elapsed_s=f["elapsed_ms"] * 1e-3,
+                increments=tuple(value * 1e-4 for value in f["increments"]),
+                beating=bool(f["flags"] & 1),
+                limited=bool(f["flags"] & 2),
+                received_ns=now_ns,
+            )
+        )
+
     def _timesync(self, frame: Frame, f: Mapping[str, Any], now_ns: int) -> None:
         if 0 < f["tc1"] <= MAX_AIRCRAFT_TIME_NS:
             self.sync.answer(f["ts1"], f["tc1"], now_ns)
@@ -341,5 +361,6 @@ _HANDLERS: Mapping[str, _Handler] = {
     "LINK_STATISTICS": AircraftDecoder._link_statistics,
     "SENT_MAP": AircraftDecoder._sent_map,
     "SCAN_EVENT": AircraftDecoder._scan_event,
+    "SEQUENCER_STATUS": AircraftDecoder._sequencer_status,
     "TIMESYNC": AircraftDecoder._timesync,
 }

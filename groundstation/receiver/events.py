@@ -101,6 +101,26 @@ class EventMarked:
 
 
 @dataclass(frozen=True, slots=True)
+class SequencerStatus:
+    """What the onboard sequencer is doing. increments: elevator, aileron, rudder [rad].
+
+    state, reason, switch: numbers as in docs/sequencer.md; the words come as text. elapsed_s: since the state was entered.
+    """
+
+    session: Session
+    time_monotonic_ns: int
+    number: int
+    state: int
+    reason: int
+    switch: int
+    elapsed_s: float
+    increments: tuple[float, ...]
+    beating: bool
+    limited: bool
+    received_ns: int
+
+
+@dataclass(frozen=True, slots=True)
 class LinkStatistics:
     """Quality of the link to one aircraft, about once a second; None: not known."""
 
@@ -242,6 +262,7 @@ Event = (
     | LoggerStatus
     | AircraftStatistics
     | EventMarked
+    | SequencerStatus
     | LinkStatistics
     | Restarted
     | CommandResult

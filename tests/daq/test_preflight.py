@@ -1,6 +1,7 @@
 """The go/no-go table on made-up sensors, cards, clocks and radios, and on the simulated aircraft."""
 
 import errno
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import pytest
 from daq.acquisition.health import GroupHealth, HealthSummary
 from daq.acquisition.sampler import EventMark, UnfinishedScan
 from daq.acquisition.supervisor import Outcome
+from daq.actuation.actuation import Devices
 from daq.clock import NS, SimulatedClock
 from daq.config import LoggerConfig, PreflightConfig
 from daq.contract.scan import GroupStatus, Scan, SensorState
@@ -17,9 +19,11 @@ from daq.recorder.storage import RealStorage
 from daq.sensors.config import ImuConfig, SensorsConfig
 from daq.service.preflight import Preflight, RadioReport, Verdict, run_preflight
 from daq.service.radio_probe import listen
-from daq.service.run import PreflightRefusal, _opening
+from daq.service.run import PreflightRefusal, _opening, without_sequencer
 from daq.transport.mavlink_codec import FrameDecoder, frames_of
 from daq.transport.ports import memory_pair
+from firmware_sim.runs.flight import prepare_flight
+from firmware_sim.world.scenario import load_scenario
 from tests.daq.synthetic import START_UTC_NS, FaultyStorage
 
 GOOD_RADIO = RadioReport(-60, -100, -65, -100, 95)
@@ -182,3 +186,92 @@ def _sik_report() -> bytes:
 
 
 SIK_REPORT = _sik_report()
+
+
+# ---------------------------------------------------------------------------------------------------- the sequencer
+
+
+def sequencer_table(tmp_path: Path, scenario: str = "sequencer", **changes: object) -> Preflight:
+    """The go/no-go table of the simulated aircraft with a sequencer; `changes` are tables of its scenario."""
+    chosen = load_scenario(scenario).altered(**changes)
+    with prepare_flight(chosen, tmp_path / "flight") as flight:
+        assert flight.cockpit is not None
+        devices = Devices(flight.aircraft.bus, flight.cockpit.monostable, flight.clock)
+        quick = flight.config.model_copy(update={"preflight": PreflightConfig(scans=10)})
+        return run_preflight(quick, flight.clock, flight.assembly.sampler, RealStorage(), None, devices)
+
+
+def sequencer_scenario_config(tmp_path: Path) -> LoggerConfig:
+    with prepare_flight(load_scenario("sequencer"), tmp_path / "config") as flight:
+        return flight.config
+
+
+def lines(result: Preflight) -> dict[str, tuple[Verdict, str]]:
+    return {c.name: (c.verdict, c.text) for c in result.checks}
+
+
+OFF_ALL_THE_TIME = {"switch": [[0.0, "off"]]}
+
+
+def test_the_sequencer_is_tried_out(tmp_path: Path) -> None:
+    found = lines(sequencer_table(tmp_path, sequencer=OFF_ALL_THE_TIME))
+    for name in ("manoeuvre", "servo driver", "pilot's signals", "output frequency", "multiplexer", "heartbeat"):
+        assert found[name][0] is Verdict.GO, found[name]
+    assert "without it the servo driver is dead" in found["heartbeat"][1]
+
+
+@pytest.mark.parametrize(
+    ("changes", "name", "words"),
+    [
+        ({"sequencer": {"switch": [[0.0, "arm"]]}}, "pilot's signals", "switch is at arm; put it to off"),
+        ({"sequencer": {**OFF_ALL_THE_TIME, "receiver_lost_s": 0.0}}, "pilot's signals", "is the transmitter on?"),
+        (
+            {"sequencer": {**OFF_ALL_THE_TIME, "oscillator_error": 0.05}},
+            "output frequency",
+            "set sequencer.chip.oscillator_hz",
+        ),
+        (
+            {"sequencer": {**OFF_ALL_THE_TIME, "heartbeat_lost_s": 0.0}},
+            "output frequency",
+            "check its wire, OE and heartbeat",
+        ),
+        ({"sequencer": {"switch": [[0.0, "go"]]}}, "multiplexer", "no pulses|us off the pilot's"),
+    ],
+)
+def test_what_is_wrong_with_the_sequencer_is_a_no_go(
+    tmp_path: Path, changes: dict[str, object], name: str, words: str
+) -> None:
+    found = lines(sequencer_table(tmp_path, **changes))
+    assert found[name][0] is Verdict.NO_GO, found
+    assert re.search(words, found[name][1]), found[name]
+
+
+def test_a_no_go_of_the_sequencer_cannot_be_overridden(tmp_path: Path) -> None:
+    """The service starts with an override for the sensors' sake; what moves the controls stays off then."""
+    config = sequencer_scenario_config(tmp_path)
+    good = sequencer_table(tmp_path / "a", sequencer=OFF_ALL_THE_TIME)
+    bad = sequencer_table(tmp_path / "b", sequencer={**OFF_ALL_THE_TIME, "oscillator_error": 0.05})
+    assert without_sequencer(config, good) is None
+    assert without_sequencer(config, bad) is not None
+    assert "output frequency" in str(without_sequencer(config, bad))
+    assert without_sequencer(config, None) == "the preflight check was skipped"
+    assert without_sequencer(config.model_copy(update={"sequencer": None}), None) is None
+
+
+def test_a_driver_that_does_not_answer_is_a_no_go(tmp_path: Path) -> None:
+    gone = [{"kind": "absent", "device": "servo_driver", "start_s": 0.0}]
+    found = lines(sequencer_table(tmp_path, sequencer=OFF_ALL_THE_TIME, faults=gone))
+    assert found["servo driver"][0] is Verdict.NO_GO
+    assert "check wiring, strap and supply" in found["servo driver"][1]
+
+
+def test_an_oe_that_is_not_wired_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from firmware_sim.hardware.registers.pca9685 import Pca9685
+
+    plain = Pca9685.__init__
+    monkeypatch.setattr(Pca9685, "__init__", lambda self, error=0.0, enabled=None: plain(self, error))
+    found = lines(sequencer_table(tmp_path, sequencer=OFF_ALL_THE_TIME))
+    assert found["heartbeat"] == (
+        Verdict.NO_GO,
+        "servo driver goes on without it: OE is not wired to the monostable",
+    )

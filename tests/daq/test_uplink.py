@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from daq.contract.link import commands as c
+from daq.contract.recordings.messages import SequencerFrame
 from daq.telemetry.config import DownlinkConfig
 from daq.transport.mavlink_codec import FrameEncoder
 from daq.transport.signing import Signer
@@ -169,4 +170,89 @@ def test_radio_status_is_heard_unsigned_but_only_within_limits(tmp_path: Path) -
     before = sum(isinstance(e, ev.Heartbeat) for e in rig.events)
     at_rest(rig, 5.0)
     assert sum(isinstance(e, ev.Heartbeat) for e in rig.events) - before == 5
+    rig.close()
+
+
+DIGEST = "abcdef0123456789"
+
+
+def test_only_a_proven_frame_starts_the_sequencer(tmp_path: Path) -> None:
+    rig = keyed(tmp_path)
+    at_rest(rig)
+    rig.ground.commander.start_manoeuvre(1, DIGEST)
+    at_rest(rig)
+    assert rig.logger.asked == [0xABCDEF]
+    assert (c.SEQUENCER, "accepted") in results(rig)
+    parameters = {"param1": 1.0, "param2": float(0xABCDEF)}
+    command = {"command": c.SEQUENCER, "target_system": 1, **parameters}
+    unsigned = FrameEncoder(255, 190)
+    wrong = FrameEncoder(255, 190, Signer(bytes(32), rig.clock.utc_ns))
+    for encoder in (unsigned, wrong):
+        rig._air.write(encoder.message("COMMAND_LONG", **command))
+        at_rest(rig, 1.0)
+    assert rig.logger.asked == [0xABCDEF]
+    rig.close()
+
+
+def test_without_a_key_the_sequencer_is_never_started_from_the_ground_but_stopped(rig: Rig) -> None:
+    rig.ground.commander.start_manoeuvre(1, DIGEST)
+    at_rest(rig)
+    assert rig.logger.asked == []
+    assert (c.SEQUENCER, "denied") in results(rig)
+    assert any("no key" in e.text for e in rig.events if isinstance(e, ev.StatusText))
+    rig.ground.commander.stop_manoeuvre(1)
+    at_rest(rig)
+    assert rig.logger.asked == [None]
+    rig.close()
+
+
+def test_a_refusal_of_the_sequencer_is_told_in_words(tmp_path: Path) -> None:
+    rig = keyed(tmp_path)
+    rig.logger.answer = "the pilot's switch is not at go"
+    at_rest(rig)
+    rig.ground.commander.start_manoeuvre(1, DIGEST)
+    at_rest(rig)
+    assert (c.SEQUENCER, "temporarily rejected") in results(rig)
+    told = [e.text for e in rig.events if isinstance(e, ev.StatusText)]
+    assert "sequencer does not start: the pilot's switch is not at go" in told
+    rig.close()
+
+
+@pytest.mark.parametrize("parameters", [(2.0, 0.0), (float("nan"), 0.0), (1.0, -1.0), (1.0, 2.0**24), (1.0, 1.0, 5.0)])
+def test_nonsense_about_the_sequencer_is_unsupported(tmp_path: Path, parameters: tuple[float, ...]) -> None:
+    rig = keyed(tmp_path)
+    at_rest(rig)
+    rig.ground.commander._add(1, c.SEQUENCER, *parameters)
+    at_rest(rig)
+    assert rig.logger.asked == []
+    assert (c.SEQUENCER, "unsupported") in results(rig)
+    rig.close()
+
+
+def test_what_the_sequencer_does_reaches_the_ground(rig: Rig) -> None:
+    frame = SequencerFrame(
+        5_000_000, 0, 3, 3, 0, 3, elapsed_us=1_234_567, beating=True, increments=(0.0, -0.05, 0.0212)
+    )
+    rig.link.sequencer(frame)
+    at_rest(rig, 1.0)
+    found = [e for e in rig.events if isinstance(e, ev.SequencerStatus)]
+    assert [(e.state, e.reason, e.switch, e.number, e.beating, e.limited) for e in found] == [(3, 0, 3, 3, True, False)]
+    assert found[0].elapsed_s == pytest.approx(1.234)
+    assert found[0].increments == pytest.approx((0.0, -0.05, 0.0212))
+    rig.close()
+
+
+def test_the_silence_of_the_ground_is_known(rig: Rig) -> None:
+    """What the sequencer goes by where the link is wanted; a radio's own report is not the ground."""
+    before = rig.link.uplink.silence_s(rig.clock.monotonic_ns())
+    rig.up = lambda data: b""
+    radio = FrameEncoder(51, 68)
+    for _ in range(3):
+        rig._air.write(
+            radio.message("RADIO_STATUS", rssi=100, remrssi=100, txbuf=80, noise=40, remnoise=40, rxerrors=0, fixed=0)
+        )
+        at_rest(rig, 1.0)
+    after = rig.link.uplink.silence_s(rig.clock.monotonic_ns())
+    assert before is None or before < 1.5
+    assert after is None or after > 2.5
     rig.close()

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from daq.contract.recordings.messages import SequencerFrame
 from daq.transport.mavlink_codec import FrameEncoder
 from groundstation.live.config import GroundConfig
 from groundstation.live.console import Console, Lines
@@ -121,3 +122,22 @@ def test_no_input_is_no_trouble() -> None:
         lines = Lines(nothing.fileno())
         assert lines.read() == []
         assert lines.read() == []
+
+
+def test_the_sequencer_is_asked_and_shown(desktop: Desktop) -> None:
+    """Without a key a start is denied on board; letting go is always taken. What it does is on the status page."""
+    desktop.fly(60)
+    assert "denied" in desktop.type("fly abcdef0123")
+    assert "accepted" in desktop.type("release")
+    assert desktop.rig.logger.asked == [None]
+    assert "not understood" in desktop.type("fly")
+    assert "not understood" in desktop.type("fly xyz")
+    now = desktop.rig.clock.monotonic_ns()
+    running = SequencerFrame(now, 0, 5, 3, 0, 3, elapsed_us=2_500_000, beating=True, increments=(0.0, 0.0524, -0.0175))
+    desktop.rig.link.sequencer(running)
+    page = desktop.type("status")
+    assert "sequencer: running for 2.5 s, e a r +0.0, +3.0, -1.0 deg" in desktop.type("status"), page
+    desktop.rig.link.sequencer(SequencerFrame(now, 0, 6, 5, 99, 1))
+    desktop.fly(20)
+    assert "sequencer: released for 0.0 s" in desktop.type("status")
+    assert "(reason 99)" in desktop.type("status")

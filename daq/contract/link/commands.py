@@ -11,7 +11,11 @@ LOGGING_STOP = 2511
 EVENT_MARK = 31010
 """MAV_CMD_USER_1: mark an event; parameter 1 is its number, chosen by the ground, and makes it unique."""
 
-KNOWN = (SET_MESSAGE_INTERVAL, PREFLIGHT_CALIBRATION, LOGGING_START, LOGGING_STOP, EVENT_MARK)
+SEQUENCER = 31011
+"""MAV_CMD_USER_2: parameter 1 = 1 starts the armed manoeuvre whose digest begins with the 24 bits of parameter 2 (signed
+frames only), 0 stops what is under way."""
+
+KNOWN = (SET_MESSAGE_INTERVAL, PREFLIGHT_CALIBRATION, LOGGING_START, LOGGING_STOP, EVENT_MARK, SEQUENCER)
 
 AIRSPEED_PARAMETER = 6
 AIRSPEED_CALIBRATION = 2.0

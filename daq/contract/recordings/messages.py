@@ -21,6 +21,7 @@ EVENT_TOPIC, EVENT_SCHEMA = "/event", "sideslip.Event"
 LOG_TOPIC, LOG_SCHEMA = "/log", "foxglove.Log"
 STATISTICS_TOPIC, STATISTICS_SCHEMA = "/statistics", "sideslip.Statistics"
 HEALTH_TOPIC, HEALTH_SCHEMA = "/health", "sideslip.Health"
+SEQUENCER_TOPIC, SEQUENCER_SCHEMA = "/sequencer", "sideslip.Sequencer"
 
 _NS = 1_000_000_000
 
@@ -132,7 +133,30 @@ class Statistics:
         return self.slots == self.written + self.dropped + self.lost + self.missed + self.pending
 
 
-Message = Event | LogLine | Health | Statistics
+@dataclass(frozen=True, slots=True)
+class SequencerFrame:
+    """What the sequencer did in one frame of its output; one for every frame in which it is not idle, and the next one.
+
+    state, reason, switch: numbers of `daq.contract.sequencing`. beating: the heartbeat was kept up. limited: a pulse was held
+    back by its limits. increments: delta_e, delta_a, delta_r [rad]. pilot_us: the pilot's signal for each output as it
+    is now, empty while not seen. output_us: pulses given to the servo driver, empty where none were.
+    """
+
+    time_monotonic_ns: int
+    time_utc_ns: int
+    number: int
+    state: int
+    reason: int
+    switch: int
+    elapsed_us: int = 0
+    beating: bool = False
+    limited: bool = False
+    increments: tuple[float, ...] = ()
+    pilot_us: tuple[float, ...] = ()
+    output_us: tuple[float, ...] = ()
+
+
+Message = Event | LogLine | Health | Statistics | SequencerFrame
 
 # --------------------------------------------------------------------------------------------------- protobuf schemas
 
@@ -157,6 +181,19 @@ _HEALTH: tuple[_Row, ...] = (
     ("text", 6, _F.TYPE_STRING, True),
     ("since_monotonic_ns", 7, _F.TYPE_UINT64, True),
     ("failures", 8, _F.TYPE_UINT32, True),
+)
+_SEQUENCER: tuple[_Row, ...] = (
+    *_TIMES,
+    ("number", 3, _F.TYPE_UINT32, False),
+    ("state", 4, _F.TYPE_UINT32, False),
+    ("reason", 5, _F.TYPE_UINT32, False),
+    ("switch", 6, _F.TYPE_UINT32, False),
+    ("elapsed_us", 7, _F.TYPE_UINT32, False),
+    ("beating", 8, _F.TYPE_BOOL, False),
+    ("limited", 9, _F.TYPE_BOOL, False),
+    ("increments", 10, _F.TYPE_FLOAT, True),
+    ("pilot_us", 11, _F.TYPE_FLOAT, True),
+    ("output_us", 12, _F.TYPE_FLOAT, True),
 )
 _COUNTS = ("first_number", "next_number", "written", "dropped", "lost", "missed", "pending", "write_errors")
 _HISTOGRAMS = ("edges_us", "lateness", "interval_error", "scan_duration", "write_latency", "sync_latency")
@@ -213,7 +250,12 @@ def schema_files(schema: str) -> descriptor_pb2.FileDescriptorSet:
     """The protobuf descriptor set of one of the message schemas."""
     if schema == LOG_SCHEMA:
         return descriptor_pb2.FileDescriptorSet(file=_log_files())
-    rows = {EVENT_SCHEMA: _EVENT, HEALTH_SCHEMA: _HEALTH, STATISTICS_SCHEMA: _STATISTICS}[schema]
+    rows = {
+        EVENT_SCHEMA: _EVENT,
+        HEALTH_SCHEMA: _HEALTH,
+        STATISTICS_SCHEMA: _STATISTICS,
+        SEQUENCER_SCHEMA: _SEQUENCER,
+    }[schema]
     return descriptor_pb2.FileDescriptorSet(file=[_file(schema, rows)])
 
 
@@ -320,3 +362,17 @@ def decode_statistics(data: bytes) -> Statistics:
     fields |= {name: tuple(getattr(m, name)) for name in _HISTOGRAMS}
     absent = tuple(zip(m.absent_first, m.absent_last, strict=False))
     return Statistics(**fields, absent=absent, extra=dict(zip(m.extra_name, m.extra_value, strict=False)))
+
+
+def encode_sequencer(frame: SequencerFrame) -> bytes:
+    """A frame of the sequencer as sealed protobuf bytes."""
+    return _sealed(SEQUENCER_SCHEMA, {name: getattr(frame, name) for name, *_ in _SEQUENCER})
+
+
+def decode_sequencer(data: bytes) -> SequencerFrame:
+    """A frame of the sequencer from its bytes; MessageError when they are damaged or something else."""
+    m = _parsed(SEQUENCER_SCHEMA, data)
+    fields: dict[str, Any] = {
+        name: tuple(getattr(m, name)) if repeated else getattr(m, name) for name, _, _, repeated in _SEQUENCER
+    }
+    return SequencerFrame(**fields)

@@ -17,10 +17,12 @@ from daq.contract.recordings.messages import (
     EVENT_TOPIC,
     HEALTH_TOPIC,
     LOG_TOPIC,
+    SEQUENCER_TOPIC,
     STATISTICS_TOPIC,
     Event,
     Health,
     LogLine,
+    SequencerFrame,
     Statistics,
 )
 from daq.contract.recordings.recording import (
@@ -125,6 +127,11 @@ class Recording:
     def health(self) -> tuple[Health, ...]:
         """Sensor health reports in order of time."""
         return tuple(self._decoded(HEALTH_TOPIC))
+
+    @property
+    def sequencer(self) -> tuple[SequencerFrame, ...]:
+        """Frames of the sequencer in order of time."""
+        return tuple(self._decoded(SEQUENCER_TOPIC))
 
     @property
     def given_up(self) -> tuple[Segment, ...]:

@@ -2,7 +2,7 @@
 
 A session is one or more segments, `<session>_000.mcap` and so on. Each segment begins with everything needed to
 understand it alone: who recorded what with which software and configuration, the channel table, the calibration
-files. Then come chunks of sealed protobuf messages on five topics. Chunks carry a CRC, each message a seal, attachments
+files. Then come chunks of sealed protobuf messages on six topics. Chunks carry a CRC, each message a seal, attachments
 a CRC, our metadata a digest, and the whole data section a CRC, so there is no byte whose alteration goes unnoticed.
 
 Chunks are not compressed unless asked for: one bad bit then costs one scan instead of the second around it.
@@ -34,6 +34,7 @@ CHANNELS_ATTACHMENT = "channels.json"
 CONFIG_ATTACHMENT = "config.toml"
 AIRCRAFT_ATTACHMENT = "aircraft.toml"
 CALIBRATION_PREFIX = "calibration/"
+MANOEUVRE_ATTACHMENT = "manoeuvre.toml"
 DETAIL_NAME = "sideslip.detail"
 """Name of metadata records that add to the identity while recording (a sensor found late and its factory data)."""
 
@@ -48,6 +49,7 @@ SCHEMA_OF_TOPIC: Mapping[str, str] = {
     m.LOG_TOPIC: m.LOG_SCHEMA,
     m.STATISTICS_TOPIC: m.STATISTICS_SCHEMA,
     m.HEALTH_TOPIC: m.HEALTH_SCHEMA,
+    m.SEQUENCER_TOPIC: m.SEQUENCER_SCHEMA,
 }
 
 
@@ -87,7 +89,7 @@ class RecordingInfo:
 
     source: real | simulated | replayed. role: onboard | received (by the ground station, gaps expected) | recovered.
     details: facts found at run time, such as a pressure sensor's factory coefficients. attachments: file name -> bytes;
-    `config.toml` and `calibration/...` among them.
+    `config.toml`, `calibration/...` and, with a sequencer, `manoeuvre.toml` among them.
     """
 
     session: str
@@ -204,7 +206,7 @@ def scan_entry(scan: Scan, data: bytes | None = None) -> Entry:
 
 
 def message_entry(message: m.Message, sequence: int = 0) -> Entry:
-    """An event, log line, health report or statistics as a message."""
+    """An event, log line, health report, statistics or frame of the sequencer as a message."""
     topic, encode = _ENCODERS[type(message)]
     utc = message.time_utc_ns or message.time_monotonic_ns
     return Entry(topic, message.time_monotonic_ns, utc, sequence, encode(message))
@@ -248,12 +250,14 @@ _ENCODERS: dict[type, tuple[str, Callable[[Any], bytes]]] = {
     m.LogLine: (m.LOG_TOPIC, m.encode_log),
     m.Health: (m.HEALTH_TOPIC, m.encode_health),
     m.Statistics: (m.STATISTICS_TOPIC, m.encode_statistics),
+    m.SequencerFrame: (m.SEQUENCER_TOPIC, m.encode_sequencer),
 }
 DECODERS: dict[str, Callable[[bytes], Any]] = {
     m.EVENT_TOPIC: m.decode_event,
     m.LOG_TOPIC: m.decode_log,
     m.HEALTH_TOPIC: m.decode_health,
     m.STATISTICS_TOPIC: m.decode_statistics,
+    m.SEQUENCER_TOPIC: m.decode_sequencer,
 }
 
 

@@ -411,6 +411,7 @@ MAVLINK_MSG_ID_SENT_MAP = 44105
 MAVLINK_MSG_ID_SENT_MAP_REQUEST = 44106
 MAVLINK_MSG_ID_SCAN_EVENT = 44107
 MAVLINK_MSG_ID_SCAN_LABORATORY = 44108
+MAVLINK_MSG_ID_SEQUENCER_STATUS = 44109
 MAVLINK_MSG_ID_BACKFILL_REQUEST = 44110
 MAVLINK_MSG_ID_BACKFILL_DATA = 44111
 MAVLINK_MSG_ID_BACKFILL_SUMMARY_REQUEST = 44112
@@ -2800,6 +2801,53 @@ class MAVLink_scan_laboratory_message(MAVLink_message):
 setattr(MAVLink_scan_laboratory_message, "name", mavlink_msg_deprecated_name_property())
 
 
+class MAVLink_sequencer_status_message(MAVLink_message):
+    """
+    What the onboard sequencer is doing: at every change of its state
+    and a few times a second while it is not idle.
+    """
+
+    id = MAVLINK_MSG_ID_SEQUENCER_STATUS
+    msgname = "SEQUENCER_STATUS"
+    fieldnames = ["time_monotonic_ns", "number", "elapsed_ms", "increments", "boot", "state", "reason", "switch_position", "flags"]
+    ordered_fieldnames = ["time_monotonic_ns", "number", "elapsed_ms", "increments", "boot", "state", "reason", "switch_position", "flags"]
+    fieldtypes = ["uint64_t", "uint32_t", "uint32_t", "int16_t", "uint8_t", "uint8_t", "uint8_t", "uint8_t", "uint8_t"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {}
+    fieldunits_by_name: Dict[str, str] = {"time_monotonic_ns": "ns", "elapsed_ms": "ms"}
+    native_format = bytearray(b"<QIIhBBBBB")
+    orders = [0, 1, 2, 3, 4, 5, 6, 7, 8]
+    lengths = [1, 1, 1, 3, 1, 1, 1, 1, 1]
+    array_lengths = [0, 0, 0, 3, 0, 0, 0, 0, 0]
+    crc_extra = 211
+    unpacker = struct.Struct("<QII3hBBBBB")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, time_monotonic_ns: int, number: int, elapsed_ms: int, increments: Sequence[int], boot: int, state: int, reason: int, switch_position: int, flags: int):
+        MAVLink_message.__init__(self, MAVLink_sequencer_status_message.id, MAVLink_sequencer_status_message.msgname)
+        self._fieldnames = MAVLink_sequencer_status_message.fieldnames
+        self._instance_field = MAVLink_sequencer_status_message.instance_field
+        self._instance_offset = MAVLink_sequencer_status_message.instance_offset
+        self.time_monotonic_ns = time_monotonic_ns
+        self.number = number
+        self.elapsed_ms = elapsed_ms
+        self.increments = increments
+        self.boot = boot
+        self.state = state
+        self.reason = reason
+        self.switch_position = switch_position
+        self.flags = flags
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.time_monotonic_ns, self.number, self.elapsed_ms, self.increments[0], self.increments[1], self.increments[2], self.boot, self.state, self.reason, self.switch_position, self.flags), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_sequencer_status_message, "name", mavlink_msg_deprecated_name_property())
+
+
 class MAVLink_backfill_request_message(MAVLink_message):
     """
     Ask for complete scans.
@@ -3024,6 +3072,7 @@ mavlink_map: Dict[int, Type[MAVLink_message]] = {
     MAVLINK_MSG_ID_SENT_MAP_REQUEST: MAVLink_sent_map_request_message,
     MAVLINK_MSG_ID_SCAN_EVENT: MAVLink_scan_event_message,
     MAVLINK_MSG_ID_SCAN_LABORATORY: MAVLink_scan_laboratory_message,
+    MAVLINK_MSG_ID_SEQUENCER_STATUS: MAVLink_sequencer_status_message,
     MAVLINK_MSG_ID_BACKFILL_REQUEST: MAVLink_backfill_request_message,
     MAVLINK_MSG_ID_BACKFILL_DATA: MAVLink_backfill_data_message,
     MAVLINK_MSG_ID_BACKFILL_SUMMARY_REQUEST: MAVLink_backfill_summary_request_message,
@@ -5275,6 +5324,42 @@ class MAVLink(object):
 
         """
         self.send(self.scan_laboratory_encode(data), force_mavlink1=force_mavlink1)
+
+    def sequencer_status_encode(self, time_monotonic_ns: int, number: int, elapsed_ms: int, increments: Sequence[int], boot: int, state: int, reason: int, switch_position: int, flags: int) -> MAVLink_sequencer_status_message:
+        """
+        What the onboard sequencer is doing: at every change of its state and
+        a few times a second while it is not idle.
+
+        time_monotonic_ns         : When, on the logger's monotonic clock. [ns] (type:uint64_t)
+        number                    : The scan it went by. (type:uint32_t)
+        elapsed_ms                : Since the state was entered. [ms] (type:uint32_t)
+        increments                : Increments of elevator, aileron and rudder [1e-4 rad]. (type:int16_t)
+        boot                      : Random number drawn when the logger started. (type:uint8_t)
+        state                     : 0 idle, 1 checking, 2 armed, 3 running, 4 ramping, 5 released. (type:uint8_t)
+        reason                    : Why the state was entered; 0: no reason to tell. (type:uint8_t)
+        switch_position           : The pilot's switch: 0 unknown, 1 off, 2 arm, 3 go. (type:uint8_t)
+        flags                     : 1: heartbeat kept up; 2: a pulse was held back by its limits. (type:uint8_t)
+
+        """
+        return MAVLink_sequencer_status_message(time_monotonic_ns, number, elapsed_ms, increments, boot, state, reason, switch_position, flags)
+
+    def sequencer_status_send(self, time_monotonic_ns: int, number: int, elapsed_ms: int, increments: Sequence[int], boot: int, state: int, reason: int, switch_position: int, flags: int, force_mavlink1: bool = False) -> None:
+        """
+        What the onboard sequencer is doing: at every change of its state and
+        a few times a second while it is not idle.
+
+        time_monotonic_ns         : When, on the logger's monotonic clock. [ns] (type:uint64_t)
+        number                    : The scan it went by. (type:uint32_t)
+        elapsed_ms                : Since the state was entered. [ms] (type:uint32_t)
+        increments                : Increments of elevator, aileron and rudder [1e-4 rad]. (type:int16_t)
+        boot                      : Random number drawn when the logger started. (type:uint8_t)
+        state                     : 0 idle, 1 checking, 2 armed, 3 running, 4 ramping, 5 released. (type:uint8_t)
+        reason                    : Why the state was entered; 0: no reason to tell. (type:uint8_t)
+        switch_position           : The pilot's switch: 0 unknown, 1 off, 2 arm, 3 go. (type:uint8_t)
+        flags                     : 1: heartbeat kept up; 2: a pulse was held back by its limits. (type:uint8_t)
+
+        """
+        self.send(self.sequencer_status_encode(time_monotonic_ns, number, elapsed_ms, increments, boot, state, reason, switch_position, flags), force_mavlink1=force_mavlink1)
 
     def backfill_request_encode(self, wanted: int, fragments: int, first_number: int, boot: int, target_system: int, target_component: int) -> MAVLink_backfill_request_message:
         """

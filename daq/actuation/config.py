@@ -1,0 +1,152 @@
+"""`[sequencer]`: servo driver, pilot's signals, limits and manoeuvre. Left out, nothing on board moves a control."""
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+
+from daq.sensors.config import Address, NotNegative, Positive
+
+LEAST_RATE_HZ = 50.0
+"""Frames a second: manoeuvre files have a sample every 20 ms, and 10 Hz has been found too slow in flight (PX4 #25775)."""
+CONTROLS = ("delta_e", "delta_a", "delta_r")
+"""Controls of a manoeuvre, in the order of recordings and messages."""
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class ChipConfig(_Table):
+    """`[sequencer.chip]`: PCA9685. Not at 0x40, where the capture co-processor is; 0x41 is strap A0 closed.
+
+    oscillator_hz: of this very chip, 23 to 27 MHz; measure it once on the bench (`docs/sequencer.md`).
+    loopback_channel: output wired back to a pulse input, by which the frequency is measured.
+    """
+
+    address: Address = 0x41
+    frequency_hz: Annotated[float, Field(ge=40, le=200)] = 50.0
+    oscillator_hz: Annotated[float, Field(ge=23e6, le=27e6)] = 25e6
+    loopback_channel: Annotated[int, Field(ge=0, le=15)] = 3
+
+
+class PilotConfig(_Table):
+    """`[sequencer.pilot]`: a second capture co-processor at the receiver, in front of the multiplexer.
+
+    switch_input: the channel that is also the multiplexer's SEL. loopback_input: where the chip's spare output comes back.
+    """
+
+    address: Address = 0x42
+    timeout_ms: Annotated[int, Field(ge=10, le=250)] = 50
+    switch_input: Annotated[int, Field(ge=1, le=6)] = 5
+    loopback_input: Annotated[int, Field(ge=1, le=6)] = 6
+
+
+class HeartbeatConfig(_Table):
+    """`[sequencer.heartbeat]`: files of the two lines to the monostable, such as a gpio-leds device's `brightness`.
+
+    line: a rising edge starts the monostable anew. clear: low ends it at once; None where it is not wired.
+    The monostable's time and the multiplexer's time to miss SEL together must stay below 0.1 s.
+    """
+
+    line: Path = Path("/sys/class/leds/sideslip-heartbeat/brightness")
+    clear: Path | None = Path("/sys/class/leds/sideslip-clear/brightness")
+
+
+class OutputConfig(_Table):
+    """`[sequencer.output.NAME]`: one servo. us_per_rad: pulse width for each radian of a control.
+
+    pilot_input: his signal for this servo. readback: the pulse input behind the multiplexer, 0 for none.
+    """
+
+    channel: Annotated[int, Field(ge=0, le=15)]
+    pilot_input: Annotated[int, Field(ge=1, le=6)]
+    readback: Annotated[int, Field(ge=0, le=6)] = 0
+    us_per_rad: dict[Literal["delta_e", "delta_a", "delta_r"], float]
+    lowest_us: Annotated[float, Field(ge=800, le=1500)] = 1100.0
+    highest_us: Annotated[float, Field(ge=1500, le=2200)] = 1900.0
+    slew_us_per_s: Annotated[float, Field(gt=0, le=20_000)] = 6000.0  # 300 deg/s where 1000 us are 50 deg
+
+    @field_validator("us_per_rad")
+    @classmethod
+    def _moved(cls, table: dict[str, float]) -> dict[str, float]:
+        if not any(table.values()):
+            raise ValueError("no control moves this output; name one of delta_e, delta_a, delta_r")
+        return table
+
+
+Range = tuple[float, float]
+
+
+class EnvelopeConfig(_Table):
+    """`[sequencer.limits]`: outside of these the pilot gets the aircraft. None: not watched.
+
+    Motion is what the scan shows with nominal transfer functions, without calibration: leave room for it.
+    link_s: longest silence of the ground. stick_us: a stick moved further than this is the pilot's wish to fly.
+    """
+
+    bank_deg: Annotated[float, Field(gt=0, le=90)] | None = 60.0
+    load_factor: Range | None = (0.0, 2.5)
+    airspeed: Range | None = (12.0, 25.0)  # m/s, indicated
+    alpha_deg: Range | None = (-6.0, 14.0)
+    height_m: Range | None = (30.0, 150.0)  # above the field
+    field_elevation_m: float = 0.0
+    largest_deg: Annotated[float, Field(gt=0, le=30)] = 12.0  # increment of any control, whatever the file says
+    link_s: Positive | None = None
+    stale_ms: Annotated[float, Field(ge=20, le=100)] = 100.0
+    gnss_stale_ms: Annotated[float, Field(ge=100, le=2000)] = (
+        500.0  # ten fixes a second; height does not run away in 0.5 s
+    )
+    late_ms: Annotated[float, Field(gt=0, le=20)] = 10.0
+    stick_us: Annotated[float, Field(ge=10, le=200)] = 40.0
+    frequency_error: Annotated[float, Field(gt=0, le=0.05)] = 0.02
+
+    @field_validator("load_factor", "airspeed", "alpha_deg", "height_m")
+    @classmethod
+    def _rising(cls, pair: Range | None) -> Range | None:
+        if pair is not None and pair[0] >= pair[1]:
+            raise ValueError("must be [lowest, highest]")
+        return pair
+
+
+class VaneConfig(_Table):
+    """`[sequencer.alpha_vane]`: nominal transfer function of the angle-of-attack vane, as its calibration file has it."""
+
+    centre_v: float = 2.5
+    rad_per_v: float = 0.8
+
+
+class SequencerConfig(_Table):
+    """The whole of `[sequencer]`.
+
+    manoeuvre: file of `sideslip design`. start: `switch`: it begins when the pilot switches to go; `ground`: it begins by
+    a signed command while his switch is at go, which comes within wait_s. ramp_s: the increments of an aborted
+    manoeuvre fade in this time.
+    """
+
+    manoeuvre: Path
+    start: Literal["switch", "ground"] = "switch"
+    wait_s: Annotated[float, Field(gt=0, le=120)] = 30.0
+    ramp_s: Annotated[float, Field(ge=0.02, le=1.0)] = 0.2
+    chip: ChipConfig = ChipConfig()
+    pilot: PilotConfig = PilotConfig()
+    heartbeat: HeartbeatConfig = HeartbeatConfig()
+    output: dict[str, OutputConfig]
+    limits: EnvelopeConfig = EnvelopeConfig()
+    alpha_vane: VaneConfig = VaneConfig()
+    status_rate_hz: NotNegative = 2.0  # SEQUENCER_STATUS to the ground while not idle: 52 bytes each with a signature
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "SequencerConfig":
+        if not self.output:
+            raise ValueError("output names no servo; add [sequencer.output.NAME]")
+        channels = [o.channel for o in self.output.values()] + [self.chip.loopback_channel]
+        inputs = [o.pilot_input for o in self.output.values()] + [self.pilot.switch_input, self.pilot.loopback_input]
+        for what, taken in (("chip channel", channels), ("pilot input", inputs)):
+            if len(set(taken)) < len(taken):
+                raise ValueError(f"a {what} is used twice: {', '.join(map(str, taken))}")
+        if max(channels) - min(channels) > 6:
+            raise ValueError(
+                "output and loopback channels must lie within seven neighbours: one block write carries them"
+            )
+        return self

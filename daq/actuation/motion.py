@@ -1,0 +1,99 @@
+"""What the scan shows of the aircraft's motion, with nominal transfer functions: enough to protect it, not to learn from it.
+
+Bank and load factor to about 1 deg and 0.02, airspeed to some per cent (indicated, sea-level density), angle of attack to
+about 1 deg at the vane. A quantity whose last good sample is too old is None.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from daq.actuation.config import SequencerConfig
+from daq.contract.scan import RawValue, Scan, SensorState
+from daq.sensors.config import SensorsConfig
+from daq.sensors.icm20948 import COUNTS_PER_G
+from daq.sensors.ms4525do import nominal_transfer
+
+_MS = 1_000_000
+_SEA_LEVEL_DENSITY = 1.225
+_QUATERNION_SCALE = 1 / 32767
+_NEEDED: Mapping[str, str] = {
+    "attitude": "quaternion_w",
+    "imu": "accel_z",
+    "pitot": "pitot_pressure",
+    "analog_a": "alpha_vane",
+    "gnss": "height_msl_mm",
+}
+"""Groups looked at, and the channel without which a sample says nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """At one instant; None where not known. bank, alpha [rad]; load_factor [1], + upwards; airspeed [m/s]; height [m]."""
+
+    bank: float | None = None
+    load_factor: float | None = None
+    airspeed: float | None = None
+    alpha: float | None = None
+    height: float | None = None
+
+
+class MotionReader:
+    """Reads each scan's counts; remembers when each group was last good."""
+
+    def __init__(self, config: SequencerConfig, sensors: SensorsConfig) -> None:
+        limits = config.limits
+        self._stale_ns = round(limits.stale_ms * _MS)
+        self._gnss_stale_ns = round(limits.gnss_stale_ms * _MS)
+        self._elevation = limits.field_elevation_m
+        self._vane = config.alpha_vane
+        self._g_per_count = 1.0 / COUNTS_PER_G[getattr(sensors.section("imu"), "accel_range_g", 8)]
+        self._volt_per_count = getattr(sensors.section("analog_a"), "range_v", 4.096) / 32768
+        self._pascal_per_count, self._pascal_at_zero = nominal_transfer(sensors.section("pitot"))
+        self._good: dict[str, tuple[int, Mapping[str, RawValue]]] = {}
+
+    def read(self, scan: Scan, now_ns: int) -> Motion:
+        """The motion as known at `now_ns`."""
+        for group, channel in _NEEDED.items():
+            status = scan.groups.get(group)
+            if status is not None and status.state is SensorState.OK and channel in scan.values:
+                self._good[group] = scan.time_monotonic_ns + 1000 * status.offset_us, scan.values
+        return Motion(
+            bank=self._bank(now_ns),
+            load_factor=self._scaled("imu", "accel_z", now_ns, -self._g_per_count),
+            airspeed=self._airspeed(now_ns),
+            alpha=self._alpha(now_ns),
+            height=self._height(now_ns),
+        )
+
+    def _values(self, group: str, now_ns: int) -> Mapping[str, RawValue]:
+        """Values of a group's last good sample; empty when it is too old. Values of one scan stay together."""
+        good = self._good.get(group)
+        stale_ns = self._gnss_stale_ns if group == "gnss" else self._stale_ns
+        return good[1] if good is not None and now_ns - good[0] <= stale_ns else {}
+
+    def _scaled(self, group: str, channel: str, now_ns: int, scale: float) -> float | None:
+        count = self._values(group, now_ns).get(channel)
+        return None if count is None else count * scale
+
+    def _bank(self, now_ns: int) -> float | None:
+        values = self._values("attitude", now_ns)
+        if "quaternion_w" not in values:
+            return None
+        w, x, y, z = (values[f"quaternion_{c}"] * _QUATERNION_SCALE for c in "wxyz")
+        return math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
+
+    def _airspeed(self, now_ns: int) -> float | None:
+        count = self._values("pitot", now_ns).get("pitot_pressure")
+        if count is None:
+            return None
+        pressure = count * self._pascal_per_count + self._pascal_at_zero
+        return math.sqrt(max(0.0, 2.0 * pressure / _SEA_LEVEL_DENSITY))
+
+    def _alpha(self, now_ns: int) -> float | None:
+        volts = self._scaled("analog_a", "alpha_vane", now_ns, self._volt_per_count)
+        return None if volts is None else (volts - self._vane.centre_v) * self._vane.rad_per_v
+
+    def _height(self, now_ns: int) -> float | None:
+        height = self._scaled("gnss", "height_msl_mm", now_ns, 1e-3)
+        return None if height is None else height - self._elevation

@@ -1,0 +1,94 @@
+"""PCA9685 sixteen-channel PWM driver (NXP data sheet rev. 4, 16 April 2015).
+
+Settings: MODE1 (00h) auto-increment on, ALLCALL off; MODE2 (01h) totem pole, outputs change at STOP, outputs low while
+OE is high; PRE_SCALE (FEh) = round(fosc / (4096 f)) - 1, written in SLEEP only. Register addresses 06h + 4 n: ON_L, ON_H,
+OFF_L, OFF_H of channel n; bit 4 of OFF_H is full off. New values act at the end of the cycle under way. After SLEEP the
+oscillator needs 500 us. Self-test: settings read back.
+
+The chip has no watchdog: while it has power it repeats its last pulses, so nothing here is a means of stopping it.
+"""
+
+from collections.abc import Generator, Sequence
+
+from daq.actuation.config import ChipConfig
+from daq.sensors.base import US, SelfTestError, Wait
+from daq.sensors.bus import I2cBus
+
+MODE1, MODE2, LED0, ALL_LED, PRE_SCALE = 0x00, 0x01, 0x06, 0xFA, 0xFE
+RESTART, AUTO_INCREMENT, SLEEP = 0x80, 0x20, 0x10
+TOTEM_POLE = 0x04
+FULL_OFF = 0x10
+STEPS = 4096
+OSCILLATOR_START = 500 * US
+
+
+def prescale(oscillator_hz: float, frequency_hz: float) -> int:
+    """Value of PRE_SCALE, 3 to 255 (data sheet, equation 1)."""
+    return min(max(round(oscillator_hz / (STEPS * frequency_hz)) - 1, 3), 255)
+
+
+class Pca9685:
+    """Neighbouring channels of one chip, all written in one transfer.
+
+    channels: their number, from the lowest of `first` on. frequency_hz: what the chip's oscillator and PRE_SCALE make, as far
+    as the configuration knows the oscillator.
+    """
+
+    def __init__(self, config: ChipConfig, bus: I2cBus, first: int, channels: int) -> None:
+        self._bus = bus
+        self._address = config.address
+        self._register = LED0 + 4 * first
+        self._channels = channels
+        self._prescale = prescale(config.oscillator_hz, config.frequency_hz)
+        self.frequency_hz = config.oscillator_hz / (STEPS * (self._prescale + 1))
+
+    def initialise(self) -> Generator[Wait, None, None]:
+        """Set the chip up with all outputs off. Raises OSError, or SelfTestError when it does not keep its settings."""
+        bus, address = self._bus, self._address
+        bus.write_byte_data(address, MODE1, AUTO_INCREMENT | SLEEP)
+        bus.write_byte_data(address, MODE2, TOTEM_POLE)
+        bus.write_byte_data(address, PRE_SCALE, self._prescale)
+        bus.write_i2c_block_data(address, ALL_LED, [0, 0, 0, FULL_OFF])
+        bus.write_byte_data(address, MODE1, AUTO_INCREMENT)
+        yield OSCILLATOR_START
+        if bus.read_byte_data(address, MODE1) & RESTART:
+            bus.write_byte_data(address, MODE1, RESTART | AUTO_INCREMENT)
+        self.verify()
+
+    def verify(self) -> None:
+        """Raise SelfTestError unless mode, output driver and frequency are as set."""
+        found = (
+            *self._bus.read_i2c_block_data(self._address, MODE1, 2),
+            self._bus.read_byte_data(self._address, PRE_SCALE),
+        )
+        wanted = (AUTO_INCREMENT, TOTEM_POLE, self._prescale)
+        if found != wanted:
+            raise SelfTestError(
+                f"servo driver at I2C address 0x{self._address:02x} has MODE1, MODE2, PRE_SCALE "
+                f"{' '.join(f'{v:02x}' for v in found)} instead of {' '.join(f'{v:02x}' for v in wanted)}; check its supply"
+            )
+
+    def awake(self) -> bool:
+        """Whether the chip still runs as set: after a dip of its supply it sleeps. One short transfer."""
+        return self._bus.read_byte_data(self._address, MODE1) == AUTO_INCREMENT
+
+    def write(self, widths_us: Sequence[float | None]) -> None:
+        """Pulse widths of all channels [us], None for no pulse; they act together, at the end of the cycle under way."""
+        if len(widths_us) != self._channels:
+            raise ValueError(f"{len(widths_us)} widths for {self._channels} channels")
+        data: list[int] = []
+        for width in widths_us:
+            data += self.registers(width)
+        self._bus.write_i2c_block_data(self._address, self._register, data)
+
+    def registers(self, width_us: float | None) -> list[int]:
+        """ON_L, ON_H, OFF_L, OFF_H of a pulse that begins with the cycle."""
+        if width_us is None:
+            return [0, 0, 0, FULL_OFF]
+        steps = min(max(round(width_us * 1e-6 * self.frequency_hz * STEPS), 1), STEPS - 1)
+        return [0, 0, steps & 0xFF, steps >> 8]
+
+    @property
+    def step_us(self) -> float:
+        """Width of one step [us]."""
+        return 1e6 / (self.frequency_hz * STEPS)

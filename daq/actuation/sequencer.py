@@ -1,0 +1,377 @@
+"""The sequencer: a pure state machine that decides, frame by frame, what the servos get and whether they may get it.
+
+It is told what is seen and says what to do; it opens nothing and knows no clock. States, reasons and transitions are in
+`daq.contract.sequencing`. In every state either the heartbeat is off, and the pilot's signals reach the servos by the
+multiplexer alone, or the output is the pilot's signals, live or as they were at the start, plus limited increments.
+"""
+
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from enum import Enum, auto
+from statistics import fmean, median
+
+from daq.actuation.config import SequencerConfig
+from daq.actuation.envelope import Envelope
+from daq.actuation.motion import Motion
+from daq.actuation.servos import STILL, Increments, Plan, Servo
+from daq.contract.sequencing import TRANSITIONS, Exit, Reason, State, Switch
+
+SWITCH_FRAMES = 3
+"""A new position counts when seen in so many frames (60 ms); leaving go counts at once."""
+SETTLE_S = 0.1
+"""After waking, the chip's first pulses are not looked at: it starts within a cycle, the co-processor keeps 50 ms."""
+SAMPLES = 25
+"""Loopback pulses averaged: half a second; jitter of 10 us then leaves 0.2 % of a 1500 us pulse."""
+MEASURE_S = 1.5
+"""So long they may take to come."""
+CAPTURE_FRAMES = 5
+"""The pilot's signals at the start are the medians of so many frames."""
+FOLLOW_S = 0.15
+"""Servo pulses are read back up to so late: a cycle of the chip, one of the co-processor, two scans, and one to spare."""
+FOLLOW_US = 25.0
+"""They may differ by so much: two steps of 4.9 us, jitter of 10 us, and the co-processor's rounding."""
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """What is known in a frame.
+
+    late_ns: how late the frame began. pilot: his signal for each output [us], None while not seen. loopback_us: the
+    chip's spare output as measured. link_s: since the ground was last heard, None where nobody listens. chip_fault: why the
+    servo driver cannot be used. readback: servo pulses behind the multiplexer [us], None where not seen.
+    """
+
+    now_ns: int
+    late_ns: int
+    switch: Switch
+    pilot: tuple[float, ...] | None
+    motion: Motion
+    recording: bool = True
+    loopback_us: float | None = None
+    link_s: float | None = None
+    chip_fault: str = ""
+    readback: tuple[float | None, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """What to do. pulses: for each output [us], None for none. words: what to tell, empty without a transition."""
+
+    state: State
+    reason: Reason
+    elapsed_s: float = 0.0
+    increments: Increments = STILL
+    pulses: tuple[float, ...] | None = None
+    limited: bool = False
+    words: str = ""
+
+
+class Wish(Enum):
+    """What the ground asks for."""
+
+    START = auto()
+    STOP = auto()
+
+
+@dataclass(frozen=True, slots=True)
+class Move:
+    """A transition that is due."""
+
+    to: State
+    reason: Reason = Reason.NONE
+    detail: str = ""
+
+
+class Sequencer:
+    """One manoeuvre for one aircraft. period_s: of the frames.
+
+    loopback_us, frequency_hz: width put out on the chip's spare output, and the frequency, if its oscillator is as configured.
+    """
+
+    def __init__(
+        self,
+        config: SequencerConfig,
+        plan: Plan,
+        servos: tuple[Servo, ...],
+        period_s: float,
+        loopback_us: float,
+        frequency_hz: float,
+    ) -> None:
+        self.state, self.reason = State.IDLE, Reason.NONE
+        self.width_scale = 1.0
+        """Measured pulse width over the one asked for: the chip's oscillator."""
+        self._config, self._limits = config, config.limits
+        self.plan, self._servos = plan, servos
+        self._period_s, self._loopback_us, self._frequency_hz = period_s, loopback_us, frequency_hz
+        self._envelope = Envelope(config.limits)
+        self._off_seen = False
+        self._wish: Wish | None = None  # of the ground, for the next frame
+        self._since_ns = 0  # when the state was entered
+        self._go_ns: int | None = None  # since when the switch has been at go, while armed
+        self._last_ns: int | None = None
+        self._positions: deque[Switch] = deque(maxlen=SWITCH_FRAMES)
+        self._sticks: deque[tuple[float, ...]] = deque(maxlen=CAPTURE_FRAMES)
+        self._loopback: list[float] = []
+        self._captured: tuple[float, ...] = ()
+        self._last: tuple[float, ...] = ()
+        self._increments = STILL
+        self._fading = STILL
+        self._put_out: deque[tuple[int, tuple[float, ...]]] = deque()
+        self._followed_ns = 0
+        self._handlers: Mapping[State, Callable[[Seen], Move | None]] = {
+            State.IDLE: self._idle,
+            State.CHECKING: self._checking,
+            State.ARMED: self._armed,
+            State.RUNNING: self._running,
+            State.RAMPING: self._ramping,
+            State.RELEASED: self._released,
+        }
+
+    # ---------------------------------------------------------------------------------------- the ground's wishes
+
+    def ask_start(self, digest: int) -> str:
+        """A signed wish to start the manoeuvre whose digest begins with these 24 bits; why not, empty when it is taken."""
+        if self._config.start != "ground":
+            return "this manoeuvre is started by the pilot's switch"
+        if digest != int(self.plan.digest[:6], 16):
+            return f"on board is another manoeuvre ({self.plan.digest[:6]})"
+        if self.state is not State.ARMED:
+            return f"sequencer is {self.state.words}, not armed"
+        if self._go_ns is None:
+            return "the pilot's switch is not at go"
+        if self._wish is Wish.STOP:
+            return "it is being stopped"
+        self._wish = Wish.START
+        return ""
+
+    def ask_stop(self) -> str:
+        """A wish to end what is under way; why not, empty when it is taken."""
+        if not self.state.beats:
+            return f"sequencer is {self.state.words}: the pilot has the aircraft"
+        self._wish = Wish.STOP
+        return ""
+
+    # ---------------------------------------------------------------------------------------- a frame
+
+    def step(self, seen: Seen) -> Frame:
+        """Decide one frame."""
+        self._note(seen)
+        move = self._handlers[self.state](seen)
+        words = "" if move is None else self._enter(move, seen.now_ns)
+        self._wish = None
+        frame = self._put(seen, words)
+        self._last_ns = seen.now_ns
+        return frame
+
+    def _note(self, seen: Seen) -> None:
+        self._positions.append(seen.switch)
+        if seen.pilot is None:
+            self._sticks.clear()
+        else:
+            self._sticks.append(seen.pilot)
+        self._off_seen = self._off_seen or self._held(Switch.OFF)
+        if seen.switch is not Switch.GO:
+            self._go_ns = None
+        elif self._go_ns is None and self._held(Switch.GO):
+            self._go_ns = seen.now_ns
+
+    def _held(self, position: Switch) -> bool:
+        return len(self._positions) == SWITCH_FRAMES and all(p is position for p in self._positions)
+
+    def _enter(self, move: Move, now_ns: int) -> str:
+        if move.to not in TRANSITIONS[self.state]:
+            raise RuntimeError(f"no transition from {self.state.words} to {move.to.words}")
+        self.state, self.reason, self._since_ns = move.to, move.reason, now_ns
+        if move.to is State.CHECKING:
+            self._loopback, self.width_scale, self._off_seen = [], 1.0, False
+        if move.to is State.RUNNING:
+            self._captured = self._last = tuple(median(c) for c in zip(*self._sticks, strict=True))
+            self._put_out.clear()
+            self._followed_ns = now_ns
+        if move.to is State.RAMPING:
+            self._fading = self._increments
+        why = f": {move.reason.words}" if move.reason is not Reason.NONE else ""
+        detail = f" ({move.detail})" if move.detail else ""
+        return f"sequencer {move.to.words}{why}{detail}"
+
+    def _seconds(self, now_ns: int) -> float:
+        return (now_ns - self._since_ns) * 1e-9
+
+    # ---------------------------------------------------------------------------------------- states
+
+    def _idle(self, seen: Seen) -> Move | None:
+        return Move(State.CHECKING) if self._off_seen and self._held(Switch.ARM) else None
+
+    def _checking(self, seen: Seen) -> Move | None:
+        fault = self._standing(seen)
+        if fault is not None:
+            return fault
+        if seen.switch is Switch.GO:
+            return Move(State.RELEASED, Reason.TOO_EARLY)
+        elapsed = self._seconds(seen.now_ns)
+        if elapsed < SETTLE_S:
+            return None
+        if seen.loopback_us is not None:
+            self._loopback.append(seen.loopback_us)
+        if len(self._loopback) >= SAMPLES:
+            return self._frequency()
+        return Move(State.RELEASED, Reason.FREQUENCY, "no pulses come back") if elapsed > MEASURE_S else None
+
+    def _frequency(self) -> Move:
+        scale = fmean(self._loopback) / self._loopback_us
+        detail = f"{self._frequency_hz / scale:.2f} Hz measured, {self._frequency_hz:.2f} expected"
+        if abs(1.0 / scale - 1.0) > self._limits.frequency_error:
+            return Move(State.RELEASED, Reason.FREQUENCY, detail)
+        self.width_scale = scale
+        return Move(State.ARMED, detail=f"{self.plan.digest[:6]}, {self.plan.duration_s:.1f} s; {detail}")
+
+    def _armed(self, seen: Seen) -> Move | None:
+        fault = self._standing(seen)
+        if fault is not None:
+            return fault
+        if self._go_ns is None:
+            return None
+        wrong = self._untimely(seen) or self._outside(seen)
+        if wrong is not None:
+            return Move(State.RELEASED, wrong.reason, wrong.detail)
+        if self._config.start == "switch" or self._wish is Wish.START:
+            return self._start()
+        waited = (seen.now_ns - self._go_ns) * 1e-9
+        return Move(State.RELEASED, Reason.WAITED, f"in {waited:.0f} s") if waited > self._config.wait_s else None
+
+    def _start(self) -> Move:
+        if len(self._sticks) < CAPTURE_FRAMES:
+            return Move(State.RELEASED, Reason.PILOT_SIGNALS)
+        for servo, signals in zip(self._servos, zip(*self._sticks, strict=True), strict=True):
+            if max(signals) - min(signals) > self._limits.stick_us / 2.0:
+                return Move(State.RELEASED, Reason.STICKS_NOT_STILL, servo.name)
+            low, high = self.plan.reach(servo)
+            centre = median(signals)
+            if centre + low < servo.lowest_us or centre + high > servo.highest_us:
+                extent = f"{centre + low:.0f} to {centre + high:.0f} us"
+                return Move(State.RELEASED, Reason.NO_ROOM, f"{servo.name} would go from {extent}")
+        return Move(State.RUNNING)
+
+    def _running(self, seen: Seen) -> Move | None:
+        wrong = self._interruption(seen) or self._outside(seen)
+        if wrong is not None:
+            to = State.RAMPING if wrong.reason.exit is Exit.RAMP else State.RELEASED
+            return Move(to, wrong.reason, wrong.detail)
+        if self._seconds(seen.now_ns) >= self.plan.duration_s:
+            return Move(State.RELEASED, Reason.COMPLETE, f"{self.plan.duration_s:.1f} s")
+        return None
+
+    def _ramping(self, seen: Seen) -> Move | None:
+        wrong = self._interruption(seen)
+        if wrong is not None and wrong.reason.exit is Exit.DROP:
+            return Move(State.RELEASED, wrong.reason, wrong.detail)
+        if self._seconds(seen.now_ns) >= self._config.ramp_s:
+            return Move(State.RELEASED, self.reason)
+        return None
+
+    def _released(self, seen: Seen) -> Move | None:
+        return Move(State.IDLE) if self._held(Switch.OFF) else None
+
+    # ---------------------------------------------------------------------------------------- what ends it
+
+    def _standing(self, seen: Seen) -> Move | None:
+        """What ends checking and being armed, in whichever position the switch is."""
+        if seen.pilot is None:
+            return Move(State.RELEASED, Reason.PILOT_SIGNALS)
+        if seen.switch is Switch.OFF:
+            return Move(State.IDLE, Reason.SWITCH)
+        if seen.switch is Switch.UNKNOWN:
+            return Move(State.RELEASED, Reason.SWITCH, "between its positions")
+        if seen.chip_fault:
+            return Move(State.RELEASED, Reason.CHIP, seen.chip_fault)
+        if not seen.recording:
+            return Move(State.RELEASED, Reason.RECORDING)
+        return Move(State.RELEASED, Reason.GROUND) if self._wish is Wish.STOP else None
+
+    def _untimely(self, seen: Seen) -> Move | None:
+        if seen.late_ns > self._limits.late_ms * 1e6:
+            return Move(State.RELEASED, Reason.LATE, f"{seen.late_ns * 1e-6:.0f} ms")
+        gap = 0.0 if self._last_ns is None else (seen.now_ns - self._last_ns) * 1e-9
+        # one frame lost makes a gap of two periods; lateness within its own limit makes less than one and a half
+        return Move(State.RELEASED, Reason.MISSED, f"{gap * 1e3:.0f} ms") if gap > 1.6 * self._period_s else None
+
+    def _interruption(self, seen: Seen) -> Move | None:
+        """What ends a manoeuvre other than the motion: hands first, then what can no longer be trusted, then the rest."""
+        if seen.pilot is None:
+            return Move(State.RELEASED, Reason.PILOT_SIGNALS)
+        if seen.switch is not Switch.GO:
+            return Move(State.RELEASED, Reason.SWITCH)
+        for servo, now, then in zip(self._servos, seen.pilot, self._captured, strict=True):
+            if abs(now - then) > self._limits.stick_us:
+                return Move(State.RELEASED, Reason.STICK, f"{servo.name} by {now - then:+.0f} us")
+        if seen.chip_fault:
+            return Move(State.RELEASED, Reason.CHIP, seen.chip_fault)
+        wrong = self._untimely(seen) or self._not_followed(seen)
+        if wrong is not None:
+            return wrong
+        if not seen.recording:
+            return Move(State.RAMPING, Reason.RECORDING)
+        return Move(State.RAMPING, Reason.GROUND) if self._wish is Wish.STOP else None
+
+    def _outside(self, seen: Seen) -> Move | None:
+        """What of motion and link forbids a manoeuvre."""
+        wrong = self._envelope.judge(seen.motion)
+        if wrong is not None:
+            return Move(State.RAMPING, *wrong)
+        limit = self._limits.link_s
+        if limit is not None and (seen.link_s is None or seen.link_s > limit):
+            return Move(State.RAMPING, Reason.LINK, f"silent for more than {limit:g} s")
+        return None
+
+    def _not_followed(self, seen: Seen) -> Move | None:
+        """Whether the servo pulses read back have, for longer than FOLLOW_S, been none of those put out lately."""
+        recent = [pulses for at, pulses in self._put_out if (seen.now_ns - at) * 1e-9 <= FOLLOW_S]
+        if self._follows(recent, seen.readback):
+            self._followed_ns = seen.now_ns
+        if (seen.now_ns - self._followed_ns) * 1e-9 <= FOLLOW_S:
+            return None
+        return Move(State.RELEASED, Reason.NOT_FOLLOWED, "multiplexer or wiring")
+
+    def _follows(self, recent: list[tuple[float, ...]], readback: tuple[float | None, ...]) -> bool:
+        if not recent:
+            return True
+        for index, (servo, found) in enumerate(zip(self._servos, readback, strict=False)):
+            widths = [pulses[index] for pulses in recent]
+            if not servo.read_back:
+                continue
+            if found is None or not min(widths) - FOLLOW_US <= found <= max(widths) + FOLLOW_US:
+                return False
+        return True
+
+    # ---------------------------------------------------------------------------------------- output
+
+    def _put(self, seen: Seen, words: str) -> Frame:
+        elapsed = self._seconds(seen.now_ns)
+        if self.state in (State.CHECKING, State.ARMED):
+            return Frame(self.state, self.reason, elapsed, pulses=seen.pilot, words=words)
+        if self.state not in (State.RUNNING, State.RAMPING):
+            self._increments = STILL
+            return Frame(self.state, self.reason, elapsed, words=words)
+        self._increments = self._wanted(elapsed)
+        pulses, limited = self._limited(seen.now_ns)
+        self._put_out.append((seen.now_ns, pulses))
+        while (seen.now_ns - self._put_out[0][0]) * 1e-9 > FOLLOW_S:
+            self._put_out.popleft()
+        return Frame(self.state, self.reason, elapsed, self._increments, pulses, limited, words)
+
+    def _wanted(self, elapsed_s: float) -> Increments:
+        if self.state is State.RUNNING:
+            return self.plan.at(elapsed_s)
+        left = max(0.0, 1.0 - elapsed_s / self._config.ramp_s)
+        return tuple(left * value for value in self._fading)
+
+    def _limited(self, now_ns: int) -> tuple[tuple[float, ...], bool]:
+        """The pulses for the increments, within slew and limits; whether any was held back."""
+        seconds = (
+            self._period_s if self._last_ns is None else min((now_ns - self._last_ns) * 1e-9, 2.0 * self._period_s)
+        )
+        wanted = [base + s.shift(self._increments) for s, base in zip(self._servos, self._captured, strict=True)]
+        made = tuple(s.limited(w, last, seconds) for s, w, last in zip(self._servos, wanted, self._last, strict=True))
+        self._last = made
+        return made, any(abs(a - b) > 1e-6 for a, b in zip(wanted, made, strict=True))

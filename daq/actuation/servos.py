@@ -1,0 +1,126 @@
+"""From increments of controls to servo pulses, and the limits of both; what a manoeuvre must keep to be taken on board."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from daq.actuation.config import CONTROLS, OutputConfig, SequencerConfig
+from daq.contract.manoeuvre import Manoeuvre, ManoeuvreError
+
+Increments = tuple[float, ...]
+"""One value for each of CONTROLS [rad]."""
+STILL: Increments = (0.0,) * len(CONTROLS)
+
+
+@dataclass(frozen=True, slots=True)
+class Servo:
+    """One output. us_per_rad in the order of CONTROLS; limits of the pulse width [us] and of its rate [us/s].
+
+    read_back: its pulses are measured behind the multiplexer.
+    """
+
+    name: str
+    us_per_rad: tuple[float, ...]
+    lowest_us: float
+    highest_us: float
+    slew_us_per_s: float
+    read_back: bool = False
+
+    def shift(self, increments: Increments) -> float:
+        """Change of the pulse width [us]."""
+        return sum(gain * value for gain, value in zip(self.us_per_rad, increments, strict=True))
+
+    def limited(self, wanted_us: float, last_us: float, seconds: float) -> float:
+        """The width nearest to the wanted one that keeps slew and limits; where both cannot be kept, the limits."""
+        step = self.slew_us_per_s * seconds
+        slewed = min(max(wanted_us, last_us - step), last_us + step)
+        return min(max(slewed, self.lowest_us), self.highest_us)
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """A manoeuvre as the sequencer flies it: increments (samples) at `time_step` [s]."""
+
+    digest: str
+    time_step: float
+    increments: tuple[Increments, ...]
+
+    @property
+    def duration_s(self) -> float:
+        """When the last sample, zero, has been held for a step."""
+        return len(self.increments) * self.time_step
+
+    def at(self, elapsed_s: float) -> Increments:
+        """Increments `elapsed_s` after the start, straight between samples; zero outside.
+
+        Straight, because frames come with some jitter: of held samples two could fall into one frame, twice the designed rate.
+        """
+        place = elapsed_s / self.time_step
+        index = math.floor(place)
+        if not 0 <= index < len(self.increments) - 1:
+            return STILL
+        share = place - index
+        before, after = self.increments[index], self.increments[index + 1]
+        return tuple(a + share * (b - a) for a, b in zip(before, after, strict=True))
+
+    def reach(self, servo: Servo) -> tuple[float, float]:
+        """Smallest and largest change of a servo's pulse width [us]."""
+        shifts = [servo.shift(i) for i in self.increments]
+        return min(shifts), max(shifts)
+
+
+def servos_of(outputs: Mapping[str, OutputConfig]) -> tuple[Servo, ...]:
+    """The servos of a configuration, in its order."""
+    return tuple(
+        Servo(
+            name,
+            tuple(o.us_per_rad.get(c, 0.0) for c in CONTROLS),  # type: ignore[call-overload]  # keys are CONTROLS
+            o.lowest_us,
+            o.highest_us,
+            o.slew_us_per_s,
+            o.readback > 0,
+        )
+        for name, o in outputs.items()
+    )
+
+
+def plan_of(manoeuvre: Manoeuvre, config: SequencerConfig) -> Plan:
+    """The manoeuvre, if this aircraft's limits allow it. Raises ManoeuvreError naming control or output, value and limit."""
+    largest = math.radians(config.limits.largest_deg)
+    for name, values in manoeuvre.increments.items():
+        peak = max(abs(v) for v in values)
+        if peak > largest:
+            raise ManoeuvreError(
+                f"manoeuvre: {name} goes to {math.degrees(peak):.1f} deg, sequencer.limits.largest_deg allows "
+                f"{config.limits.largest_deg:g}; design it with smaller limits"
+            )
+    still = (0.0,) * manoeuvre.samples
+    rows = zip(*(manoeuvre.increments.get(c, still) for c in CONTROLS), strict=True)
+    plan = Plan(manoeuvre.digest, manoeuvre.time_step, tuple(rows))
+    for servo in servos_of(config.output):
+        _check_servo(servo, plan)
+    _check_moved(manoeuvre, servos_of(config.output))
+    return plan
+
+
+def _check_servo(servo: Servo, plan: Plan) -> None:
+    shifts = [servo.shift(i) for i in plan.increments]
+    fastest = max((abs(b - a) for a, b in zip(shifts, shifts[1:], strict=False)), default=0.0) / plan.time_step
+    if fastest > servo.slew_us_per_s:
+        raise ManoeuvreError(
+            f"manoeuvre: moves output {servo.name} at {fastest:.0f} us/s, its slew_us_per_s allows "
+            f"{servo.slew_us_per_s:g}; design it with a lower rate_deg_s"
+        )
+    room = servo.highest_us - servo.lowest_us
+    if max(shifts) - min(shifts) > room:
+        raise ManoeuvreError(
+            f"manoeuvre: output {servo.name} would need {max(shifts) - min(shifts):.0f} us, its limits leave {room:.0f}"
+        )
+
+
+def _check_moved(manoeuvre: Manoeuvre, servos: Sequence[Servo]) -> None:
+    for index, control in enumerate(CONTROLS):
+        if any(manoeuvre.increments.get(control, ())) and not any(s.us_per_rad[index] for s in servos):
+            raise ManoeuvreError(
+                f"manoeuvre: moves {control}, but no [sequencer.output] does; wire it or design without it"
+            )

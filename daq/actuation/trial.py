@@ -1,0 +1,141 @@
+"""The sequencer's hardware tried out before a flight: driver, pilot's signals, heartbeat and multiplexer, the switch at off.
+
+While the trial runs, the driver puts out nothing on the servos' channels, so that a multiplexer which wrongly listens to
+it shows as servo pulses that are not the pilot's.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from statistics import fmean
+
+from daq.actuation.actuation import Devices, ServoDriver
+from daq.actuation.config import SequencerConfig
+from daq.actuation.pilot_inputs import US_PER_COUNT, PilotInputs, PilotSignals
+from daq.actuation.servos import plan_of
+from daq.contract.manoeuvre import ManoeuvreError, load_manoeuvre
+from daq.contract.scan import Scan
+from daq.contract.sequencing import Switch
+from daq.sensors.base import MS
+
+FRAMES = 40
+"""0.8 s at 50 Hz; the second half of them is looked at."""
+FADE_MS = 250
+"""By then the heartbeat is over (100 ms), the last pulses are forgotten (50 ms), and the same once more."""
+SAME_US = 25.0
+"""The pilot's pulses in front of and behind the multiplexer: two captures with 10 us of jitter each, and rounding."""
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One thing tried: well or not, in words."""
+
+    what: str
+    well: bool
+    text: str
+
+
+class Trial:
+    """take_scan: one scan of the aircraft's sensors, now."""
+
+    def __init__(self, config: SequencerConfig, devices: Devices, take_scan: Callable[[], Scan]) -> None:
+        self._config, self._devices, self._take_scan = config, devices, take_scan
+        self._driver = ServoDriver(config, devices.bus)
+        inputs = [o.pilot_input for o in config.output.values()]
+        self._pilot = PilotInputs(config.pilot, inputs, devices.bus, devices.clock.monotonic_ns, 100 * MS)
+
+    def findings(self) -> Iterator[Finding]:
+        """Everything, in order; what depends on a thing that fails is left out. The heartbeat is released at the end."""
+        yield self._manoeuvre()
+        try:
+            beating = [self._frame(beat=True) for _ in range(FRAMES)][FRAMES // 2 :]
+        except OSError as error:
+            yield Finding("heartbeat", False, f"line cannot be written ({error.strerror or error})")
+            return
+        finally:
+            self._release()
+        yield self._chip()
+        yield self._switch(beating)
+        if not self._driver.part.up or beating[-1][0].sticks is None:
+            return
+        yield self._frequency(beating)
+        yield self._multiplexer(beating)
+        yield self._gate()
+
+    def _frame(self, *, beat: bool) -> tuple[PilotSignals, Scan]:
+        clock = self._devices.clock
+        start = clock.monotonic_ns()
+        scan = self._take_scan()
+        signals = self._pilot.poll(clock.monotonic_ns())
+        fault = self._driver.fault(clock.monotonic_ns(), running=False)
+        if beat and not fault and self._driver.write(None, 1.0, clock.monotonic_ns()):
+            self._devices.heartbeat.beat()
+        clock.sleep_until(start + 20 * MS)
+        return signals, scan
+
+    def _release(self) -> None:
+        try:
+            self._devices.heartbeat.release()
+        except OSError:
+            return  # said already; the monostable ends by itself
+
+    def _manoeuvre(self) -> Finding:
+        try:
+            plan = plan_of(load_manoeuvre(self._config.manoeuvre), self._config)
+        except ManoeuvreError as error:
+            return Finding("manoeuvre", False, str(error))
+        return Finding("manoeuvre", True, f"{plan.digest[:6]}, {plan.duration_s:.1f} s, within this aircraft's limits")
+
+    def _chip(self) -> Finding:
+        if not self._driver.part.up:
+            return Finding("servo driver", False, f"{self._driver.part.fault}; check wiring, strap and supply")
+        return Finding("servo driver", True, f"answers at 0x{self._config.chip.address:02x} and keeps its settings")
+
+    def _switch(self, frames: list[tuple[PilotSignals, Scan]]) -> Finding:
+        signals = frames[-1][0]
+        if signals.sticks is None:
+            why = self._pilot.part.fault or "no pulses on an input; is the transmitter on?"
+            return Finding("pilot's signals", False, why)
+        if signals.switch is not Switch.OFF:
+            return Finding("pilot's signals", False, f"switch is at {signals.switch.name.lower()}; put it to off")
+        return Finding("pilot's signals", True, "all there, switch at off")
+
+    def _frequency(self, frames: list[tuple[PilotSignals, Scan]]) -> Finding:
+        found = [s.loopback_us for s, _ in frames if s.loopback_us is not None]
+        if len(found) < len(frames) // 2:
+            return Finding(
+                "output frequency", False, "no pulses come back on the loopback; check its wire, OE and heartbeat"
+            )
+        error = self._driver.loopback_us / fmean(found) - 1.0
+        limit = self._config.limits.frequency_error
+        text = f"{100 * error:+.2f} % off (limit {100 * limit:g} %)"
+        advice = "" if abs(error) <= limit else "; set sequencer.chip.oscillator_hz to what is measured"
+        return Finding("output frequency", abs(error) <= limit, text + advice)
+
+    def _multiplexer(self, frames: list[tuple[PilotSignals, Scan]]) -> Finding:
+        worst = 0.0
+        for index, (name, output) in enumerate(self._config.output.items()):
+            if not output.readback:
+                continue
+            pairs = [
+                (s.sticks[index], scan.values[f"pwm_{output.readback}"] * US_PER_COUNT)
+                for s, scan in frames
+                if s.sticks is not None and f"pwm_{output.readback}" in scan.values
+            ]
+            if not pairs:
+                return Finding("multiplexer", False, f"no pulses of {name} behind it, though the switch is at off")
+            worst = max(worst, abs(fmean(a for a, _ in pairs) - fmean(b for _, b in pairs)))
+        if worst > SAME_US:
+            return Finding(
+                "multiplexer", False, f"servo pulses are {worst:.0f} us off the pilot's, though his switch is at off"
+            )
+        return Finding("multiplexer", True, f"passes the pilot's signals, within {worst:.0f} us")
+
+    def _gate(self) -> Finding:
+        """With the heartbeat over, the driver's outputs must be dead."""
+        until = self._devices.clock.monotonic_ns() + FADE_MS * MS
+        signals, _ = self._frame(beat=False)
+        while self._devices.clock.monotonic_ns() < until:
+            signals, _ = self._frame(beat=False)
+        if signals.loopback_us is not None:
+            return Finding("heartbeat", False, "servo driver goes on without it: OE is not wired to the monostable")
+        return Finding("heartbeat", True, "without it the servo driver is dead")

@@ -1,0 +1,147 @@
+"""The pilot's side of a flight with a sequencer: his receiver and switch, the servo driver, the multiplexer, the servos.
+
+`Cockpit` stands between the simulated pilot and the servos. Where the multiplexer passes his signals he flies as ever; while
+it passes the servo driver's he keeps his hands still, unless the scenario has him take over.
+"""
+
+from bisect import bisect_right
+from collections.abc import Mapping
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from firmware_sim.errors import ScenarioError
+from firmware_sim.hardware.multiplexer import Monostable, Multiplexer
+from firmware_sim.hardware.registers.pca9685 import Pca9685
+from firmware_sim.physics.plant import Commands
+from firmware_sim.world.scenario import Scenario
+from firmware_sim.world.truth import PULSE_CENTRE_US, PULSE_PER_RAD_US, THROTTLE_PULSE_US
+
+SWITCH_US: Mapping[str, float] = {"off": 1000.0, "arm": 1500.0, "go": 2000.0}
+OUTPUTS = {"left": 0, "right": 1, "rudder": 2}
+"""Channels of the servo driver, and inputs of the pilot's capture co-processor, of the three servos."""
+LOOPBACK_CHANNEL = 3
+_FRAMES_KEPT = 1000
+
+
+class CockpitTable(BaseModel):
+    """Scenario table `[sequencer]`. Times are seconds from the start of the recording.
+
+    switch: when the pilot moves his switch where. take_over_s: he moves his sticks in spite of the switch. receiver_lost_s:
+    his receiver goes silent. heartbeat_lost_s: the heartbeat's wire breaks. oscillator_error: of the servo driver, relative.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    switch: tuple[tuple[float, Literal["off", "arm", "go"]], ...] = ((0.0, "off"), (3.0, "arm"), (6.0, "go"))
+    take_over_s: float | None = Field(default=None, ge=0.0)
+    receiver_lost_s: float | None = Field(default=None, ge=0.0)
+    heartbeat_lost_s: float | None = Field(default=None, ge=0.0)
+    oscillator_error: float = Field(default=0.004, ge=-0.08, le=0.08)
+
+
+def parse_cockpit(table: Mapping[str, Any], where: str) -> CockpitTable:
+    """The table of a scenario; raises ScenarioError naming the key."""
+    try:
+        return CockpitTable.model_validate(table)
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(["sequencer", *(str(part) for part in first["loc"])])
+        raise ScenarioError(f"scenario {where}: {key}: {first['msg']}") from error
+
+
+def switch_for(scenario: Scenario, manoeuvre_s: float) -> list[tuple[float, str]]:
+    """A switch plan for a scenario that has none: armed 3 s after take-off, go 3 s later, off 2 s after the end.
+
+    Raises ScenarioError when the flight is too short for that.
+    """
+    arm_s = scenario.takeoff_s + 3.0
+    off_s = arm_s + 3.0 + manoeuvre_s + 2.0
+    if off_s > scenario.takeoff_s + scenario.flight.duration_s:
+        raise ScenarioError(
+            f"scenario {scenario.name}: flies {scenario.flight.duration_s:g} s, the manoeuvre of {manoeuvre_s:g} s needs "
+            f"{off_s - scenario.takeoff_s:.0f} s with arming it; raise flight.duration_s"
+        )
+    return [(0.0, "off"), (arm_s, "arm"), (arm_s + 3.0, "go"), (off_s, "off")]
+
+
+class Cockpit:
+    """Receiver, switch, servo driver, monostable, multiplexer and servos. takeoff_s: recording time of airborne zero."""
+
+    def __init__(self, table: CockpitTable, monostable: Monostable, takeoff_s: float) -> None:
+        self._table = table
+        self.monostable = monostable
+        self.chip = Pca9685(table.oscillator_error, monostable.up)
+        self.multiplexer = Multiplexer(self.switch_us, monostable.up)
+        self._takeoff_s = takeoff_s
+        self._frames: list[int] = []  # when the receiver's pulses changed [ns]
+        self._pulses: list[tuple[float, ...]] = []
+        self._last: Commands | None = None
+        if table.heartbeat_lost_s is not None:
+            lost_ns = round(table.heartbeat_lost_s * 1e9)
+            monostable.broken = lambda time_ns: time_ns >= lost_ns
+
+    def _silent(self, time_ns: int) -> bool:
+        lost = self._table.receiver_lost_s
+        return lost is not None and time_ns >= lost * 1e9
+
+    def switch_us(self, time_ns: int) -> float:
+        """Width of the switch's channel [us]; 0 while the receiver is silent."""
+        if self._silent(time_ns):
+            return 0.0
+        position = "off"
+        for start_s, chosen in self._table.switch:
+            position = chosen if time_ns >= start_s * 1e9 else position
+        return SWITCH_US[position]
+
+    def receiver(self, time_ns: int) -> tuple[float, ...]:
+        """What the pilot's capture co-processor sees: six widths [s] and five levels."""
+        loopback = self.chip.width_us(LOOPBACK_CHANNEL, time_ns) * 1e-6
+        quiet = (0.0,) * 5
+        if self._silent(time_ns) or not self._frames:
+            return (*quiet, loopback, *quiet)
+        sticks = self._pulses[max(bisect_right(self._frames, time_ns) - 1, 0)]
+        return (*(w * 1e-6 for w in sticks), self.switch_us(time_ns) * 1e-6, loopback, *quiet)
+
+    def behind(self, time_ns: int, pulses: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Servo pulses behind the multiplexer [s], those of the pilot's wish given; 0 where the driver puts out none."""
+        if self.multiplexer.selects_second(time_ns):
+            pulses = pulses.copy()
+            for channel in OUTPUTS.values():
+                pulses[channel] = self.chip.width_us(channel, time_ns) * 1e-6
+        return pulses
+
+    # ---------------------------------------------------------------------------------------- for the world
+
+    def hands_still(self, airborne_s: float) -> bool:
+        """Whether the pilot leaves his sticks where they are."""
+        time_s = airborne_s + self._takeoff_s
+        taken = self._table.take_over_s is not None and time_s >= self._table.take_over_s
+        return not taken and self.multiplexer.selects_second(round(time_s * 1e9))
+
+    def route(self, airborne_s: float, wanted: Commands) -> Commands:
+        """What the servos get: the pilot's wish, or the servo driver's pulses; without pulses a servo stays where it is."""
+        time_ns = round((airborne_s + self._takeoff_s) * 1e9)
+        self._frames.append(time_ns)
+        self._pulses.append(_pulses(wanted))
+        if len(self._frames) > 2 * _FRAMES_KEPT:
+            del self._frames[:_FRAMES_KEPT], self._pulses[:_FRAMES_KEPT]
+        if not self.multiplexer.selects_second(time_ns):
+            self._last = wanted
+            return wanted
+        held = self._last or wanted
+        left, right, rudder = (self._angle(channel, time_ns, getattr(held, name)) for name, channel in OUTPUTS.items())
+        self._last = Commands(left, right, rudder, wanted.throttle)
+        return self._last
+
+    def _angle(self, channel: int, time_ns: int, held: float) -> float:
+        width = self.chip.width_us(channel, time_ns)
+        return (width - PULSE_CENTRE_US) / PULSE_PER_RAD_US if width > 0.0 else held
+
+
+def _pulses(wanted: Commands) -> tuple[float, ...]:
+    idle, span = THROTTLE_PULSE_US
+    surfaces = (wanted.left, wanted.right, wanted.rudder)
+    return (*(PULSE_CENTRE_US + PULSE_PER_RAD_US * angle for angle in surfaces), idle + span * wanted.throttle)
