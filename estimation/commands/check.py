@@ -32,6 +32,7 @@ EXAMPLE = (
     "  [default: the one each flight carries or names; without one nothing is predicted].",
 )
 @click.option("--joint", is_flag=True, help="Also one set of factors shared by all flights.")
+@click.option("--keep-held", is_flag=True, help="Take the repeated values of slow and stuck sensors for measurements.")
 @click.option("--segments", help="Use only these stretches, each with initial states of its own: 2:12,15:25 [s].")
 @click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write the results as JSON.")
 @click.option(
@@ -51,6 +52,7 @@ def check(
     factors_text: str | None,
     aircraft: str | None,
     joint: bool,
+    keep_held: bool,
     segments: str | None,
     json_path: Path | None,
     figure_path: Path | None,
@@ -60,6 +62,7 @@ def check(
     """Check that accelerations, rates, attitude and air data of each FLIGHT tell the same story."""
     from estimation.commands.outputs import check_outputs, write_json
     from estimation.compatibility.correct import corrected
+    from estimation.compatibility.left_out import left_out_findings, measurements
     from estimation.compatibility.reconstruction import compatibility
     from estimation.models.kinematic import STANDARD_FACTORS
     from estimation.report.compatibility_tables import factor_lines, published_lines, write_figure
@@ -71,10 +74,17 @@ def check(
     factors, known = wanted_factors(factors_text)
     check_outputs(json=json_path, figure=figure_path, report=report_folder, write=folder)
     read = unique_names([select_segments(read_flight(path), segments) for path in flights])
-    quality = [(*quality_report(f), *_excitation(f, aircraft)) for f in read]
-    results = [(flight.name, compatibility(flight, factors, known=known)) for flight in read]
+    quality = [
+        (
+            *quality_report(f),
+            *left_out_findings(measurements(f, keep_held=keep_held)[1]),
+            *_excitation(f, aircraft),
+        )
+        for f in read
+    ]
+    results = [(f.name, compatibility(f, factors, known=known, keep_held=keep_held)) for f in read]
     if joint and len(read) > 1:
-        results.append(("joint", compatibility(read, factors, known=known)))
+        results.append(("joint", compatibility(read, factors, known=known, keep_held=keep_held)))
     for line in factor_lines(results):
         click.echo(line)
     if all(is_of(f.provenance.aircraft) for f in read) and set(STANDARD_FACTORS) <= set(factors):

@@ -1,5 +1,6 @@
 """`sideslip estimate`: aerodynamic parameters with bounds, beside what was believed before flying."""
 
+import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,7 +12,9 @@ from estimation.estimators.registry import find, listed, names
 
 if TYPE_CHECKING:
     from estimation.estimators.result import Bootstrap, Result
+    from estimation.models.base import Model
     from estimation.session.session import Session
+    from estimation.session.verdict import Verdict
 
 EXAMPLE = "Example: sideslip estimate ld1.mcap ld2.mcap --method ml,ngn --joint --report out/"
 
@@ -51,6 +54,15 @@ def _able(extra: Extra) -> str:
     is_flag=True,
     help=f"Take measured inputs with their noise, as a plain output error does ({_able(Extra.RAW_INPUTS)}).",
 )
+@click.option(
+    "--keep-held",
+    is_flag=True,
+    help="Take the repeated values of slow and stuck sensors for measurements; without it they are left out, and said.",
+)
+@click.option("--hold-initial", default="", metavar="NAMES",
+              help="Comma-separated states whose initial values are held: as measured, or NAME=VALUE; all.")  # fmt: skip
+@click.option("--free-initial", default="", metavar="NAMES",
+              help="Comma-separated states whose initial values are estimated though the model holds them; all.")  # fmt: skip
 @click.option(
     "--stepwise", is_flag=True, help=f"Keep only the terms that a partial F ratio finds ({_able(Extra.STEPWISE)})."
 )
@@ -109,6 +121,9 @@ def estimate(
     segments: str | None,
     each_segment: bool,
     raw_inputs: bool,
+    keep_held: bool,
+    hold_initial: str,
+    free_initial: str,
     stepwise: bool,
     json_path: Path | None,
     report_folder: Path | None,
@@ -149,10 +164,10 @@ def estimate(
         craft = unknown_aircraft(read[0].provenance.aircraft or "not stated")
     else:
         craft = aircraft_of(read, aircraft)
-    chosen = load_model(model, craft)
+    chosen = with_initial_states(load_model(model, craft), hold_initial, free_initial)
     truth = {} if truth_path is None else read_truth(truth_path, [f.name for f in read])
     profiled = tuple(dict.fromkeys(n.strip() for n in profile.split(",") if n.strip()))
-    extras = Extras(profiled, bootstrap, seed, raw_inputs, stepwise)
+    extras = Extras(profiled, bootstrap, seed, raw_inputs, stepwise, keep_held)
     with Progress() as progress:
         session = runner.estimate(
             chosen, read, craft, chosen_methods, joint=joint, device=device, progress=progress, extras=extras
@@ -163,6 +178,30 @@ def estimate(
     for line in (*session_lines(session, brief=brief), *written):
         click.echo(line)
     return 0 if session.converged else 1
+
+
+def with_initial_states(model: "Model", hold: str, free: str) -> "Model":
+    """The model with initial values held and freed as --hold-initial and --free-initial say; EstimationError for nonsense."""
+    from estimation.errors import EstimationError
+
+    values: dict[str, float] = {}
+    names: dict[str, list[str]] = {}
+    for option, text in (("--hold-initial", hold), ("--free-initial", free)):
+        words = [w.strip() for w in text.split(",") if w.strip()]
+        names[option] = list(model.state_names) if words == ["all"] else [w for w in words if "=" not in w]
+        for name, _, number in (w.partition("=") for w in words if "=" in w):
+            try:
+                values[name.strip()] = float(number)
+            except ValueError:
+                raise EstimationError(f"{option} {name}={number}: not a number; write it like phi=0.02") from None
+            if option == "--free-initial" or not math.isfinite(values[name.strip()]):
+                raise EstimationError(f"{option} {name}={number}: a value is for --hold-initial, and finite")
+    held, freed = names["--hold-initial"], names["--free-initial"]
+    if both := sorted({*held, *values} & set(freed)):
+        raise EstimationError(f"{both[0]} is named by --hold-initial and --free-initial: choose one")
+    if held or values:
+        model = model.with_initial(*held, held=True, values=values)
+    return model.with_initial(*freed, held=False) if freed else model
 
 
 def write_files(
@@ -218,12 +257,25 @@ def session_lines(session: "Session", *, brief: bool = False) -> Iterator[str]:
             yield f"{f.flight.name}, {method}: {why}"
         for note in () if brief else f.notes:
             yield f"  note: {note}"
+        yield from _verdict_lines(f.verdict, brief=brief)
     if len(session.flights) > 1:
         yield from _mean_lines(session)
     for method, result in session.joint.items():
         yield ""
         yield f"joint over {len(session.flights)} flights, {method}: {result.text}"
         yield from result_lines(result)
+    for method, why in session.joint_failures.items():
+        yield f"joint over {len(session.flights)} flights, {method}: {why}"
+    yield from _verdict_lines(session.verdict, brief=False)
+
+
+def _verdict_lines(verdict: "Verdict | None", *, brief: bool) -> Iterator[str]:
+    """Doubts, and which method to believe."""
+    if verdict is None:
+        return
+    for doubt in () if brief else verdict.doubts:
+        yield f"  doubt ({doubt.kind.value}): {doubt.text}"
+    yield f"  recommended: {verdict.recommended.text}"
 
 
 def result_lines(result: "Result") -> Iterator[str]:
@@ -231,10 +283,8 @@ def result_lines(result: "Result") -> Iterator[str]:
     yield f"  {'parameter':<12}{'estimate':>11}{'bound':>10}{'corrected':>11}{'before':>10}"
     for name, e in result.parameters.items():
         before = "" if e.reference is None else f"{e.reference:10.4g} {e.reference_source}"
-        if e.identifiable:
-            yield f"  {name:<12}{e.estimate:11.4g}{e.std:10.2g}{e.std_coloured:11.2g}{before}"
-        else:
-            yield f"  {name:<12}{'cannot tell':>32}{before}: {e.why}"
+        why = "" if e.identifiable else f"  cannot tell: {e.why}"
+        yield f"  {name:<12}{e.estimate:11.4g}{e.std:10.2g}{e.std_coloured:11.2g}{before}{why}"
     for flight in result.flights:
         line = "  ".join(f"{n} {f.r2:.3f}" for n, f in flight.fit.items())
         yield f"  fit r2{' ' + flight.name if len(result.flights) > 1 else ''}: {line}"

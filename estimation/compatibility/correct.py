@@ -1,4 +1,4 @@
-"""A flight with its instrument factors taken out."""
+"""A flight with its instrument factors taken out: those that were estimated, and those that were given."""
 
 from dataclasses import replace
 
@@ -11,11 +11,12 @@ from groundstation.flight import Flight
 
 
 def corrected(flight: Flight, result: Compatibility) -> Flight:
-    """Biases and scales removed, late channels moved back, accelerations moved to the centre of gravity.
+    """Biases and scales removed, late channels moved back, accelerations and flow angles moved to the centre of gravity.
 
-    Only identifiable factors are applied; those left alone are named in a note.
+    Factors held at a value given are applied as those that were estimated; of the latter only the identifiable ones. Those
+    left alone, for that reason or because a channel they need is not measured, are named in a note.
     """
-    value = {n: f.estimate for n, f in result.factors.items() if f.identifiable}
+    value = {**result.known, **{n: f.estimate for n, f in result.factors.items() if f.identifiable}}
     left = [n for n, f in result.factors.items() if not f.identifiable]
     columns = {c: flight[c].copy() for c in flight.columns}
     for name in ("ax", "ay", "az", "p", "q", "r"):
@@ -29,11 +30,14 @@ def corrected(flight: Flight, result: Compatibility) -> Flight:
     for name in ("alpha", "beta", "V", "phi", "theta", "psi"):
         if f"tau_{name}" in value and name in columns:
             columns[name] = _earlier(flight, columns[name], value[f"tau_{name}"])
-    arm = np.array([value.get(f"{axis}_imu", 0.0) for axis in "xyz"])
+    arm, vane = (np.array([value.get(f"{axis}_{what}", 0.0) for axis in "xyz"]) for what in ("imu", "vane"))
     if arm.any():
         _move(flight, columns, arm)
+    if vane.any() and not _move_vanes(flight, columns, vane):
+        left += [n for n in value if n.endswith("_vane")]
+        value = {n: v for n, v in value.items() if not n.endswith("_vane")}
     note = f"instrument factors removed: {', '.join(f'{n} {v:+.4g}' for n, v in value.items())}"
-    told = [f"not removed because this data cannot tell them: {', '.join(left)}"] if left else []
+    told = [f"not removed because this data cannot tell or use them: {', '.join(left)}"] if left else []
     detail = {**flight.provenance.detail, "compatibility": {n: float(v) for n, v in value.items()}}
     moved = flight.with_columns(**columns).with_notes(note, *told)
     return replace(moved, provenance=replace(flight.provenance, detail=detail))
@@ -54,14 +58,42 @@ def _earlier(flight: Flight, values: np.ndarray, delay: float) -> np.ndarray:
 def _move(flight: Flight, columns: dict[str, np.ndarray], arm: np.ndarray) -> None:
     """Specific force from the IMU's place (m from the centre of gravity, body axes) to the centre of gravity."""
     with_rates = with_rate_derivatives(flight, ("p_dot", "q_dot", "r_dot"))
+    omega = _smooth_rates(flight, columns)
+    omega_dot = np.column_stack([with_rates[f"{r}_dot"] for r in "pqr"])
+    extra = np.cross(omega_dot, arm) + np.cross(omega, np.cross(omega, arm))
+    for i, axis in enumerate("xyz"):
+        columns[f"a{axis}"] = columns[f"a{axis}"] - extra[:, i]
+
+
+def _smooth_rates(flight: Flight, columns: dict[str, np.ndarray]) -> np.ndarray:
+    """(N, 3) p, q, r [rad/s] by local parabolas through 5 samples."""
     smooth = {}
     for rate in "pqr":
         smooth[rate] = columns[rate].copy()
         for part in flight.segments:
             if part.stop - part.start >= 5 and np.isfinite(columns[rate][part]).all():
                 smooth[rate][part] = savgol_filter(columns[rate][part], 5, 2)
-    omega = np.column_stack([smooth[r] for r in "pqr"])
-    omega_dot = np.column_stack([with_rates[f"{r}_dot"] for r in "pqr"])
-    extra = np.cross(omega_dot, arm) + np.cross(omega, np.cross(omega, arm))
-    for i, axis in enumerate("xyz"):
-        columns[f"a{axis}"] = columns[f"a{axis}"] - extra[:, i]
+    return np.column_stack([smooth[r] for r in "pqr"])
+
+
+def _move_vanes(flight: Flight, columns: dict[str, np.ndarray], arm: np.ndarray) -> bool:
+    """Flow angles from the vanes' place (m from the centre of gravity, body axes) to the centre of gravity; False without V.
+
+    At the vane the air comes along d = (cos a cos b, sin b, sin a cos b) with the speed s that gives V at the centre of
+    gravity: |s d - omega x arm| = V, as the kinematic model has it. Without one of the angles it counts as zero in d.
+    """
+    if "V" not in columns or not flight.measured("V"):
+        return False
+    nothing = np.zeros(len(flight))
+    alpha, beta = (columns.get(n, nothing) if flight.measured(n) else nothing for n in ("alpha", "beta"))
+    d = np.column_stack([np.cos(alpha) * np.cos(beta), np.sin(beta), np.sin(alpha) * np.cos(beta)])
+    turn = np.cross(_smooth_rates(flight, columns), arm)
+    along = np.sum(d * turn, axis=1)
+    with np.errstate(invalid="ignore"):
+        speed = along + np.sqrt(along**2 - np.sum(turn**2, axis=1) + columns["V"] ** 2)
+        u, v, w = (speed[:, None] * d - turn).T
+    moved = {"alpha": np.arctan2(w, u), "beta": np.arctan2(v, np.hypot(u, w))}
+    for name, values in moved.items():
+        if flight.measured(name):
+            columns[name] = np.where(np.isfinite(columns[name]), values, np.nan)
+    return True

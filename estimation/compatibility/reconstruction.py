@@ -6,6 +6,7 @@ step halving on the innovations; bounds from their information, and corrected fo
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 from estimation.compatibility.bounds import USEFUL, autocorrelation, coloured, normal, refuse_singular
 from estimation.compatibility.integrate import integrated
 from estimation.compatibility.kalman import Run
+from estimation.compatibility.left_out import measurements
 from estimation.compatibility.problem import Problem
 from estimation.compatibility.records import ATTITUDE_ERROR, attitude_errors, shows_motion
 from estimation.compatibility.result import Compatibility, Factor, ReconstructedFlight
@@ -30,14 +32,17 @@ def compatibility(
     *,
     known: Mapping[str, float] | None = None,
     iterations: int = 15,
+    keep_held: bool = False,
 ) -> Compatibility:
-    """Estimate instrument factors of one flight, or shared by several. known: factors held at values given.
+    """Estimate instrument factors of one flight, or shared by several. known: factors held at values given. keep_held: repeated
+    values of slow and stuck sensors are taken for measurements.
 
     A factor of a channel that is not measured is not estimated: it comes back as one that cannot be told, with the reason.
     Raises ModelError for an unknown factor, MissingColumnError or DataError for flights that cannot be used, and
     DataError naming them when factors cannot be told from each other at all.
     """
-    many = [flights] if isinstance(flights, Flight) else list(flights)
+    given = [flights] if isinstance(flights, Flight) else list(flights)
+    many = [measurements(f, keep_held=keep_held)[0] for f in given]
     asked = compatibility_model(factors, tuple(MEASUREMENTS), known)
     absent = _absent(asked, many)
     filtered = any(max(attitude_errors(f).values()) > 0 for f in many)
@@ -46,7 +51,8 @@ def compatibility(
     problem = Problem(model, many)
     p, runs, converged, used = _estimate(problem, iterations)
     slopes = problem.slopes(p, _steps(model))
-    return _describe(problem, many, absent, asked, p, runs, slopes, converged, used)
+    described = _describe(problem, many, absent, asked, p, runs, slopes, converged, used)
+    return replace(described, known=dict(known or {}))
 
 
 def _absent(asked: Model, flights: Sequence[Flight]) -> dict[str, str]:

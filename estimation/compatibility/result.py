@@ -1,7 +1,7 @@
 """What a data-compatibility check finds: factors with bounds, and the motion the flight's own inputs make."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,3 +50,4 @@ class Compatibility:
     text: str
     iterations: int
     turbulence: float  # m/s per root second
+    known: Mapping[str, float] = field(default_factory=dict)  # factors held at values given

@@ -10,9 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from estimation.engine.conditioned import Conditioned, conditioned
 from estimation.engine.derived import DERIVED, bridged, derived, way_to
 from estimation.engine.kernel import Array
-from estimation.engine.plausible import refuse_impossible, stuck
+from estimation.engine.plausible import refuse_impossible
 from estimation.errors import DataError
 from estimation.models.base import Model, Signal
 from estimation.signals.preprocess import denoise_many, noise_level
@@ -76,10 +77,12 @@ class FlightData:
 @dataclass(frozen=True, slots=True)
 class Preparation:
     """How measured signals are prepared. denoise: take noise off the measured inputs (edge-preserving). draws: of what is
-    left of it, for the corrected bound (0: inputs are taken for truth there too)."""
+    left of it, for the corrected bound (0: inputs are taken for truth there too). keep_held: take the repeated values of slow
+    and stuck sensors for measurements."""
 
     denoise: bool = True
     draws: int = DRAWS
+    keep_held: bool = False
 
 
 AS_USUAL = Preparation()
@@ -99,12 +102,15 @@ def prepare(model: Model, flight: Flight, preparation: Preparation = AS_USUAL) -
     notes = [n for said in flight.notes if (n := _less_used(said, model)) is not None]
     required = [s.source for s in (*model.inputs, *model.outputs) if not s.optional and s.source not in DERIVED]
     flight.require(dict.fromkeys(required), f"model {model.name}")
+    told = conditioned(flight, _looked_at(model), keep_held=preparation.keep_held)
+    flight = told.flight
+    notes += told.notes
     refuse_impossible(flight, (*model.inputs, *model.states), model.outputs, notes)
     pieces = _pieces(flight, [s for s in model.inputs if not _missing_optional(flight, s)], notes)
     noise: dict[str, tuple[float, float]] = {}
-    u, errors = _inputs(model, flight, pieces, preparation, noise, notes)
-    z, absent = _outputs(model, flight, pieces, notes)
-    states = _states(model, flight, pieces)
+    u, errors = _inputs(model, told, pieces, preparation, noise, notes)
+    z, absent = _outputs(model, told, pieces, notes)
+    states = _states(model, told, pieces)
     segments = tuple(
         Segment(a, flight.time[a:b], np.ascontiguousarray(u[a:b]), np.ascontiguousarray(z[a:b]), x0)
         for a, b in pieces
@@ -113,6 +119,12 @@ def prepare(model: Model, flight: Flight, preparation: Preparation = AS_USUAL) -
     if not segments:
         raise DataError(_nothing_left(model, flight))
     return FlightData(flight.name, len(flight), segments, states, noise, once(notes), absent, errors)
+
+
+def _looked_at(model: Model) -> list[str]:
+    """Columns that a model reads."""
+    starts = [s.start for s in model.states if isinstance(s.start, str)]
+    return [*(s.source for s in (*model.inputs, *model.outputs, *model.states)), *starts]
 
 
 def _less_used(note: Note, model: Model) -> Note | None:
@@ -178,38 +190,51 @@ def _long_holes(missing: np.ndarray, segment: np.ndarray) -> np.ndarray:  # type
 
 def _inputs(
     model: Model,
-    flight: Flight,
+    told: Conditioned,
     pieces: list[tuple[int, int]],
     preparation: Preparation,
     noise: dict[str, tuple[float, float]],
     notes: list[Note],
 ) -> tuple[Array, NDArray[np.float32] | None]:
     """(samples, nu) inputs, de-noised piece by piece, NaN outside the pieces; and `FlightData.errors`."""
+    flight = told.flight
     u = np.full((len(flight), len(model.inputs)), np.nan)
+    rows: dict[
+        int, list[NDArray[np.int64]]
+    ] = {}  # of each measured input: the samples of each piece that were measured
     for i, signal in enumerate(model.inputs):
         if _missing_optional(flight, signal):
             notes.append(Note(NoteKind.NOT_MEASURED, f"{signal.source} not measured: taken as zero"))
             u[:, i] = 0.0
         elif flight.measured(signal.source):
-            for a, b in pieces:
-                u[a:b, i] = bridged(flight[signal.source][a:b])
-            _say_stuck(flight, signal.source, stuck(flight.time, flight[signal.source]), notes, "is its sensor stuck?")
+            rows[i] = [_rows(told, signal.source, a, b) for a, b in pieces]
+            for (a, b), at in zip(pieces, rows[i], strict=True):
+                u[a:b, i] = np.interp(np.arange(a, b), at, bridged(flight[signal.source][a:b])[at - a])
+            notes += told.of_slow(signal.source, "taken on straight lines between new values")
+            notes += told.of_stuck(signal.source, "is its sensor stuck?")
         else:
             u[:, i] = derived(flight, signal.source, pieces, notes)
     if not preparation.denoise:
         notes.append(Note(NoteKind.OTHER, "measured inputs taken with their noise"))
         for i, signal in enumerate(model.inputs):
             if flight.measured(signal.source):
-                noise[signal.name] = (max((noise_level(u[a:b, i]) for a, b in pieces), default=0.0), 0.0)
+                noise[signal.name] = (max((noise_level(u[at, i]) for at in rows[i]), default=0.0), 0.0)
         return u, None
     draws = min(preparation.draws, draws_for(len(flight)))
     errors = np.zeros((*u.shape, draws), np.float32)
     rng = np.random.default_rng(SEED)
     for order in (1, 2):
-        columns = [i for i, s in enumerate(model.inputs) if s.control == (order == 1) and flight.measured(s.source)]
+        columns = {i: rows[i] for i in rows if model.inputs[i].control == (order == 1)}
         _denoise_columns(u, errors, columns, pieces, order, [s.name for s in model.inputs], noise, rng)
     _derive_errors(model, flight, pieces, errors)
     return u, errors
+
+
+def _rows(told: Conditioned, column: str, a: int, b: int) -> NDArray[np.int64]:
+    """Samples a..b-1 of a column without the repeats of a slow sensor; all of them where too few would be left."""
+    repeated = told.found[column].held[a:b] if column in told.found else np.zeros(b - a, bool)
+    kept = np.flatnonzero(~repeated) + a
+    return kept if kept.size >= SHORTEST_SEGMENT else np.arange(a, b)
 
 
 def _derive_errors(model: Model, flight: Flight, pieces: list[tuple[int, int]], errors: NDArray[np.float32]) -> None:
@@ -225,20 +250,23 @@ def _derive_errors(model: Model, flight: Flight, pieces: list[tuple[int, int]], 
 def _denoise_columns(
     u: Array,
     errors: NDArray[np.float32],
-    columns: list[int],
+    columns: Mapping[int, Sequence[NDArray[np.int64]]],
     pieces: list[tuple[int, int]],
     order: int,
     names: list[str],
     noise: dict[str, tuple[float, float]],
     rng: np.random.Generator,
 ) -> None:
+    """Columns of `u` made smooth in place. columns: input -> rows that were measured, piece by piece."""
     heard: dict[int, list[tuple[float, float]]] = {i: [] for i in columns}
-    places = [(a, b, i) for a, b in pieces for i in columns]
-    noisy = [u[a:b, i] for a, b, i in places]
+    places = [(a, b, i, columns[i][k]) for k, (a, b) in enumerate(pieces) for i in columns]
+    noisy = [u[at, i] for _, _, i, at in places]
     smooth = denoise_many(noisy, order=order, draws=errors.shape[2], rng=rng)
-    for (a, b, i), done in zip(places, smooth, strict=True):
-        u[a:b, i] = done.values
-        errors[a:b, i] = done.errors.T
+    for (a, b, i, at), done in zip(places, smooth, strict=True):
+        every = np.arange(a, b)
+        u[a:b, i] = done.values if at.size == b - a else np.interp(every, at, done.values)
+        for k, error in enumerate(done.errors):
+            errors[a:b, i, k] = error if at.size == b - a else np.interp(every, at, error)
         heard[i].append((done.noise, done.removed))
     for i in columns:
         if heard[i]:
@@ -246,14 +274,15 @@ def _denoise_columns(
 
 
 def _outputs(
-    model: Model, flight: Flight, pieces: list[tuple[int, int]], notes: list[Note]
+    model: Model, told: Conditioned, pieces: list[tuple[int, int]], notes: list[Note]
 ) -> tuple[Array, tuple[str, ...]]:
+    flight = told.flight
     z = np.full((len(flight), len(model.outputs)), np.nan)
     absent = []
     for i, signal in enumerate(model.outputs):
         if flight.measured(signal.source):
-            z[:, i] = flight[signal.source]
-            _leave_out_stuck(flight, signal.source, z[:, i], notes)
+            z[:, i], said = told.compared(signal.source)
+            notes += said
         elif signal.source in DERIVED and not _missing_optional(flight, signal):
             z[:, i] = derived(flight, signal.source, pieces, notes)
         else:
@@ -273,45 +302,31 @@ def _outputs(
     return z, tuple(absent)
 
 
-def _leave_out_stuck(flight: Flight, source: str, values: Array, notes: list[Note]) -> None:
-    """Samples of a stuck sensor become NaN in `values`; those and the missing ones are said."""
-    missing = int((~np.isfinite(values)).sum())
-    if missing:
-        notes.append(Note(NoteKind.NOT_MEASURED, f"{source} not measured at {missing} samples: not compared there"))
-    still = stuck(flight.time, values)
-    _say_stuck(flight, source, still, notes, "not compared there")
-    values[still] = np.nan
-
-
-def _say_stuck(flight: Flight, source: str, still: NDArray[np.bool_], notes: list[Note], what: str) -> None:
-    if still.any():
-        at = flight.time[still]
-        text = f"{source} repeats one value for {int(still.sum())} samples from t = {at[0]:g} s on: {what}"
-        notes.append(Note(NoteKind.STUCK, text))
-
-
-def _states(model: Model, flight: Flight, pieces: list[tuple[int, int]]) -> Array:
+def _states(model: Model, told: Conditioned, pieces: list[tuple[int, int]]) -> Array:
     """(samples, nx) measured states without their noise, NaN where a state is not measured."""
+    flight = told.flight
     states = np.full((len(flight), len(model.states)), np.nan)
     sources = [s.source if flight.measured(s.source) else s.start for s in model.states]
     places = [
-        (a, b, i, source)
+        (a, b, i, source, _rows(told, source, a, b))
         for a, b in pieces
         for i, source in enumerate(sources)
         if isinstance(source, str)
         and flight.measured(source)
         and np.isfinite(flight[source][a:b]).sum() >= SHORTEST_SEGMENT // 2
     ]
-    parts = [bridged(flight[source][a:b]) for a, b, _, source in places]
-    for (a, b, i, _), done in zip(places, denoise_many(parts, order=2), strict=True):
-        states[a:b, i] = done.values
+    parts = [bridged(flight[source][a:b])[at - a] for a, b, _, source, at in places]
+    for (a, b, i, _, at), done in zip(places, denoise_many(parts, order=2), strict=True):
+        states[a:b, i] = np.interp(np.arange(a, b), at, done.values)
     return states
 
 
 def _initial(model: Model, flight: Flight, states: Array, at: int) -> Array:
     x0 = np.zeros(len(model.states))
     for i, signal in enumerate(model.states):
-        if np.isfinite(states[at, i]):
+        if signal.held and isinstance(signal.start, int | float):
+            x0[i] = float(signal.start)
+        elif np.isfinite(states[at, i]):
             x0[i] = states[at, i]
         elif isinstance(signal.start, int | float):
             x0[i] = float(signal.start)

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from daq.contract.channels import COLUMN_BY_NAME
 from estimation.errors import DataError
 from estimation.models.base import Signal
-from estimation.signals.preprocess import QUIET, noise_level
 from groundstation.flight import Array, Flight
 from groundstation.flight.notes import Note, NoteKind
+from groundstation.flight.repeats import STUCK_SAMPLES, repeats, span_of
 
 FOLDED = ("theta", "alpha", "beta", "delta_e", "delta_a", "delta_r", "cmd_e", "cmd_a", "cmd_r")
 """Angles that never exceed a right angle."""
@@ -28,8 +28,9 @@ FASTEST = 20.0  # rad/s: 1100 deg/s
 LARGE = 0.7  # rad: an angle of flow or surface beyond 40 deg is rare
 RELATED = 0.7  # correlation from which a rate and the slope of its angle tell of each other's unit
 DEGREES = 57.29577951308232
-STUCK = 1.0  # s without any change in a noisy channel
-STUCK_SAMPLES = 20
+WILD = 2.0  # times the range of a channel: a spike within it may be real, and pulls a fit of hundreds of samples little
+SLOWEST = 5.0  # s between samples: a fifth of a phugoid; nothing that an estimate needs shows in slower records
+TIME_UNITS = {"milliseconds": 1e3, "microseconds": 1e6}
 
 
 def refuse_impossible(flight: Flight, driving: Sequence[Signal], shown: Sequence[Signal], notes: list[Note]) -> None:
@@ -87,17 +88,9 @@ def _refuse_sign(flight: Flight, name: str, values: Array) -> None:
 
 def _refuse_other_unit(flight: Flight, rate: str, angle: str) -> None:
     """A rate that is 57 times the slope of its angle, or a 57th of it."""
-    dt = np.diff(flight.time)
-    same = np.diff(flight.segment) == 0
-    slope = np.diff(flight[angle]) / dt
-    mean = 0.5 * (flight[rate][1:] + flight[rate][:-1])
-    known = same & np.isfinite(slope) & np.isfinite(mean) & (np.abs(np.diff(flight[angle])) < 1.0 * np.pi)
-    if known.sum() < 2 * STUCK_SAMPLES:
+    ratio = _ratio_to_slope(flight, rate, angle)
+    if ratio is None:
         return
-    a, b = slope[known] - slope[known].mean(), mean[known] - mean[known].mean()
-    if a.std() == 0.0 or b.std() == 0.0 or float(a @ b) < RELATED * float(np.linalg.norm(a) * np.linalg.norm(b)):
-        return
-    ratio = float(np.linalg.norm(b) / np.linalg.norm(a))
     for wrong, right, factor in ((rate, angle, ratio), (angle, rate, 1.0 / ratio)):
         if 0.5 * DEGREES < factor < 2.0 * DEGREES:
             raise DataError(
@@ -106,14 +99,67 @@ def _refuse_other_unit(flight: Flight, rate: str, angle: str) -> None:
             )
 
 
+def _ratio_to_slope(flight: Flight, rate: str, angle: str) -> float | None:
+    """Size of a rate over that of the slope of its angle; None where the two do not tell of each other."""
+    dt = np.diff(flight.time)
+    same = np.diff(flight.segment) == 0
+    slope = np.diff(flight[angle]) / dt
+    mean = 0.5 * (flight[rate][1:] + flight[rate][:-1])
+    known = same & np.isfinite(slope) & np.isfinite(mean) & (np.abs(np.diff(flight[angle])) < 1.0 * np.pi)
+    if known.sum() < 2 * STUCK_SAMPLES:
+        return None
+    a, b = slope[known] - slope[known].mean(), mean[known] - mean[known].mean()
+    if a.std() == 0.0 or b.std() == 0.0 or float(a @ b) < RELATED * float(np.linalg.norm(a) * np.linalg.norm(b)):
+        return None
+    return float(np.linalg.norm(b) / np.linalg.norm(a))
+
+
 def stuck(time: Array, values: Array) -> NDArray[np.bool_]:
-    """Samples at which a noisy channel shows one and the same number for more than a second; (N,) bool."""
+    """Samples at which a noisy channel, seen by itself, shows one and the same number for more than a second; (N,) bool.
+
+    With the other channels of its flight `groundstation.flight.repeats` tells more.
+    """
+    return repeats(Flight.build("one channel", time, {"channel": values}), "channel").stuck
+
+
+def refuse_other_time_unit(flight: Flight) -> None:
+    """DataError where time does not run in seconds.
+
+    Where rates and attitude are measured, an attitude that turns a thousand times too slowly for its gyro says so; else samples
+    that lie further apart than any aircraft can be sampled.
+    """
+    for rate, angle in RATES.items():
+        if not (flight.measured(rate) and flight.measured(angle)):
+            continue
+        ratio = _ratio_to_slope(flight, rate, angle)
+        for unit, factor in TIME_UNITS.items():
+            if ratio is not None and 0.5 * factor < ratio < 2.0 * factor:
+                raise DataError(_other_time(flight, unit, f"{angle} turns {factor:.0e} times too slowly for {rate}"))
+    if flight.sample_interval > SLOWEST:
+        unit = "microseconds" if flight.sample_interval > 1e3 * SLOWEST else "milliseconds"
+        raise DataError(_other_time(flight, unit, f"samples lie {flight.sample_interval:g} s apart"))
+
+
+def _other_time(flight: Flight, unit: str, why: str) -> str:
+    return (
+        f"{flight.name}: time looks like {unit}, it must be in seconds ({why}); "
+        "convert the file with 'sideslip import', or divide the column time"
+    )
+
+
+def wild(values: Array) -> NDArray[np.bool_]:
+    """Single values so far from both neighbours that no motion makes them; (N,) bool.
+
+    Off the median of the five values around by more than `WILD` times the range of the channel, or not a number a sensor can
+    show; at most one value in a hundred, for more are no accident.
+    """
+    known = np.flatnonzero(np.isfinite(values))
     result = np.zeros(values.size, bool)
-    same = np.concatenate([[False], np.diff(values) == 0.0, [False]])
-    edges = np.flatnonzero(np.diff(same.astype(int)))
-    for a, b in zip(edges[::2], edges[1::2], strict=True):  # values a .. b are equal
-        if b - a + 1 >= STUCK_SAMPLES and time[b] - time[a] >= STUCK:
-            result[a : b + 1] = True
-    alive = values[~result & np.isfinite(values)]
-    noisy = alive.size >= STUCK_SAMPLES and noise_level(alive) > QUIET * np.ptp(alive)
-    return result if noisy else np.zeros(values.size, bool)
+    if known.size < STUCK_SAMPLES:
+        return result
+    z = values[known]
+    around = np.lib.stride_tricks.sliding_window_view(np.pad(z, 2, mode="edge"), 5)
+    off = np.abs(z - np.median(around, axis=1)) > WILD * span_of(z)
+    if off.sum() <= max(1, 0.01 * z.size):
+        result[known[off]] = True
+    return result

@@ -22,18 +22,21 @@ class Extra(Enum):
     SEED = "--seed"
     STEPWISE = "--stepwise"
     RAW_INPUTS = "--raw-inputs"
+    KEEP_HELD = "--keep-held"
 
 
 @dataclass(frozen=True)
 class Extras:
     """Extras as they were asked for. profile: parameters; bootstrap: replicates (0: as usual for the estimator); seed: of its
-    noise, and of networks. raw_inputs: take measured inputs with their noise. stepwise: choose terms by partial F."""
+    noise, and of networks. raw_inputs: take measured inputs with their noise. stepwise: choose terms by partial F.
+    keep_held: take repeated values of slow and stuck sensors for measurements."""
 
     profile: tuple[str, ...] = ()
     bootstrap: int = 0
     seed: int = 0
     raw_inputs: bool = False
     stepwise: bool = False
+    keep_held: bool = False
 
     @property
     def asked(self) -> tuple[Extra, ...]:
@@ -41,6 +44,7 @@ class Extras:
         given = {
             Extra.PROFILE: self.profile, Extra.BOOTSTRAP: self.bootstrap, Extra.SEED: self.seed,
             Extra.STEPWISE: self.stepwise, Extra.RAW_INPUTS: self.raw_inputs,
+            Extra.KEEP_HELD: self.keep_held,
         }  # fmt: skip
         return tuple(extra for extra, value in given.items() if value)
 
@@ -65,12 +69,21 @@ class Task:
 
     @property
     def data(self) -> "Sequence[Flight | FlightData]":
-        """The flights; where their inputs are wanted as measured, already prepared so."""
-        if not self.extras.raw_inputs:
+        """The flights; where they are to be prepared in another than the usual way, already prepared so."""
+        if not (self.extras.raw_inputs or self.extras.keep_held):
             return self.flights
         from estimation.engine.data import Preparation, prepare
 
-        return [prepare(self.model, f, Preparation(denoise=False)) for f in self.flights]
+        way = Preparation(denoise=not self.extras.raw_inputs, keep_held=self.extras.keep_held)
+        return [prepare(self.model, f, way) for f in self.flights]
+
+    @property
+    def repaired(self) -> "Sequence[Flight]":
+        """The flights for a method that reads their columns itself, without wild values and repeats."""
+        from estimation.engine.conditioned import repaired
+
+        columns = [s.source for s in (*self.model.inputs, *self.model.outputs, *self.model.states)]
+        return [repaired(f, columns, keep_held=self.extras.keep_held).flight for f in self.flights]
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,13 @@ from estimation.engine.prepared import compared, prepared
 from estimation.engine.simulate import Simulator
 from estimation.estimators.gauss_newton import LoopOptions, Status, minimise
 from estimation.estimators.likelihood import OutputErrorProblem
-from estimation.estimators.output_error import STANDARD, OutputErrorOptions, describe, output_error
+from estimation.estimators.output_error import (
+    STANDARD,
+    OutputErrorOptions,
+    describe,
+    free_states_of,
+    output_error,
+)
 from estimation.estimators.result import Result
 from estimation.models import load_model
 from estimation.models.base import Model, Parameter
@@ -104,7 +110,7 @@ def filter_error(
     simulator = Simulator.build(
         extended, work=1e9, compile_=options.compile_, substeps=options.substeps, hold=options.hold
     )
-    problem = FilterErrorProblem(extended, data, simulator, noise="full")
+    problem = FilterErrorProblem(extended, data, simulator, noise="full", free_states=free_states_of(extended, options))
     problem.gains = names
     outcome = minimise(problem, problem.pack(extended.starts()), LOOP)
     return _without_gains(describe(problem, outcome, "fem"), chosen, names)

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from estimation.engine.data import FlightData
 from estimation.engine.kernel import Array, Motion
@@ -34,7 +35,8 @@ class LikelihoodPoint:
 
 
 class OutputErrorProblem:
-    """See the module head. free_states: (nx,) which initial states are estimated; sigma: (ny,) given noise, or None."""
+    """See the module head. free_states: (nx,) which initial states are estimated (by
+    default those that the model does not hold); sigma: (ny,) given noise, or None."""
 
     def __init__(
         self,
@@ -44,7 +46,7 @@ class OutputErrorProblem:
         *,
         noise: Noise = "diagonal",
         sigma: Array | None = None,
-        free_states: Array | None = None,
+        free_states: NDArray[np.bool_] | None = None,
     ) -> None:
         self.model, self.flights, self.simulator = model, flights, simulator
         self.noise, self.sigma = noise, sigma
@@ -53,7 +55,8 @@ class OutputErrorProblem:
         parameters = [model.parameter(n) for n in self.free]
         local = np.array([p.local and len(flights) > 1 for p in parameters], bool)
         self.shared, self.local = np.flatnonzero(~local), np.flatnonzero(local)
-        self.free_states = np.flatnonzero(np.ones(self.nx, bool) if free_states is None else free_states)
+        released = np.array([not s.held for s in model.states], bool)
+        self.free_states = np.flatnonzero(released if free_states is None else free_states)
         self.lower = np.array([p.lower for p in parameters])
         self.upper = np.array([p.upper for p in parameters])
         self.prior_mean = np.array([np.nan if p.prior_mean is None else p.prior_mean for p in parameters])

@@ -10,6 +10,7 @@ from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from estimation.engine.data import AS_USUAL, FlightData, Preparation
 from estimation.engine.kernel import Array
@@ -20,7 +21,7 @@ from estimation.estimators.equation_error import start_values
 from estimation.estimators.gauss_newton import AS_USUAL_LOOP, LoopOptions, Outcome, Status, minimise
 from estimation.estimators.likelihood import LikelihoodPoint, Noise, OutputErrorProblem
 from estimation.estimators.result import Estimate, FlightFit, Result
-from estimation.estimators.uncertainty import estimates, uncertainty
+from estimation.estimators.uncertainty import Effect, effects_of, estimates, uncertainty
 from estimation.models import load_model
 from estimation.models.base import Model
 from estimation.signals.goodness_of_fit import fits
@@ -31,12 +32,13 @@ from groundstation.flight import Flight
 class OutputErrorOptions:
     """What can be chosen of a fit by output or filter error.
 
-    noise: diagonal or full covariance R of the residuals. sigma: standard deviation per output [its unit] given instead, every
-    output named. free_states: names of the states whose initial values are estimated in each segment (default: all); the
-    others start where they were measured, or at their signal's `start`. improve_start: try the equation-error solution as
-    start too. compile_: auto uses gcc where it repays. substeps: Runge-Kutta steps per sample. hold: inputs between samples,
-    by default as `engine.simulate.usual_hold`. preparation: of the inputs. loop: limits of the search. Names that the model
-    does not have raise ModelError when the fit begins.
+    noise: diagonal or full covariance R of the residuals. sigma: standard deviation per output [its unit] given
+    instead, every output named. free_states: names of the states whose initial values are estimated in each segment
+    (default: those that the model does not hold); the others start where they were measured, or at their signal's
+    `start`. improve_start: try the equation-error solution as start too. compile_: auto uses gcc where it repays.
+    substeps: Runge-Kutta steps per sample. hold: inputs between samples, by default as
+    `engine.simulate.usual_hold`. preparation: of the inputs. loop: limits of the search. Names that the model does
+    not have raise ModelError when the fit begins.
     """
 
     noise: Noise = "diagonal"
@@ -120,9 +122,9 @@ def _hopeless(problem: OutputErrorProblem, outcome: Fit) -> bool:
 
 
 def _unstable(problem: OutputErrorProblem, outcome: Fit) -> bool:
-    """Whether what the outputs owe to the initial state grows beyond all measure within some segment."""
+    """Whether what the outputs owe to the initial state, estimated or held, grows beyond all measure within some segment."""
     point = outcome.point
-    states = len(problem.free) + problem.free_states
+    states = len(problem.free) + np.arange(problem.nx)
     for motions in point.motions:
         for motion in motions:
             if motion.dy is None or not states.size or len(motion.dy) < 2:
@@ -201,19 +203,24 @@ def build_problem(
     simulator = Simulator.build(
         model, work=work, compile_=options.compile_, substeps=options.substeps, hold=options.hold
     )
-    free_states = None
-    if options.free_states is not None:
-        if unknown := [n for n in options.free_states if n not in model.state_names]:
-            raise ModelError(
-                f"model {model.name}: free_states: no state {unknown[0]!r}; it has {', '.join(model.state_names)}"
-            )
-        free_states = np.array([n in options.free_states for n in model.state_names])
+    free_states = free_states_of(model, options)
     sigma = None
     if options.sigma is not None:
         if lacking := [n for n in model.output_names if n not in options.sigma]:
             raise ModelError(f"model {model.name}: sigma: none given for output {lacking[0]!r}; every output needs one")
         sigma = np.array([options.sigma[n] for n in model.output_names])
     return OutputErrorProblem(model, data, simulator, noise=options.noise, sigma=sigma, free_states=free_states)
+
+
+def free_states_of(model: Model, options: OutputErrorOptions) -> NDArray[np.bool_] | None:
+    """(nx,) which initial states the options free; None where the model decides. ModelError for a name that is no state's."""
+    if options.free_states is None:
+        return None
+    if unknown := [n for n in options.free_states if n not in model.state_names]:
+        raise ModelError(
+            f"model {model.name}: free_states: no state {unknown[0]!r}; it has {', '.join(model.state_names)}"
+        )
+    return np.array([n in options.free_states for n in model.state_names])
 
 
 def reopened(
@@ -262,13 +269,14 @@ def describe(problem: OutputErrorProblem, outcome: Fit, method: str) -> Result:
         return _failed(problem, outcome, method)
     problem.segment_blocks(point)
     spread = uncertainty(problem, unknowns, point)
+    effects = effects_of(problem, point)
     shared_names = tuple(problem.free[i] for i in problem.shared)
     found, pairs = estimates(
         model, shared_names, unknowns[: len(shared_names)], spread.covariance, spread.coloured, spread.undetermined,
-        problem.flights,
+        problem.flights, effects,
     )  # fmt: skip
     flights = tuple(
-        _flight_fit(problem, unknowns, point, i, spread.local_covariance[i], spread.local_coloured[i])
+        _flight_fit(problem, unknowns, point, i, (spread.local_covariance[i], spread.local_coloured[i]), effects)
         for i in range(len(problem.flights))
     )
     if len(problem.local):
@@ -314,7 +322,12 @@ def _histories(flight: FlightData, ny: int) -> tuple[Array, Array]:
 
 
 def _flight_fit(
-    problem: OutputErrorProblem, unknowns: Array, point: LikelihoodPoint, index: int, covariance: Array, coloured: Array
+    problem: OutputErrorProblem,
+    unknowns: Array,
+    point: LikelihoodPoint,
+    index: int,
+    covariances: tuple[Array, Array],
+    effects: Mapping[str, Effect],
 ) -> FlightFit:
     flight = problem.flights[index]
     time, measured = _histories(flight, problem.ny)
@@ -323,7 +336,8 @@ def _flight_fit(
         outputs[segment.first : segment.first + len(segment)] = motion.y
     names = tuple(problem.free[i] for i in problem.local)
     values = problem.parameters(unknowns, index)[problem.local]
-    local, _ = estimates(problem.model, names, values, covariance, coloured, np.zeros(len(names), bool), [flight])
+    seen = np.zeros(len(names), bool)
+    local, _ = estimates(problem.model, names, values, *covariances, seen, [flight], effects)
     states = tuple(problem.initial_state(unknowns, index, j) for j in range(len(flight.segments)))
     fit = fits(problem.model.output_names, measured, outputs)
     return FlightFit(

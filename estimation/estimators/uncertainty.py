@@ -5,7 +5,9 @@ The corrected covariance is M^-1 B M^-1 with M the information and B the covaria
 outputs' noise (`estimation.estimators.coloured`) and the inputs' errors (`estimation.estimators.input_error`) put into it.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +33,7 @@ Array = NDArray[np.float64]
 COLLINEAR = 0.95  # correlation from which two estimates are called collinear
 LISTED = 0.9
 TIED = 1e-3  # share in a direction the data does not see, in scaled coordinates
+RESOLUTION = 0.01  # of the motion of an output: a quantity known to that is known to be small, if it is small
 USEFUL = 0.3  # a bound wider than this part of what is believed tells nothing new
 BEYOND_DOUBT = 0.2  # but five bounds from zero is told, however small it was believed to be
 STILL = 3.0  # an input that moves less than this many noise levels has not moved
@@ -45,6 +48,33 @@ class Uncertainty:
     local_covariance: list[Array]
     local_coloured: list[Array]
     undetermined: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class Effect:
+    """What one unit of a parameter does to the output that it moves most. share: of the rms motion of that output about its
+    mean [1/unit of the parameter]."""
+
+    output: str
+    share: float
+
+
+def effects_of(problem: OutputErrorProblem, point: LikelihoodPoint) -> dict[str, Effect]:
+    """Effect of each free parameter at a point evaluated with derivatives."""
+    n = len(problem.free)
+    moved, motion = np.zeros((problem.ny, n)), np.zeros(problem.ny)
+    for flight, motions in zip(problem.flights, point.motions, strict=True):
+        for segment, of_segment in zip(flight.segments, motions, strict=True):
+            assert of_segment.dy is not None
+            known = np.isfinite(segment.z)
+            moved += np.sum(np.where(known[:, :, None], of_segment.dy[:, :, :n], 0.0) ** 2, axis=0)
+            z = np.where(known, segment.z, 0.0)
+            mean = z.sum(axis=0) / np.maximum(known.sum(axis=0), 1)
+            motion += np.sum(np.where(known, z - mean, 0.0) ** 2, axis=0)
+    share = np.sqrt(np.divide(moved, motion[:, None], out=np.zeros_like(moved), where=motion[:, None] > 0.0))
+    most = np.argmax(share, axis=0)
+    names = problem.model.output_names
+    return {name: Effect(names[most[k]], float(share[most[k], k])) for k, name in enumerate(problem.free)}
 
 
 def uncertainty(problem: OutputErrorProblem, unknowns: Array, point: LikelihoodPoint) -> Uncertainty:
@@ -193,8 +223,12 @@ def estimates(
     coloured: Array,
     undetermined: NDArray[np.bool_],
     flights: list[FlightData],
+    effects: Mapping[str, Effect] = MappingProxyType({}),
 ) -> tuple[dict[str, Estimate], tuple[tuple[str, str, float], ...]]:
-    """Estimates with bounds and a verdict on each, and the list of strongly correlated pairs."""
+    """Estimates with bounds and a verdict on each, and the list of strongly correlated pairs.
+
+    effects: parameter -> the output it moves most; a parameter whose bound moves none by more than RESOLUTION is told.
+    """
     std = np.where(undetermined, np.inf, np.sqrt(np.maximum(np.diag(covariance), 0.0)))
     std_coloured = np.where(undetermined, np.inf, np.sqrt(np.maximum(np.diag(coloured), 0.0)))
     std_coloured = np.maximum(std, std_coloured)
@@ -204,7 +238,8 @@ def estimates(
     result = {}
     for i, name in enumerate(names):
         parameter = model.parameter(name)
-        why = _why_not(model, parameter, float(values[i]), float(std_coloured[i]), rho[i], names, i, movement)
+        size = (float(values[i]), float(std_coloured[i]))
+        why = _why_not(model, parameter, *size, rho[i], names, i, movement, effects.get(name))
         if not why and undetermined[i] and diagonal[i] <= 0.0:
             why = "has no effect on any output in this data"
         if not why and undetermined[i]:
@@ -232,6 +267,7 @@ def _why_not(
     names: tuple[str, ...],
     index: int,
     movement: dict[str, tuple[float, float]],
+    effect: Effect | None,
 ) -> str:
     for name in sorted(companions(model, parameter.name)):
         if name in movement:
@@ -248,13 +284,19 @@ def _why_not(
     if not np.isfinite(std):
         return ""
     limit = _useful_bound(parameter, value)
-    if std <= limit:
+    if std <= limit or (effect is not None and std * effect.share <= RESOLUTION):
         return ""
     strong = [(abs(rho[j]), names[j]) for j in range(len(names)) if j != index and abs(rho[j]) >= COLLINEAR]
     if strong:
         r, partner = max(strong)
         return f"collinear with {partner} (correlation {r:.3f}): this data cannot tell them apart"
-    return f"bound {std:.2g} is wider than {limit:.2g}, too wide to be of use: this data cannot tell"
+    seen = "" if effect is None else f", and moves {effect.output} by {std * effect.share:.0%} of its motion"
+    return f"bound {std:.2g} is wider than {_what_limits(parameter, limit)}{seen}: this data cannot tell"
+
+
+def _what_limits(parameter: Parameter, limit: float) -> str:
+    believed = parameter.reference or parameter.reference_std is not None
+    return f"{limit:.2g}, too wide to be of use" if believed else "the estimate itself"
 
 
 def _useful_bound(parameter: Parameter, value: float) -> float:
@@ -263,7 +305,7 @@ def _useful_bound(parameter: Parameter, value: float) -> float:
         return max(USEFUL * abs(parameter.reference), found)
     if parameter.reference_std is not None:
         return max(parameter.reference_std, found)
-    return np.inf if parameter.reference == 0.0 else max(abs(value), 1e-12)
+    return np.inf if parameter.reference == 0.0 else abs(value)
 
 
 def _face(model: Model, name: str) -> tuple[str, float]:

@@ -157,6 +157,21 @@ class Model(ModelParts):
         """A new model with bounds name=(lower, upper)."""
         return self._changed({n: {"lower": float(a), "upper": float(b)} for n, (a, b) in limits.items()})
 
+    def with_initial(self, *names: str, held: bool, values: Mapping[str, float] | None = None) -> "Model":
+        """A new model in which the initial values of the named states are held or estimated; all of them where none is named.
+
+        values: numbers at which initial values are held. Raises ModelError for a name that is no state's.
+        """
+        given = dict(values or {})
+        wanted = (*(names or (() if given else self.state_names)), *given)
+        for name in wanted:
+            if name not in self.state_names:
+                raise ModelError(f"model {self.name}: no state {name!r}; it has {', '.join(self.state_names)}")
+        states = tuple(
+            replace(s, held=held, start=given.get(s.name, s.start)) if s.name in wanted else s for s in self.states
+        )
+        return replace(self, states=states)
+
     def with_role(self, role: ParameterRole, *names: str) -> "Model":
         """A new model in which the named parameters have another role."""
         return self._changed({n: {"role": role} for n in names})

@@ -23,7 +23,8 @@ class Signal:
     measured. `servo` (inputs): True where a servo moves it, so that it runs on a curve between samples, not on a line.
     `control` (inputs): True for a control surface or other input that may step, False for a motion variable
     that is smooth; it decides how measurement noise is taken off. `optional`: where the flight has no such column, an
-    input is taken as zero and an output is not compared, and the result says so.
+    input is taken as zero and an output is not compared, and the result says so. `held` (states): the initial value is not
+    estimated; it is `start` where that is a number, else what was measured.
     """
 
     name: str
@@ -34,6 +35,7 @@ class Signal:
     control: bool = False
     servo: bool = False
     optional: bool = False
+    held: bool = False
 
     @property
     def source(self) -> str:

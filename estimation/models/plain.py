@@ -61,7 +61,7 @@ def _floats(data: object) -> object:
     return {k: float(v) if isinstance(v, int) and not isinstance(v, bool) else v for k, v in data.items()}
 
 
-_KINDS: Mapping[str, Any] = {"control": bool, "servo": bool, "optional": bool, "start": (str, int, float)}
+_KINDS: Mapping[str, Any] = {"control": bool, "servo": bool, "optional": bool, "held": bool, "start": (str, int, float)}
 
 
 def lines(value: object) -> tuple[str, ...]:

@@ -1,5 +1,6 @@
 """Tables 3 to 5 of the paper for one's own flights, beside the published columns."""
 
+import math
 from typing import TYPE_CHECKING
 
 from estimation.report import published
@@ -8,10 +9,11 @@ from estimation.report.tables import CANNOT_TELL, Table, number, significant
 if TYPE_CHECKING:
     from estimation.estimators.result import Estimate
     from estimation.session.session import FlightEstimates, Session
+    from estimation.session.verdict import Verdict
 
 BOUNDS = (
-    "bound: Cramér–Rao; corrected: for coloured residuals, the one to be believed. A derivative that the flight cannot "
-    "tell has no number; the reason is given below. Before flying: from the wind tunnel, or an engineering estimate (guess)."
+    "bound: Cramér–Rao; corrected: for coloured residuals, the one to be believed. What the flight cannot tell "
+    "is printed and said so; the reason is given below. Before flying: from the wind tunnel, or an engineering estimate (guess)."
 )
 
 
@@ -49,8 +51,9 @@ def estimate_table(session: "Session", flight: "FlightEstimates") -> Table:
     if beside:
         groups += [(f"{beside}, {m} (published)", 2) for m in ("ml", "ngn")]
         head += ["estimate", "bound"] * 2
-    note = BOUNDS + (" " + published.COMPARISON if beside else "")
-    return Table(f"estimates_{_safe(flight.flight.name)}", f"Estimates of {flight.flight.name}", tuple(head), tuple(rows),
+    note = _recommended(flight.verdict) + BOUNDS + (" " + published.COMPARISON if beside else "")
+    caption = f"Estimates of {flight.flight.name}{_best(flight.verdict)}"
+    return Table(f"estimates_{_safe(flight.flight.name)}", caption, tuple(head), tuple(rows),
                  tuple(groups), note=note)  # fmt: skip
 
 
@@ -67,10 +70,22 @@ def joint_table(session: "Session") -> Table | None:
         rows.append(tuple(row))
     groups, head = _head(session, methods, ("estimate", "bound", "corrected"))
     return Table(
-        "estimates_joint", f"Joint estimate over {len(session.flights)} flights",
+        "estimates_joint", f"Joint estimate over {len(session.flights)} flights{_best(session.verdict)}",
         tuple(head), tuple(rows), tuple(groups),
-        note=BOUNDS + " Constant coefficients are each flight's own: their line is the mean over flights.",
+        note=_recommended(session.verdict)
+        + BOUNDS
+        + " Constant coefficients are each flight's own: their line is the mean over flights.",
     )  # fmt: skip
+
+
+def _best(verdict: "Verdict | None") -> str:
+    """The recommended method, for a caption: heads are names of columns in CSV, which stay as they are."""
+    return "" if verdict is None else f" (recommended: {verdict.recommended.method})"
+
+
+def _recommended(verdict: "Verdict | None") -> str:
+    """Whom to believe, as the first sentence of a note."""
+    return "" if verdict is None else f"Recommended: {verdict.recommended.text}. "
 
 
 def mean_table(session: "Session") -> Table | None:
@@ -142,11 +157,8 @@ def _before(session: "Session", name: str) -> list[str]:
 def _three(e: "Estimate | None") -> list[str]:
     if e is None:
         return ["", "", ""]
-    return (
-        [number(e.estimate), significant(e.std, 2), significant(e.std_coloured, 2)]
-        if e.identifiable
-        else [CANNOT_TELL, "", ""]
-    )
+    bound = significant(e.std, 2) if math.isfinite(e.std) else ""
+    return [number(e.estimate), bound, significant(e.std_coloured, 2) if e.identifiable else CANNOT_TELL]
 
 
 def _safe(name: str) -> str:

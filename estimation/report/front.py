@@ -98,7 +98,9 @@ def _derivatives(data: dict[str, Any] | None) -> Table | None:
         rows.append(tuple(row))
     spread = "bound" if source else "scatter"
     head = ["", *(h for _ in methods for h in ("estimate", spread)), *(("value", "mean", "scatter") if ours else ())]
-    groups = [("", 1), *((m, 2) for m in methods), *((("wind tunnel", 1), ("published, ml", 2)) if ours else ())]
+    best = data.get("recommended", {}).get("method") if source else None
+    titles = [f"{m} (recommended)" if m == best else m for m in methods]
+    groups = [("", 1), *((t, 2) for t in titles), *((("wind tunnel", 1), ("published, ml", 2)) if ours else ())]
     what = (
         "Joint estimates over all flights, bounds corrected for coloured residuals"
         if source
@@ -112,7 +114,7 @@ def _pair(entry: dict[str, Any] | None) -> list[str]:
     if entry is None:
         return ["", ""]
     if not entry["identifiable"]:
-        return [CANNOT_TELL, ""]
+        return [number(entry["estimate"]), CANNOT_TELL]
     return [number(entry["estimate"]), significant(entry["std_coloured"], 2)]
 
 

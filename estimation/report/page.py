@@ -26,6 +26,7 @@ from estimation.report.tables import Table, number, write_all
 if TYPE_CHECKING:
     from estimation.session.proof_of_match import Proof
     from estimation.session.session import Session
+    from estimation.session.verdict import Verdict
 
 SHOWN = 8  # flights with figures of their own; tables hold all
 SEED = 1
@@ -55,6 +56,7 @@ def write_estimate_report(session: "Session", folder: Path) -> Path:
         status=session.text, converged=session.converged, simulated=simulated(flights),
         comparison=published.COMPARISON if is_published(session) else "",
         tables=tables, each=each, scatter=scatter_figure(session) if used else None,
+        verdicts=[(who, v.recommended, v.doubts) for who, v in _verdicts(session)],
         doubts=[(m, html(n), s.text) for m, t in session.mean.items() for n, s in t.items() if s.text],
         histories=[history_figure(f, is_published(session)) for f in used[:SHOWN]],
         residuals=[residual_figure(r.model, r) for f in used[:SHOWN] for r in list(f.results.values())[:1]],
@@ -66,10 +68,17 @@ def write_estimate_report(session: "Session", folder: Path) -> Path:
         untold=[(html(u.parameter), u) for u in untold(session)],
         runs=[(f.flight.name, m, r.converged, r.text, r.iterations) for f in session.flights for m, r in f.results.items()]
         + [(f.flight.name, m, False, why, 0) for f in session.flights for m, why in f.failures.items()]
-        + [("joint", m, r.converged, r.text, r.iterations) for m, r in session.joint.items()],
+        + [("joint", m, r.converged, r.text, r.iterations) for m, r in session.joint.items()]
+        + [("joint", m, False, why, 0) for m, why in session.joint_failures.items()],
         notes=list(dict.fromkeys((f.flight.name, n) for f in used for n in f.notes)),
         model=session.model,
     )  # fmt: skip
+
+
+def _verdicts(session: "Session") -> list[tuple[str, "Verdict"]]:
+    """Whose verdict, and the verdict: joint first."""
+    found = [("all together", session.verdict), *((f.flight.name, f.verdict) for f in session.flights)]
+    return [(who, v) for who, v in found if v is not None]
 
 
 def _lead(session: "Session") -> str:

@@ -1,8 +1,11 @@
 """Run methods over flights: each by itself, and all of them together. What `sideslip estimate` does."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
+from numpy.linalg import LinAlgError
+
+from daq.contract.errors import UserError
 from estimation.aircraft import Aircraft
 from estimation.errors import EstimationError
 from estimation.estimators.estimator import NO_EXTRAS, Estimator, Extras, Task
@@ -12,7 +15,14 @@ from estimation.models.base import Model, ParameterRole
 from estimation.session.flights import unique_names
 from estimation.session.scatter import scatter
 from estimation.session.session import FlightEstimates, Session
+from estimation.session.verdict import verdict
 from groundstation.flight import Flight
+
+NUMERICAL = (LinAlgError, ArithmeticError)
+"""What a method's own arithmetic may end in on a flight that it cannot settle: no fault of the flight or the program."""
+
+Outcome = Result | UserError | LinAlgError | ArithmeticError
+"""What a method leaves of one flight: an answer, or why there is none."""
 
 
 def estimate(
@@ -38,26 +48,72 @@ def estimate(
     flights = unique_names(flights)
     task = Task(model, flights, aircraft, extras, device, tell=progress or (lambda text: None))
     found = {e.name: _each(e, task) for e in chosen}
-    together: dict[str, Result] = {}
+    for flight, outcomes in zip(flights, zip(*found.values(), strict=True), strict=True):
+        _refuse_useless(flight, outcomes)
+    together: dict[str, Outcome] = {}
     for e in chosen if joint else ():
         task.tell(f"joint over {len(flights)} flights: {e.title}")
-        together[e.name] = e.fit(replace(task, model=joint_model(model), number=len(flights)))
-    done = [FlightEstimates(f, {m: results[i] for m, results in found.items()}) for i, f in enumerate(flights)]
-    mean = {m: scatter(results) for m, results in found.items()}
-    return Session(aircraft, model, tuple(found), tuple(done), together, mean)
+        together[e.name] = _tried(e, replace(task, model=joint_model(model), number=len(flights)))
+    done = []
+    for i, flight in enumerate(flights):
+        results, failures = _split({m: outcomes[i] for m, outcomes in found.items()})
+        done.append(FlightEstimates(flight, results, failures))
+    mean = {m: scatter(r) for m, outcomes in found.items() if (r := [o for o in outcomes if isinstance(o, Result)])}
+    results, failures = _split(together)
+    session = Session(aircraft, model, tuple(found), tuple(done), results, mean, joint_failures=failures)
+    return _judged(session)
 
 
-def _each(estimator: Estimator, task: Task) -> list[Result]:
-    """The estimates of each flight by itself."""
+def _judged(session: Session) -> Session:
+    """The session with a verdict on each flight, and on the joint estimate where there is one."""
+    flights = tuple(replace(f, verdict=verdict(f.results, f.failures)) for f in session.flights)
+    if not session.joint and not session.joint_failures:
+        return replace(session, flights=flights)
+    members = {m: [f.results[m] for f in session.flights if m in f.results] for m in session.methods}
+    return replace(session, flights=flights, verdict=verdict(session.joint, session.joint_failures, members))
+
+
+def _tried(estimator: Estimator, task: Task) -> Outcome:
+    """One fit; where it fails, why: the results of other methods and flights stand."""
+    try:
+        return estimator.fit(task)
+    except (UserError, *NUMERICAL) as error:
+        return error
+
+
+def _each(estimator: Estimator, task: Task) -> list[Outcome]:
+    """What the method leaves of each flight by itself."""
     if estimator.fit_each is not None:
         count = len(task.flights)
         task.tell(f"{count} flight{'s' if count > 1 else ''} side by side: {estimator.title}")
-        return estimator.fit_each(task)
+        try:
+            return list(estimator.fit_each(task))
+        except (UserError, *NUMERICAL):
+            pass  # one of them cannot be used: which one shows when each is tried by itself
     results = []
     for number, flight in enumerate(task.flights):
         task.tell(f"{flight.name}: {estimator.title}")
-        results.append(estimator.fit(replace(task, flights=[flight], number=number)))
+        results.append(_tried(estimator, replace(task, flights=[flight], number=number)))
     return results
+
+
+def _refuse_useless(flight: Flight, outcomes: Sequence[Outcome]) -> None:
+    """Raise what the first method raised where none can use a flight: it cannot feed the model."""
+    refusals = [o for o in outcomes if isinstance(o, UserError)]
+    if len(refusals) == len(outcomes):
+        raise refusals[0]
+
+
+def _split(outcomes: Mapping[str, Outcome]) -> tuple[dict[str, Result], dict[str, str]]:
+    """Results, and sentences on why there are none, by method."""
+    results = {m: o for m, o in outcomes.items() if isinstance(o, Result)}
+    return results, {m: _why(o) for m, o in outcomes.items() if not isinstance(o, Result)}
+
+
+def _why(error: Outcome) -> str:
+    if isinstance(error, UserError):
+        return str(error)
+    return f"failed in its arithmetic ({error}): the record is unstable or too poor for this method; use another"
 
 
 def run_method(

@@ -7,11 +7,19 @@ import numpy as np
 
 from estimation.estimators.result import Result
 from estimation.estimators.uncertainty import companions
+from estimation.models.base import ParameterRole
 from estimation.signals.preprocess import noise_level
 
 UNEXPLAINED = 0.5  # r2 below which a channel is not explained
 AUDIBLE = 3.0  # residual in units of the channel's white noise from which that is no matter of noise
 FAR = 8.0  # times what was believed
+SURE = 2.0  # bounds by which a constant must lie beyond what is possible
+TRIM = 0.26  # rad (15 deg) of sideslip or surface that a lateral constant may stand for: no aircraft is flown further out of trim
+SYMMETRIC = ("CY", "Cl", "Cn")  # coefficients that vanish in symmetric flight: their constants are offsets
+
+LARGEST_BIAS = {"m/s2": 1.0, "rad/s": 0.05, "rad": 0.1, "m/s": 5.0}
+"""Unit -> bias beyond what an instrument can have: an accelerometer a tenth of g, a gyro 3 deg/s (an uncalibrated MEMS sensor),
+an angle 6 deg (a vane in the airframe's upwash), an airspeed 5 m/s (position error of a light aircraft)."""
 
 
 class DoubtKind(Enum):
@@ -20,6 +28,14 @@ class DoubtKind(Enum):
     UNEXPLAINED = "unexplained channel"
     SIGN = "sign of a control"
     UNIT = "unit of a control"
+    FAILED = "failed"
+    PROCESS_NOISE = "process noise"
+    COLOURED = "coloured innovations"
+    DISAGREEMENT = "methods disagree"
+    INSTRUMENT = "impossible instrument"
+    JOINT = "joint outside its members"
+    SCATTER = "scatter beyond bounds"
+    EXTRAPOLATION = "beyond what was flown"
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,3 +85,34 @@ def _doubts_of_control(result: Result, column: str, control: str) -> list[Doubt]
             times = ", ".join(f"{r:.2g}" for r in ratios.values())
             return [Doubt(DoubtKind.UNIT, f"{names}: {times} times what was believed: check the unit of {column}")]
     return []
+
+
+def impossible(result: Result) -> list[str]:
+    """Biases and constants that no instrument and no trim can have, by more than their bounds; one sentence each."""
+    said = []
+    for e in (*result.parameters.values(), *(o for f in result.flights for o in f.local.values())):
+        parameter = result.model.parameter(e.name)
+        beyond = abs(e.estimate) - SURE * e.std_coloured
+        if parameter.role is ParameterRole.INSTRUMENT and e.name.startswith("bias_"):
+            most = LARGEST_BIAS.get(parameter.unit, np.inf)
+            if beyond > most:
+                said.append(
+                    f"{e.name} = {e.estimate:.3g} {parameter.unit} is no bias of an instrument (at most {most:g})"
+                )
+        elif parameter.role is ParameterRole.CONSTANT and e.name.partition("_")[0] in SYMMETRIC:
+            angle = beyond / _strongest(result, e.name.partition("_")[0])
+            if angle > TRIM:
+                said.append(
+                    f"{e.name} = {e.estimate:.3g} stands for {np.degrees(angle):.0f} deg of sideslip or surface out of trim"
+                )
+    return list(dict.fromkeys(said))
+
+
+def _strongest(result: Result, coefficient: str) -> float:
+    """Largest derivative [1/rad] of a coefficient by sideslip or a surface; infinite where none can be told."""
+    told = [
+        abs(e.estimate)
+        for n, e in result.parameters.items()
+        if e.identifiable and n.partition("_")[0] == coefficient and n.partition("_")[2] in ("beta", "da", "dr")
+    ]
+    return max(told, default=0.0) or np.inf

@@ -1,7 +1,7 @@
 """Everything one call of `estimate` found, as it is printed, written as JSON (names as in the interface description) and
 handed to the report."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -11,6 +11,7 @@ from estimation.estimators.result import Result, finite
 from estimation.models.base import Model
 from estimation.session.sanity_checks import Doubt, doubts_of
 from estimation.session.scatter import Scatter
+from estimation.session.verdict import Verdict
 from groundstation.flight import Flight
 from groundstation.flight.notes import texts
 
@@ -22,6 +23,7 @@ class FlightEstimates:
     flight: Flight
     results: Mapping[str, Result]
     failures: Mapping[str, str] = field(default_factory=dict)
+    verdict: Verdict | None = None
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -41,7 +43,9 @@ class FlightEstimates:
 
 @dataclass(frozen=True)
 class Session:
-    """Everything one call of `estimate` found. truth: derivatives of simulated flights, to be shown beside the means."""
+    """Everything one call of `estimate` found. truth: derivatives of simulated flights, to be shown beside the means.
+
+    joint_failures: method -> why it left no joint estimate; verdict: on the joint estimates, where there are any."""
 
     aircraft: Aircraft
     model: Model
@@ -50,17 +54,22 @@ class Session:
     joint: Mapping[str, Result]
     mean: Mapping[str, Mapping[str, Scatter]]
     truth: Mapping[str, float] = field(default_factory=dict)
+    joint_failures: Mapping[str, str] = field(default_factory=dict)
+    verdict: Verdict | None = None
 
     @property
     def leading(self) -> Result | None:
-        """The joint estimate that figures and tables of one estimate show: the usual method's, else the first."""
-        return self.joint.get(names()[0]) or next(iter(self.joint.values()), None)
+        """The joint estimate that figures and tables of one estimate show: the recommended, else the usual method's, else the
+        first."""
+        best = "" if self.verdict is None else self.verdict.recommended.method
+        return self.joint.get(best) or self.joint.get(names()[0]) or next(iter(self.joint.values()), None)
 
     @property
     def converged(self) -> bool:
         """Whether every method came to a usable end on every flight."""
         each = [r for f in self.flights for r in f.results.values()] + list(self.joint.values())
-        return bool(each) and all(r.converged for r in each) and not any(f.failures for f in self.flights)
+        lost = self.joint_failures or any(f.failures for f in self.flights)
+        return bool(each) and all(r.converged for r in each) and not lost
 
     @property
     def text(self) -> str:
@@ -68,6 +77,7 @@ class Session:
         bad = [f"{f.flight.name} ({m})" for f in self.flights for m, r in f.results.items() if not r.converged]
         bad += [f"{f.flight.name} ({m})" for f in self.flights for m in f.failures]
         bad += [f"joint ({m})" for m, r in self.joint.items() if not r.converged]
+        bad += [f"joint ({m})" for m in self.joint_failures]
         if bad:
             return f"not converged: {', '.join(bad)}"
         blind = sorted(
@@ -102,6 +112,8 @@ class Session:
             },
             "joint": {method: r.to_json() for method, r in self.joint.items()},
             "collinear": [list(pair) for pair in collinear],
+            **_verdict_json(self.verdict),
+            **({"joint_failures": dict(self.joint_failures)} if self.joint_failures else {}),
             **({"truth": dict(self.truth)} if self.truth else {}),
             "scatter": {
                 method: {
@@ -122,6 +134,17 @@ def _flight_json(f: FlightEstimates) -> dict[str, Any]:
     }
     for method, why in f.failures.items():
         data["methods"][method] = {"converged": False, "status": why, "parameters": {}, "fit": {}}
+    data |= _verdict_json(f.verdict, f.doubts)
     data["notes"] = list(f.notes)
     data["provenance"] = {"path": f.flight.provenance.path, "sha256": f.flight.provenance.sha256}
     return data
+
+
+def _verdict_json(verdict: Verdict | None, more: Sequence[Doubt] = ()) -> dict[str, Any]:
+    """`recommended` and `doubts`; nothing where there is no verdict. more: doubts beside those of the verdict."""
+    if verdict is None:
+        return {}
+    return {
+        "recommended": verdict.recommended.to_json(),
+        "doubts": [d.to_json() for d in (*verdict.doubts, *more)],
+    }

@@ -22,6 +22,8 @@ class NoteKind(Enum):
     NOT_MEASURED = "not measured"  # wholly or in part
     LEFT_OUT = "left out"  # samples or channels that a fit does not see
     STUCK = "stuck"  # a sensor that repeats one value
+    HELD = "held"  # a sensor slower than the samples, whose last value is repeated
+    OUTLIER = "outlier"  # values that no motion makes
     DERIVED = "derived"  # a column made from others
     UNLIKELY = "unlikely"  # values that look like another unit
 

@@ -17,6 +17,7 @@ from groundstation.flight.manoeuvres import CONTROLS, find_manoeuvres
 from groundstation.flight.noise import noise
 from groundstation.flight.notes import NoteKind
 from groundstation.flight.plausibility import suspicions
+from groundstation.flight.repeats import BIG, quantum, repeats, runs_of
 from groundstation.flight.skew import Skew, attitude_skew, control_skew
 
 Array = NDArray[np.float64]
@@ -36,6 +37,9 @@ SENSOR_NOISE = {
 
 ATTITUDE_LATE = 0.025
 """Delay of an attitude behind the gyro [s] worth a warning; slow corrections of its filter look like up to 15 ms."""
+
+COARSE = 0.2
+"""Share of samples that equal the one before from which a channel's step is told."""
 
 _DEG = float(np.degrees(1.0))
 
@@ -149,11 +153,11 @@ def dropouts(flight: Flight) -> Finding:
 
 
 def stale_samples(flight: Flight) -> Finding:
-    """Columns slower than their clock: more than a fifth of the samples repeat the one before, or 1 s without change.
+    """Columns slower than their clock, and sensors stuck while the motion must have moved them (`groundstation.flight.repeats`).
 
-    Fails when a column that moves in flight never changes.
+    Fails when a column that moves in flight never changes. A coarse step in steady flight is no fault, and only told.
     """
-    words = []
+    words, coarse = [], []
     verdict: Verdict = "warn"
     for name, values in _measured(flight):
         if name not in MOVING:
@@ -168,21 +172,29 @@ def stale_samples(flight: Flight) -> Finding:
             )
             continue
         same = np.diff(finite) == 0
-        levels = np.unique(finite).size
-        if levels > 30 and float(same.mean()) > 0.2:
-            rate = (1 - float(same.mean())) / flight.sample_interval
+        found = repeats(flight, name)
+        rate = (1 - float(same.mean())) / flight.sample_interval
+        if found.slow:
             words.append(
                 f"{name} repeats {same.mean():.0%} of its samples: new values come at about {rate:.3g} Hz only"
             )
-        elif _longest(same) * flight.sample_interval > 1.0:
+        elif found.stuck.any():
+            longest = _longest(found.stuck) * flight.sample_interval
             words.append(
-                f"{name} stands still for {_longest(same) * flight.sample_interval:.2g} s: stuck sensor or old values"
+                f"{name} stands still for {longest:.2g} s while it must have moved: stuck sensor or old values"
             )
-    return _finding("stale samples", _first(words), "no column repeats old values", verdict)
+        elif float(same.mean()) > COARSE:
+            coarse.append(f"{name} in steps of {found.quantum:.2g} {_unit(name)}".rstrip())
+    good = "no column repeats old values" + (f"; coarse: {', '.join(coarse)}" if coarse else "")
+    return _finding("stale samples", _first(words), good, verdict)
 
 
 def clipping(flight: Flight) -> Finding:
-    """Values that pile up at the largest or smallest one: three or more in a row, or flagged by the calibration."""
+    """Values cut off at the largest or smallest one while they moved: three or more in a row, or flagged by the calibration.
+
+    The flat top of a coarse channel is entered in steps of its quantum, and a control that rests, or holds what was
+    commanded, stands still without a stop; a surface is at a stop where its command goes on.
+    """
     words = [f"{c}: {n} samples at the end of the sensor's range" for c, n in _detail(flight, "clipped").items()]
     for name, values in _measured(flight):
         if name not in (*MOVING, *CONTROLS):
@@ -195,11 +207,27 @@ def clipping(flight: Flight) -> Finding:
         usual = _longest(np.diff(inner) == 0) + 1
         for extreme, side in ((finite.max(), "largest"), (finite.min(), "smallest")):
             at = finite == extreme
-            if _longest(at) >= max(3, 2 * usual + 1):
+            if _longest(at) >= max(3, 2 * usual + 1) and _cut_off(flight, name, at):
                 words.append(
                     f"{name} stays at its {side} value {extreme:.4g} for {int(at.sum())} samples: clipped or at a stop"
                 )
     return _finding("clipping", _first(words), "no column stands at an end of its range")
+
+
+def _cut_off(flight: Flight, name: str, at: NDArray[np.bool_]) -> bool:
+    """Whether the longest stay of a column at an end of its range ends its movement. at: of its finite samples."""
+    known = np.flatnonzero(np.isfinite(flight[name]))
+    values = flight[name][known]
+    first, stop = max(runs_of(at), key=lambda run: run[1] - run[0])
+    if name in CONTROLS:
+        command = f"cmd_{name.removeprefix('delta_')}"
+        if not flight.measured(command):
+            return False
+        asked = flight[command][known[first:stop]]
+        return bool(np.nanstd(asked) > BIG * max(quantum(values), noise(flight[name]) or 0.0))
+    steps = [abs(values[first] - values[first - 1])] if first else []
+    steps += [abs(values[stop - 1] - values[stop])] if stop < values.size else []
+    return bool(steps) and max(steps) >= BIG * quantum(values)
 
 
 def spikes(flight: Flight) -> Finding:

@@ -30,6 +30,32 @@ NOISE = {
 
 
 @dataclass(frozen=True)
+class Craft:
+    """What flies: mass [kg], area [m2], span [m], inertia [kg m2], air density [kg/m3]."""
+
+    mass: float = MASS
+    area: float = AREA
+    span: float = SPAN
+    ixx: float = IXX
+    iyy: float = IYY
+    izz: float = IZZ
+    ixz: float = IXZ
+    rho: float = 1.17
+
+
+SMALL = Craft()
+JET = Craft(17_500.0, 64.0, 21.5, 2.0e5, 7.0e5, 8.5e5, 2.0e4, 0.9)
+"""The size and weight of a twin jet of some 20 t, from no record."""
+
+JET_TRUE = {
+    "CY_0": 0.0, "CY_beta": -0.9, "CY_p": 0.16, "CY_r": 0.45, "CY_dr": 0.19,
+    "Cl_0": 0.0, "Cl_beta": -0.11, "Cl_p": -0.55, "Cl_r": 0.22, "Cl_da": -0.20, "Cl_dr": 0.035,
+    "Cn_0": 0.0, "Cn_beta": 0.17, "Cn_p": -0.09, "Cn_r": -0.22, "Cn_dr": -0.13,
+}  # fmt: skip
+"""Handbook sizes of such an aircraft's derivatives, from no record."""
+
+
+@dataclass(frozen=True)
 class Case:
     """What a made flight is like. noise: standard deviations by column; gust: rms side gust [m/s], Dryden-like with
     `gust_time` [s]; servo: lag of the surfaces [s], or None for surfaces that run straight between samples; edges of
@@ -46,6 +72,7 @@ class Case:
     phase: float = 0.0
     aileron: float = 6.0 * DEG
     rudder: float = 5.0 * DEG
+    craft: Craft = SMALL
 
 
 def doublets(t: Array, starts: list[tuple[float, float, float]]) -> Array:
@@ -74,25 +101,29 @@ def fly(case: Case, rng: np.random.Generator, seeds: int = 1, fine: int = 20) ->
     alpha = (5.2 + 1.0 * np.sin(0.5 * t + 1)) * DEG
     theta = (5.5 + 2.0 * np.sin(0.4 * t)) * DEG
     q = 2.0 * DEG * np.cos(0.7 * t)
-    rho = 1.17
+    craft, rho = case.craft, case.craft.rho
     gust = _gust(case, rng, seeds, steps, h)
     c = case.true
-    inertia = IXX * IZZ - IXZ**2
+    inertia = craft.ixx * craft.izz - craft.ixz**2
 
     def rates(x: Array, k: int, da: Array, dr: Array) -> tuple[Array, Array, Array]:
         v, p, r, phi = x
         beta = np.arcsin(np.clip((v - gust[k]) / V[k], -0.9, 0.9))
-        qbar, ph, rh = 0.5 * rho * V[k] ** 2, p * SPAN / (2 * V[k]), r * SPAN / (2 * V[k])
+        qbar, ph, rh = 0.5 * rho * V[k] ** 2, p * craft.span / (2 * V[k]), r * craft.span / (2 * V[k])
         CY = c["CY_0"] + c["CY_beta"] * beta + c["CY_p"] * ph + c["CY_r"] * rh + c["CY_dr"] * dr
         Cl = c["Cl_0"] + c["Cl_beta"] * beta + c["Cl_p"] * ph + c["Cl_r"] * rh + c["Cl_da"] * da + c["Cl_dr"] * dr
         Cn = c["Cn_0"] + c["Cn_beta"] * beta + c["Cn_p"] * ph + c["Cn_r"] * rh + c["Cn_dr"] * dr
-        ay = qbar * AREA * CY / MASS
+        ay = qbar * craft.area * CY / craft.mass
         u, w = V[k] * np.cos(alpha[k]) * np.cos(beta), V[k] * np.sin(alpha[k]) * np.cos(beta)
-        L = qbar * AREA * SPAN * Cl + IXZ * p * q[k] - (IZZ - IYY) * q[k] * r
-        N = qbar * AREA * SPAN * Cn - IXZ * q[k] * r - (IYY - IXX) * p * q[k]
+        L = qbar * craft.area * craft.span * Cl + craft.ixz * p * q[k] - (craft.izz - craft.iyy) * q[k] * r
+        N = qbar * craft.area * craft.span * Cn - craft.ixz * q[k] * r - (craft.iyy - craft.ixx) * p * q[k]
         dv = ay + GRAVITY * np.cos(theta[k]) * np.sin(phi) + p * w - r * u
         dphi = p + np.tan(theta[k]) * (q[k] * np.sin(phi) + r * np.cos(phi))
-        return np.stack([dv, (IZZ * L + IXZ * N) / inertia, (IXX * N + IXZ * L) / inertia, dphi]), beta, ay
+        return (
+            np.stack([dv, (craft.izz * L + craft.ixz * N) / inertia, (craft.ixx * N + craft.ixz * L) / inertia, dphi]),
+            beta,
+            ay,
+        )
 
     x = np.zeros((4, seeds))
     surface = _surfaces(case, t, command, h, fine)

@@ -19,7 +19,7 @@ ESTIMATORS = (
         "ls",
         "equation error, least squares",
         _fit,
-        frozenset({Extra.STEPWISE, Extra.RAW_INPUTS}),
+        frozenset({Extra.STEPWISE, Extra.RAW_INPUTS, Extra.KEEP_HELD}),
         rank=4,
         look=Look("#8c6d31", "v"),
     ),

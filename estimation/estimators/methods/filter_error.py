@@ -19,7 +19,7 @@ ESTIMATORS = (
         "fem",
         "maximum likelihood, filter error",
         _fit,
-        frozenset({Extra.RAW_INPUTS}),
+        frozenset({Extra.RAW_INPUTS, Extra.KEEP_HELD}),
         rank=1,
         look=Look("#009E73", "s"),
     ),

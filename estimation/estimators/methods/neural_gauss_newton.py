@@ -13,7 +13,7 @@ def _form(name: str, title: str, improved: bool, rank: int, look: Look) -> Estim
         from estimation.estimators.neural_gauss_newton import estimate_ngn
 
         return estimate_ngn(
-            task.aircraft, task.flights, model=task.model, improved=improved, device=task.device,
+            task.aircraft, task.repaired, model=task.model, improved=improved, device=task.device,
             bootstraps=task.extras.bootstrap or None, seed=task.extras.seed,
         )  # fmt: skip
 
@@ -21,12 +21,19 @@ def _form(name: str, title: str, improved: bool, rank: int, look: Look) -> Estim
         from estimation.estimators.neural_gauss_newton import estimate_campaign
 
         return estimate_campaign(
-            task.aircraft, task.flights, model=task.model, improved=improved, device=task.device,
+            task.aircraft, task.repaired, model=task.model, improved=improved, device=task.device,
             bootstraps=task.extras.bootstrap or None, seed=task.extras.seed,
         )  # fmt: skip
 
     return Estimator(
-        name, title, fit, frozenset({Extra.BOOTSTRAP, Extra.SEED}), fit_each, rank, look, needs_aircraft=True
+        name,
+        title,
+        fit,
+        frozenset({Extra.BOOTSTRAP, Extra.SEED, Extra.KEEP_HELD}),
+        fit_each,
+        rank,
+        look,
+        needs_aircraft=True,
     )
 
 

@@ -36,7 +36,7 @@ ESTIMATORS = (
         "ml",
         "maximum likelihood, output error",
         _fit,
-        frozenset({Extra.PROFILE, Extra.BOOTSTRAP, Extra.SEED, Extra.RAW_INPUTS}),
+        frozenset({Extra.PROFILE, Extra.BOOTSTRAP, Extra.SEED, Extra.RAW_INPUTS, Extra.KEEP_HELD}),
         rank=0,
         look=Look("#0072B2", "o"),
     ),

@@ -1,0 +1,122 @@
+"""What of a flight's columns is a measurement: wild values taken out, repeats of slow and of stuck sensors marked.
+
+Everything left out is said in a note that names the column, and can be kept (`keep_held`).
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimation.engine.kernel import Array
+from estimation.engine.plausible import refuse_other_time_unit, wild
+from groundstation.flight import Flight
+from groundstation.flight.notes import Note, NoteKind
+from groundstation.flight.repeats import Repeats, repeats
+
+KEEP = "--keep-held keeps them"
+
+
+@dataclass(frozen=True)
+class Conditioned:
+    """flight: without wild values. found: column -> its repeated values; empty where they are kept. notes: on wild values and
+    on what stands still with everything else."""
+
+    flight: Flight
+    found: Mapping[str, Repeats]
+    notes: tuple[Note, ...]
+
+    def fresh(self, column: str) -> NDArray[np.bool_]:
+        """(N,) samples at which a column shows a measurement, and no repeat of a slow sensor."""
+        told = np.isfinite(self.flight[column])
+        return told & ~self.found[column].held if column in self.found else told
+
+    def stuck(self, column: str) -> NDArray[np.bool_]:
+        """(N,) samples at which a column's sensor is stuck."""
+        return self.found[column].stuck if column in self.found else np.zeros(len(self.flight), bool)
+
+    def compared(self, column: str) -> tuple[Array, list[Note]]:
+        """The column as an output: NaN where it shows no measurement; and what was left out, one note a reason."""
+        values, notes = self.flight[column].copy(), []
+        missing = int((~np.isfinite(values)).sum())
+        if missing:
+            text = f"{column} not measured at {missing} samples: not compared there"
+            notes.append(Note(NoteKind.NOT_MEASURED, text, ((column, column),)))
+        notes += self.of_slow(column, "repeats are not compared")
+        notes += self.of_stuck(column, f"not compared there; {KEEP}")
+        values[~self.fresh(column) | self.stuck(column)] = np.nan
+        return values, notes
+
+    def of_slow(self, column: str, what: str) -> list[Note]:
+        """The note on a slow sensor, if it is one."""
+        if column not in self.found or not self.found[column].slow:
+            return []
+        held = int(self.found[column].held.sum())
+        text = (
+            f"{column} is slower than the samples: new values come at {self.found[column].rate:.3g} Hz, {held} of "
+            f"{len(self.flight)} samples repeat the last: {what}; {KEEP}"
+        )
+        return [Note(NoteKind.HELD, text, ((column, column),))]
+
+    def of_stuck(self, column: str, what: str) -> list[Note]:
+        """The note on a stuck sensor, if it is one."""
+        still = self.stuck(column)
+        if not still.any():
+            return []
+        text = (
+            f"{column} repeats one value for {int(still.sum())} samples from t = {self.flight.time[still][0]:g} s on, while "
+            f"its noise or the other channels say that it must have moved: {what}"
+        )
+        return [Note(NoteKind.STUCK, text, ((column, column),))]
+
+
+def conditioned(flight: Flight, columns: Iterable[str], *, keep_held: bool = False) -> Conditioned:
+    """Look at the named columns (those that are measured). keep_held: repeated values are taken for measurements.
+
+    Raises DataError where time is in another unit.
+    """
+    refuse_other_time_unit(flight)
+    names = [c for c in dict.fromkeys(columns) if flight.measured(c)]
+    notes, changed = [], {}
+    for name in names:
+        off = wild(flight[name])
+        if off.any():
+            changed[name] = np.where(off, np.nan, flight[name])
+            notes.append(_wild_note(flight, name, off))
+    if changed:
+        flight = flight.with_columns(**changed)
+    found = {} if keep_held else {name: repeats(flight, name) for name in names}
+    return Conditioned(flight, found, tuple(notes))
+
+
+def repaired(flight: Flight, columns: Iterable[str], *, keep_held: bool = False) -> Conditioned:
+    """The flight for a method that reads its columns itself: wild values and repeats of slow sensors on straight lines between
+    their neighbours, samples of stuck sensors NaN; all said in the notes."""
+    told = conditioned(flight, columns, keep_held=keep_held)
+    notes, changed = list(told.notes), {}
+    for name in dict.fromkeys(columns):
+        if not told.flight.measured(name):
+            continue
+        measured = told.fresh(name) & ~told.stuck(name)
+        between = (~np.isfinite(told.flight[name]) & np.isfinite(flight[name])) | (
+            told.found[name].held if name in told.found else False
+        )
+        if not measured.any() or not (between.any() or told.stuck(name).any()):
+            continue
+        values = np.where(measured, told.flight[name], np.nan)
+        values[between] = np.interp(flight.time[between], flight.time[measured], values[measured])
+        changed[name] = values
+        notes += told.of_slow(name, "taken on straight lines between new values")
+        notes += told.of_stuck(name, f"left out there; {KEEP}")
+    return Conditioned(told.flight.with_columns(**changed), told.found, tuple(notes))
+
+
+def _wild_note(flight: Flight, name: str, off: NDArray[np.bool_]) -> Note:
+    at = np.flatnonzero(off)
+    count = f"{at.size} wild values" if at.size > 1 else "a wild value"
+    text = (
+        f"{name}: {count} left out, far beyond all others: {flight[name][at[0]]:.3g} at t = {flight.time[at[0]]:g} s"
+        + (" first" if at.size > 1 else "")
+    )
+    return Note(NoteKind.OUTLIER, text, ((name, name),))

@@ -1,0 +1,288 @@
+"""Whom to believe: one recommended method for a flight, or for all flights together, and the reason; `none` where none is.
+
+What is looked at: whether the filter error gains over output error beyond chance (process noise: gusts, or a model that lacks
+something), or, without a filter error, how well residuals predict their successors; whether methods agree within their joint
+bounds; biases and constants against what instruments and trims can be; a joint estimate against its members; scatter
+over flights against bounds; flights that move beyond all others. Thresholds are from the study kept in
+docs/estimation.md (`tests/studies/verdict_study.py`).
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from estimation.estimators.result import Estimate, Result
+from estimation.models.base import ParameterRole
+from estimation.session.evidence import ProcessNoise, gain_of_filter, predictability
+from estimation.session.sanity_checks import Doubt, DoubtKind, doubts_of, impossible
+from estimation.session.scatter import scatter
+
+NOBODY = "none"
+TRUST: Mapping[str, int] = {"ml": 0, "fem": 1, "ngn-improved": 2, "ls": 3, "ngn": 4}
+"""Order of trust where nothing else decides: rms error over bound in still air, ml nearest to 1 (docs/estimation.md)."""
+
+REGRESSIONS: Mapping[str, float] = {"ls": 0.15, "ngn": 0.15, "ngn-improved": 0.05}
+"""Methods that take measured motion for truth -> the part of a derivative by which that is known to move it, which their
+bounds leave out (docs/ngn.md: 10-15 % and 5 % against truth)."""
+
+NOISY = 0.6  # mean log ratio of variances, ml over fem: calm and light air up to 0.35, gusts of 0.5 deg from 0.96
+PREDICTABLE = 0.4  # mean of -log(1 - rho^2) of neighbouring residuals: light air up to 0.19, gusts of 0.5 deg from 0.67
+COLOURED = 0.3  # correlation of neighbouring innovations: a right model leaves 0.2 at most in 60 flights
+APART = 3.0  # joint bounds between two methods that should agree
+OUTSIDE = 1.0  # of its own bound that a joint estimate may lie beyond all its members
+BEYOND = 1.5  # times what any other flight reached, from which a flight stretches a shared linear model
+
+
+@dataclass(frozen=True, slots=True)
+class Recommendation:
+    """The method to believe, or `none`, and why: a sentence."""
+
+    method: str
+    why: str
+
+    @property
+    def text(self) -> str:
+        """As it is printed and shown on the page."""
+        return f"{self.method}: {self.why}"
+
+    def to_json(self) -> dict[str, str]:
+        """As `recommended` in `estimate --json`."""
+        return {"method": self.method, "why": self.why}
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What is recommended of one set of results, and what is doubted in it."""
+
+    recommended: Recommendation
+    doubts: tuple[Doubt, ...] = ()
+
+
+@dataclass
+class _Case:
+    """Results of one flight or of all together, as evidence is gathered. against: method -> why it is not to be believed."""
+
+    results: Mapping[str, Result]
+    against: dict[str, str] = field(default_factory=dict)
+    doubts: list[Doubt] = field(default_factory=list)
+
+    @property
+    def left(self) -> list[str]:
+        """Methods that nothing speaks against, the most trusted first."""
+        sound = [m for m in self.results if m not in self.against]
+        return sorted(sound, key=lambda m: TRUST.get(m, len(TRUST)))
+
+    def object_to(self, method: str, kind: DoubtKind, text: str) -> None:
+        """Note a doubt that speaks against a method."""
+        self.doubts.append(Doubt(kind, f"{method}: {text}"))
+        self.against.setdefault(method, text)
+
+
+def verdict(
+    results: Mapping[str, Result],
+    failures: Mapping[str, str] | None = None,
+    members: Mapping[str, Sequence[Result]] | None = None,
+) -> Verdict:
+    """The verdict on the results of several methods on the same data. members: of a joint estimate, each flight's by method."""
+    case = _Case(results)
+    for method, why in (failures or {}).items():
+        case.doubts.append(Doubt(DoubtKind.FAILED, f"{method}: {why}"))
+    for method, result in results.items():
+        _own_doubts(case, method, result)
+    for method, many in (members or {}).items():
+        if method in results and len(many) > 1:
+            _members(case, method, results[method], many)
+    if members:
+        case.doubts += _stretched(next(iter(results.values()), None))
+    return Verdict(_choice(case), tuple(case.doubts))
+
+
+def _own_doubts(case: _Case, method: str, result: Result) -> None:
+    """What one result says against itself."""
+    if not result.converged:
+        case.object_to(method, DoubtKind.FAILED, result.text)
+        return
+    for text in impossible(result):
+        case.object_to(method, DoubtKind.INSTRUMENT, text)
+    for doubt in doubts_of(result):
+        if doubt.kind in (DoubtKind.SIGN, DoubtKind.UNIT):
+            case.against.setdefault(method, doubt.text)
+    if not any(e.identifiable for e in result.parameters.values()):
+        case.against.setdefault(method, "it can tell none of the parameters")
+
+
+# ------------------------------------------------------------------------------------------------------------ the choice
+
+
+def _choice(case: _Case) -> Recommendation:
+    """The method to believe."""
+    if not case.results:
+        return Recommendation(NOBODY, "no method came to a result")
+    noise = _process_noise(case)
+    if noise.present and "ml" in case.results:
+        case.against.setdefault("ml", noise.text)
+    for method in (m for m in ("ml", "fem") if m in case.left):
+        if contradicted := _contradicted(case, method):
+            case.object_to(method, DoubtKind.DISAGREEMENT, contradicted)
+        else:
+            return Recommendation(method, _why(case, method, noise))
+    return _without_likelihood(case)
+
+
+def _process_noise(case: _Case) -> ProcessNoise:
+    """Whether process noise drives the residuals of output error; a doubt where it does."""
+    ml, fem = case.results.get("ml"), case.results.get("fem")
+    if fem is not None and "fem" not in case.against:
+        _judge_innovations(case, fem)
+    if ml is None or not ml.converged:
+        return ProcessNoise(fem is not None, "")
+    if fem is not None and "fem" not in case.against:
+        found = gain_of_filter(ml, fem)
+        apart = _furthest(ml, fem)
+        present = found.beyond_chance and (found.size > NOISY or (apart is not None and apart[1] > APART))
+        text = (
+            f"process noise (gusts, or what the model lacks): filter error gains {found.gain:.0f} in twice the log likelihood "
+            f"over output error, chance {found.chance:.0f}, and takes {1.0 - math.exp(-0.5 * found.size):.0%} off the residuals"
+        )
+        said = ProcessNoise(present, text)
+    else:
+        size = predictability(ml)
+        text = (
+            f"its residuals follow one another ({1.0 - math.exp(-0.5 * size):.0%} of them is foretold by the sample before): "
+            "gusts, or what the model lacks, move the aircraft; estimate with --method ml,fem,ls"
+        )
+        said = ProcessNoise(size > PREDICTABLE, text)
+    if said.present:
+        case.doubts.append(Doubt(DoubtKind.PROCESS_NOISE, f"ml: {said.text}"))
+    return said
+
+
+def _judge_innovations(case: _Case, fem: Result) -> None:
+    """Innovations of a right model are white; where they are not, the filter has not taken up what drives the aircraft."""
+    from estimation.session.evidence import neighbours
+
+    worst = max(neighbours(fem).items(), key=lambda item: abs(item[1]), default=("", 0.0))
+    if abs(worst[1]) > COLOURED:
+        text = f"innovations of {worst[0]} are not white (neighbours correlate by {worst[1]:+.2f}): the model lacks something"
+        case.object_to("fem", DoubtKind.COLOURED, text)
+
+
+def _contradicted(case: _Case, method: str) -> str:
+    """What the sound regressions say against a likelihood that would be recommended; empty unless all of them contradict it.
+
+    They err each in its own way, so one that agrees outweighs one that does not. Output error is no witness against a filter
+    error, nor the other way round: where they differ the test of process noise has decided.
+    """
+    witnesses = [m for m in case.left if m in REGRESSIONS]
+    said = []
+    for other in witnesses:
+        apart = _furthest(case.results[method], case.results[other], REGRESSIONS[other])
+        if apart is None or apart[1] <= APART:
+            return ""
+        said.append(f"{apart[0]} lies {apart[1]:.1f} joint bounds from that of {other}")
+    return " and ".join(said)
+
+
+def _without_likelihood(case: _Case) -> Recommendation:
+    """Where neither likelihood is to be believed: a regression that another regression confirms to within bounds alone."""
+    regressions = [m for m in case.left if m in REGRESSIONS]
+    for i, method in enumerate(regressions):
+        for other in regressions[i + 1 :]:
+            apart = _furthest(case.results[method], case.results[other])
+            if apart is not None and apart[1] <= APART:
+                why = f"no likelihood is to be believed here ({_said(case)}), and {method} and {other} agree within their bounds"
+                return Recommendation(method, why)
+    others = [m for m in case.left if m not in REGRESSIONS and m not in ("ml", "fem")]
+    if others:
+        return Recommendation(others[0], "nothing that is looked at speaks against it")
+    if regressions:
+        why = f"{regressions[0]} takes measured motion for truth, which its bounds leave out; nothing confirms it"
+        return Recommendation(NOBODY, _joined(why, _said(case)))
+    return Recommendation(NOBODY, _said(case))
+
+
+def _said(case: _Case) -> str:
+    return "; ".join(f"{m}: {why}" for m, why in case.against.items())
+
+
+def _joined(*sentences: str) -> str:
+    return "; ".join(s for s in sentences if s)
+
+
+def _why(case: _Case, method: str, noise: ProcessNoise) -> str:
+    """Why a likelihood is recommended."""
+    witnesses = [m for m in case.left if m in REGRESSIONS]
+    agree = f"it agrees with {' and '.join(witnesses)}" if witnesses else ""
+    if method == "fem":
+        return _joined(noise.text or "its innovations are white", agree)
+    if "fem" in case.left:
+        quiet = "no process noise to speak of: filter error gains little over it"
+    else:
+        quiet = "its residuals do not follow one another more than noise of the inputs makes them"
+    return _joined(quiet, agree)
+
+
+def _furthest(a: Result, b: Result, share: float = 0.0) -> tuple[str, float] | None:
+    """The parameter in which two results differ most, and by how many joint bounds. share: known error of `b`, of its value."""
+    found = [
+        (n, abs(e.estimate - o.estimate) / joint)
+        for n, e, o in _both(a, b)
+        if (joint := math.hypot(e.std_coloured, o.std_coloured, share * o.estimate)) > 0.0
+    ]
+    return max(found, key=lambda item: item[1], default=None)
+
+
+def _both(a: Result, b: Result) -> list[tuple[str, Estimate, Estimate]]:
+    """Derivatives that both results can tell. Constants are left out: methods need not agree on what trim is."""
+    names = a.model.free_of(ParameterRole.DERIVATIVE)
+    pairs = [(n, a.parameters[n], b.parameters[n]) for n in names if n in a.parameters and n in b.parameters]
+    return [(n, e, o) for n, e, o in pairs if e.identifiable and o.identifiable]
+
+
+# ------------------------------------------------------------------------------------------------- joint and its members
+
+
+def _members(case: _Case, method: str, joint: Result, members: Sequence[Result]) -> None:
+    """Doubts about a joint estimate that its members give: outside all of them, or bounds that their scatter denies."""
+    for name, e in joint.parameters.items():
+        told = [r.parameters[name] for r in members if name in r.parameters and r.converged]
+        told = [o for o in told if o.identifiable]
+        if not e.identifiable or e.local or len(told) < 2:
+            continue
+        nearest = min(told, key=lambda o: abs(o.estimate - e.estimate))
+        low, high = min(o.estimate for o in told), max(o.estimate for o in told)
+        off = max(low - e.estimate, e.estimate - high)
+        bound = math.hypot(e.std_coloured, nearest.std_coloured)
+        if off > OUTSIDE * max(e.std_coloured, nearest.std_coloured):
+            where = f"outside its members ({low:.3g} to {high:.3g}) by {off / bound:.1f} joint bounds"
+            text = f"joint {name} {e.estimate:.3g} lies {where}"
+            case.doubts.append(Doubt(DoubtKind.JOINT, f"{method}: {text}"))
+            if off > APART * bound:
+                case.against.setdefault(method, text)
+    for name, s in scatter(members).items():
+        if s.text:
+            case.doubts.append(Doubt(DoubtKind.SCATTER, f"{method}, {name}: {s.text}"))
+
+
+def _stretched(joint: Result | None) -> list[Doubt]:
+    """Flights that move far beyond all others, which a shared linear model then extrapolates to."""
+    if joint is None or len(joint.flights) < 2:
+        return []
+    found = []
+    for c, name in enumerate(joint.model.output_names):
+        reached = [float(np.max(np.abs(_centred(joint, i, c)))) for i in range(len(joint.flights))]
+        first, second = sorted(reached, reverse=True)[:2]
+        if second > 0.0 and first > BEYOND * second:
+            who = joint.flights[reached.index(first)].name
+            far = f"{who} moves {name} {first / second:.1f} times as far as any other flight"
+            text = f"{far}: one linear model is stretched there"
+            found.append(Doubt(DoubtKind.EXTRAPOLATION, text))
+    return found
+
+
+def _centred(joint: Result, flight: int, channel: int) -> np.ndarray:
+    values = joint.flights[flight].measured[:, channel]
+    known = values[np.isfinite(values)]
+    return known - np.median(known) if known.size else np.zeros(1)
