@@ -43,9 +43,14 @@ VERBS: dict[str, Verb] = {
     "view": Verb("groundstation.cli.live", "view", "Any recording or flight in rerun."),
     "calibrate": Verb("groundstation.cli.data", "calibrate", "Counts to SI: a raw recording to a flight."),
     "bench": Verb("groundstation.cli.data", "bench", "Fit calibration curves from bench recordings."),
-    "import": Verb("groundstation.cli.data", "import_", "CSV, Parquet, ULog or MAVLink log to a flight."),
+    "import": Verb(
+        "sideslip.importing", "import_", "CSV, Parquet, MATLAB, ULog, dataflash or MAVLink log to a flight."
+    ),
     "export": Verb("sideslip.export", "export", "Flights, recordings and models for other programs."),
     "check": Verb("estimation.commands.check", "check", "Data compatibility and data quality."),
+    "reconstruct": Verb(
+        "estimation.commands.reconstruct", "reconstruct", "Air data and wind of an aircraft without vanes."
+    ),
     "estimate": Verb("estimation.commands.estimate", "estimate", "Aerodynamic parameters with bounds."),
     "match": Verb("estimation.commands.match", "match", "Proof of match on flights not used for the estimate."),
     "design": Verb("estimation.commands.design", "design", "Inputs designed from what is known, under limits."),

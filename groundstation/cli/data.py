@@ -111,7 +111,7 @@ def calibrate(
 
 
 @click.command("import")
-@click.argument("data", type=click.Path(path_type=Path))
+@click.argument("data", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="DATA...")
 @click.option(
     "-o",
     "--output",
@@ -120,14 +120,19 @@ def calibrate(
     callback=tried_file,
     help="Flight to write: .mcap, .csv or .parquet.",
 )
-@click.option("--map", "mapping", type=click.Path(path_type=Path), help="Mapping file: columns, units, signs, time.")
+@click.option(
+    "--map",
+    "mapping",
+    type=click.Path(path_type=Path),
+    help="Mapping file: columns, units, signs, time; or the name of an example, such as ardupilot-elevon.",
+)
 @click.option("--aircraft", help="Built-in aircraft or an AIRCRAFT.toml that the flight is of and carries.")
 @click.option("--rate", type=click.FloatRange(min=0, min_open=True, max=1000), help="Resample to so many Hz.")
 @click.option("--accept-implausible", is_flag=True, help="Import values that look like another unit, with a note.")
 @_SPLIT
 @_JSON
 def import_(
-    data: Path,
+    data: tuple[Path, ...],
     output: Path,
     mapping: Path | None,
     aircraft: str | None,
@@ -136,7 +141,9 @@ def import_(
     split: bool,
     report: Path | None,
 ) -> None:
-    """Turn somebody else's DATA into a flight: CSV, Parquet, PX4 ULog, ArduPilot .bin or MAVLink .tlog.
+    """Turn somebody else's DATA into a flight: CSV, Parquet, MATLAB, PX4 ULog, ArduPilot .bin or MAVLink .tlog.
+
+    Several files are records in a row, and become segments of one flight.
 
     Example: sideslip import log.csv --map log_map.toml -o flight.mcap
     """

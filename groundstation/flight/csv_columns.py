@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.contract.channels import COLUMN_BY_NAME
 from daq.contract.errors import UserError
 from daq.contract.plain_words import one_line, plain_name
 from groundstation.flight.parquet_columns import MOST_COLUMNS
@@ -23,7 +24,8 @@ def read_csv(path: Path, error: type[UserError]) -> dict[str, Array]:
             rows = csv.reader(handle)
             header = [h.strip() for h in next(rows, [])]
             _check_header(path, header, error)
-            cells = np.fromiter(itertools.chain.from_iterable(_numbers(path, header, rows, error)), float)
+            body = _without_units(path, header, rows, error)
+            cells = np.fromiter(itertools.chain.from_iterable(_numbers(path, header, body, error)), float)
     except UnicodeDecodeError as reason:
         raise error(f"{path}: not a text file ({reason.reason} at byte {reason.start}); a CSV is expected") from reason
     except csv.Error as reason:
@@ -42,8 +44,41 @@ def _check_header(path: Path, header: list[str], error: type[UserError]) -> None
         raise error(f"{path}: column {plain_name(twice[0])} appears twice in the header")
 
 
-def _numbers(path: Path, header: list[str], rows: Iterator[list[str]], error: type[UserError]) -> Iterator[list[float]]:
-    for number, row in enumerate(rows, start=2):
+def _without_units(
+    path: Path, header: list[str], rows: Iterator[list[str]], error: type[UserError]
+) -> Iterator[tuple[int, list[str]]]:
+    """The rows with their line numbers, without a row of units below the header, as `sideslip export --units-row` writes it.
+
+    Raises `error` for units that are not those of a flight.
+    """
+    numbered = enumerate(rows, start=2)
+    first = next(numbered, None)
+    if first is None:
+        return
+    cells = [cell.strip() for cell in first[1]]
+    worded = [cell for cell in cells if cell and cell != _NUMBER]
+    if len(cells) != len(header) or not worded or any(map(_is_number, worded)):
+        yield first
+    else:
+        for name, cell in zip(header, cells, strict=True):
+            wanted = _UNITS.get(name) or (COLUMN_BY_NAME[name].unit if name in COLUMN_BY_NAME else cell)
+            if cell and cell != wanted:
+                raise error(
+                    f"{path}: line 2, column {plain_name(name)}: {one_line(cell, 60)!r} is not a number, nor the unit {wanted} "
+                    "of a flight; 'sideslip import' converts a table with other units"
+                )
+    yield from numbered
+
+
+_NUMBER = "1"
+"""Unit of numbers without one."""
+_UNITS = {"time": "s", "segment": _NUMBER}
+
+
+def _numbers(
+    path: Path, header: list[str], rows: Iterator[tuple[int, list[str]]], error: type[UserError]
+) -> Iterator[list[float]]:
+    for number, row in rows:
         if not any(cell.strip() for cell in row):
             continue
         if len(row) != len(header):

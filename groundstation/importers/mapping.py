@@ -19,6 +19,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 from daq.contract.channels import COLUMN_BY_NAME
 from daq.contract.input_files import read_toml
 from groundstation.importers.errors import ImportDataError
+from groundstation.importers.servos import Servo
 from groundstation.importers.units import conversion
 
 MAPS = Path(__file__).parent / "maps"
@@ -40,12 +41,12 @@ class Term(_Table):
 class Source(_Table):
     """Where a flight column comes from: value = sign * factor * sum(terms) [unit] + offset [unit], turned into SI.
 
-    hold: between samples the value is the last one (a command), not a straight line.
+    unit: None where the file itself states it. hold: between samples the value is the last one (a command), not a straight line.
     """
 
     column: str | None = None
     terms: tuple[Term, ...] = ()
-    unit: str = "1"
+    unit: str | None = None
     sign: Literal[1, -1] = 1
     factor: float = 1.0
     offset: float = 0.0
@@ -84,8 +85,12 @@ class Time(_Table):
 
 
 class FileFormat(_Table):
-    """How a text table is written, where it cannot be guessed. names: of the columns, for a file without a header line."""
+    """How a text table is written, where it cannot be guessed. names: of the columns, for a file without a header line.
 
+    variable: of a MATLAB file, the one that holds the records.
+    """
+
+    variable: str | None = None
     names: tuple[str, ...] = ()
     delimiter: Annotated[str, Field(pattern=r"^[^\"\r\n]$")] | None = None
     decimal: Literal[".", ","] | None = None
@@ -111,6 +116,7 @@ class Map(_Table):
     segment: str | None = None
     segment_rows: tuple[Annotated[int, Field(gt=0)], ...] = ()
     rate_hz: Annotated[float, Field(gt=0, le=1000)] | None = None
+    servos: dict[str, Servo] = {}
     columns: dict[str, Sources] = {}
 
     @model_validator(mode="after")
@@ -118,7 +124,7 @@ class Map(_Table):
         for name, sources in self.columns.items():
             column = COLUMN_BY_NAME.get(name)
             for source in sources:
-                if column is not None:
+                if column is not None and source.unit is not None:
                     try:
                         conversion(source.unit, name, column.unit)
                     except ImportDataError as error:
@@ -136,14 +142,17 @@ class Map(_Table):
                 "segment_rows": self.segment_rows or base.segment_rows,
                 "rate_hz": self.rate_hz or base.rate_hz,
                 "file": self.file,
+                "servos": {**base.servos, **self.servos},
                 "columns": {**base.columns, **self.columns},
             }
         )
 
 
 def load_map(path: str | Path) -> Map:
-    """Read a mapping file. Raises ImportDataError naming file and key."""
+    """Read a mapping file, or an example by its name (`ardupilot-elevon`). Raises ImportDataError naming file and key."""
     path = Path(path)
+    if not path.exists() and str(path) in examples():
+        path = MAPS / f"{path}.toml"
     table = read_toml(path, "file", ImportDataError)
     try:
         return Map.model_validate(table)
@@ -157,3 +166,12 @@ def load_map(path: str | Path) -> Map:
 def built_in_map(name: str) -> Map:
     """A mapping that comes with the software: 'px4', 'ardupilot' or 'mavlink'."""
     return load_map(MAPS / f"{name}.toml")
+
+
+EXAMPLE = "example: "
+"""What the title of an example mapping begins with."""
+
+
+def examples() -> tuple[str, ...]:
+    """Names of the example mappings for surfaces."""
+    return tuple(sorted(p.stem for p in MAPS.glob("*-*.toml")))

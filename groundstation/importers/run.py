@@ -3,7 +3,7 @@
 import hashlib
 import re
 import unicodedata
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -19,10 +19,12 @@ from groundstation.flight.credible_columns import credible_values
 from groundstation.flight.notes import Note, unknown_columns
 from groundstation.flight.plausibility import suspicions
 from groundstation.importers.errors import ImportDataError
-from groundstation.importers.mapping import FileFormat, Map, Source, built_in_map, load_map
+from groundstation.importers.join import joined
+from groundstation.importers.mapping import EXAMPLE, FileFormat, Map, Source, built_in_map, load_map
 from groundstation.importers.series import Log, Series, credible, grid, native_rate, resample
+from groundstation.importers.servos import with_servos
 from groundstation.importers.tables import RECORD
-from groundstation.importers.units import conversion
+from groundstation.importers.units import conversion, find_unit, known_units
 
 Array = NDArray[np.float64]
 
@@ -30,33 +32,43 @@ DEFAULT_RATE = 50.0
 """Highest rate [Hz] of the common time base of a log whose series have times of their own, unless stated."""
 
 _WRAPPED = ("phi", "psi")
-_TABLES = (".csv", ".txt", ".tsv", ".asc", ".dat", ".parquet")
+_TABLES = (".csv", ".txt", ".tsv", ".asc", ".dat", ".parquet", ".mat")
 _LOGS = (".ulg", ".bin", ".tlog")
 ENTRY_POINTS = "sideslip.importers"
 
 
 def import_data(
-    path: str | Path,
+    path: str | Path | Sequence[str | Path],
     mapping: Map | str | Path | None = None,
     *,
     rate_hz: float | None = None,
     accept_implausible: bool = False,
 ) -> Flight:
-    """A flight from somebody else's data: .csv, .parquet, .ulg (PX4), .bin (ArduPilot) or .tlog (MAVLink).
+    """A flight from somebody else's data: .csv, .parquet, .mat, .ulg (PX4), .bin (ArduPilot) or .tlog (MAVLink).
 
-    mapping: a mapping file on top of the built-in one for the format. rate_hz: resample to an even time base (always done
-    for logs, at most at DEFAULT_RATE unless stated). Values that look like another unit or sign raise ImportDataError with
-    a hint, or become notes with `accept_implausible`.
+    path: a file, or several that hold records in a row, each of which becomes a segment. mapping: a mapping file on top of the
+    built-in one for the format. rate_hz: resample to an even time base (always done for logs, at most at DEFAULT_RATE unless
+    stated). Values that look like another unit or sign raise ImportDataError with a hint, or become notes with
+    `accept_implausible`.
     """
-    path = Path(path)
-    check_file(path, error=ImportDataError)
+    paths = [Path(path)] if isinstance(path, (str, Path)) else [Path(p) for p in path]
+    if not paths:
+        raise ImportDataError("no file to import")
     given = load_map(mapping) if isinstance(mapping, (str, Path)) else mapping
-    log, chosen = _read(path, given)
+    records = []
+    for one in paths:
+        check_file(one, error=ImportDataError)
+        records += [_record(one, log, chosen, rate_hz, accept_implausible) for log, chosen in read_logs(one, given)]
+    return joined(records)
+
+
+def _record(path: Path, log: Log, chosen: Map, rate_hz: float | None, accept_implausible: bool) -> Flight:
     rate = rate_hz or chosen.rate_hz
     if not log.common or rate is not None:
         series, dropped = credible(log.series)
         said = (f"{dropped} samples with a time far from all others left out",) if dropped else ()
         log = replace(log, series=series, notes=(*log.notes, *said))
+    log, no_output = with_servos(log, chosen.servos)
     time = _time_base(path, log, chosen, rate)
     if np.isfinite(time).sum() < 2:
         raise ImportDataError(f"{path}: fewer than two samples with a time in it")
@@ -69,6 +81,10 @@ def import_data(
             f"{path}: nothing in it is known as a flight column; found {listed(log.series, 12)}; "
             "write a mapping file (--map)"
         )
+    if chosen.title.startswith(EXAMPLE):
+        notes.append("surfaces by the trim and travel of an example map: copy it and write down those of this aircraft")
+    if no_output:
+        notes.append(f"servo outputs named in the mapping and not in the file: {listed(no_output)}")
     notes = [*log.notes, *notes]
     doubts = [s.text for s in suspicions(time, columns)]
     if doubts and not accept_implausible:
@@ -85,6 +101,7 @@ def import_data(
             "format": log.kind,
             "mapping": {name: _spoken(source) for name, source in used.items()},
             "resampled_hz": None if log.common and rate is None else float(1 / np.median(np.diff(time))),
+            "native_hz": {} if log.common and rate is None else _native_rates(log, used),
             **log.detail,
         },
     )
@@ -92,10 +109,11 @@ def import_data(
     return Flight.build(path.stem, time, columns, segment=segment, provenance=provenance, notes=notes)
 
 
-def _read(path: Path, given: Map | None) -> tuple[Log, Map]:
+def read_logs(path: Path, given: Map | None = None) -> list[tuple[Log, Map]]:
+    """The records of a file, each with its mapping. Raises ImportDataError for a file that cannot be read."""
     suffix = path.suffix.lower()
     if suffix in _TABLES:
-        return _read_table(path, given)
+        return _read_tables(path, given)
     readers: dict[str, tuple[str, Callable[[Path], Log]]] = {
         ".ulg": ("px4", _ulog),
         ".ulog": ("px4", _ulog),
@@ -103,10 +121,10 @@ def _read(path: Path, given: Map | None) -> tuple[Log, Map]:
         ".tlog": ("mavlink", _tlog),
     }
     if suffix not in readers:
-        return _read_with_package(path, given)
+        return [_read_with_package(path, given)]
     name, read = readers[suffix]
     base = built_in_map(name)
-    return read(path), given.over(base) if given else base
+    return [(read(path), given.over(base) if given else base)]
 
 
 def _read_with_package(path: Path, given: Map | None) -> tuple[Log, Map]:
@@ -125,14 +143,23 @@ def _read_with_package(path: Path, given: Map | None) -> tuple[Log, Map]:
     return log, given.over(base) if given else base
 
 
-def _read_table(path: Path, given: Map | None) -> tuple[Log, Map]:
+def _read_tables(path: Path, given: Map | None) -> list[tuple[Log, Map]]:
     from groundstation.importers.tables import header_map, read_table, table_log
 
-    table = read_table(path, given.file if given else FileFormat(), given.time if given else None)
-    guessed, notes = header_map(table, given.columns if given else ())
-    chosen = given.over(guessed) if given else guessed
-    log = table_log(path, table, chosen.time)
-    return replace(log, notes=(*log.notes, *notes)), chosen
+    layout = given.file if given else FileFormat()
+    if path.suffix.lower() == ".mat":
+        from groundstation.importers.matlab import read_matlab
+
+        tables = read_matlab(path, layout)
+    else:
+        tables = [read_table(path, layout, given.time if given else None)]
+    records = []
+    for table in tables:
+        guessed, notes = header_map(table, given.columns if given else ())
+        chosen = given.over(guessed) if given else guessed
+        log = table_log(path, table, chosen.time)
+        records.append((replace(log, notes=(*log.notes, *notes)), chosen))
+    return records
 
 
 def _ulog(path: Path) -> Log:
@@ -167,6 +194,11 @@ def _time_base(path: Path, log: Log, chosen: Map, rate: float | None) -> Array:
     return grid(series, rate or min(DEFAULT_RATE, fastest))
 
 
+def _native_rates(log: Log, used: dict[str, Source]) -> dict[str, float]:
+    """Rate [Hz] of the slowest series of each column, before all were brought to one time base."""
+    return {n: min(native_rate(log.series[t.column]) for t in s.parts) for n, s in used.items()}
+
+
 def _topics(log: Log) -> list[str]:
     return sorted({name.split(".")[0] for name in log.series})
 
@@ -180,8 +212,8 @@ def _columns(log: Log, chosen: Map, time: Array) -> tuple[dict[str, Array], dict
         if source is None:
             absent.append(f"{name} ({' + '.join(t.column for t in sources[0].parts)})")
             continue
-        columns[name] = _value(log, source, name, time)
-        used[name] = source
+        used[name] = source.model_copy(update={"unit": _unit(log, source, name)})
+        columns[name] = _value(log, used[name], name, time)
     notes: list[Note | str] = [f"not in the file, so not measured: {listed(absent, 60)}"] if absent else []
     taken = {t.column for s in used.values() for t in s.parts} | {chosen.segment or RECORD, RECORD}
     if log.common:
@@ -213,8 +245,27 @@ def _plain_name(name: str, taken: set[str]) -> str:
     return plain
 
 
+def _unit(log: Log, source: Source, name: str) -> str:
+    """The unit of a source: as the mapping states it, else as the file does. Raises ImportDataError where one is needed and
+    neither does."""
+    if source.unit is not None:
+        return source.unit
+    stated = {log.units.get(t.column, "") for t in source.parts}
+    if len(stated) == 1 and find_unit(unit := stated.pop()) is not None and unit:
+        return unit
+    si = COLUMN_BY_NAME[name].unit if name in COLUMN_BY_NAME else "1"
+    if si == "1":
+        return si
+    named = listed(t.column for t in source.parts)
+    raise ImportDataError(
+        f"column {name}: the mapping does not say in which unit {named} is; add it, for example "
+        f'{name} = {{ column = "{named}", unit = "{si}" }}, or one of: {known_units(si)}'
+    )
+
+
 def _value(log: Log, source: Source, name: str, time: Array) -> Array:
-    scale, offset = conversion(source.unit, name, COLUMN_BY_NAME[name].unit) if name in COLUMN_BY_NAME else (1.0, 0.0)
+    si = COLUMN_BY_NAME[name].unit if name in COLUMN_BY_NAME else None
+    scale, offset = conversion(source.unit or "1", name, si) if si is not None else (1.0, 0.0)
     total = np.zeros(time.size)
     for term in source.parts:
         series = log.series[term.column]

@@ -1,7 +1,7 @@
 """Named series with times of their own, and bringing them to one time base."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,7 +35,8 @@ class Series:
 class Log:
     """What a foreign file holds: series by name, all on one clock [s].
 
-    common: whether all series share one time column (a table), so that nothing needs to be interpolated.
+    common: whether all series share one time column (a table), so that nothing needs to be interpolated. units: of series whose
+    file states one, as it spells them.
     """
 
     kind: str
@@ -44,6 +45,11 @@ class Log:
     notes: tuple[str, ...] = ()
     text_columns: tuple[str, ...] = ()
     detail: Mapping[str, str] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
+
+    def extended(self, series: Mapping[str, Series], units: Mapping[str, str]) -> "Log":
+        """The same with further series."""
+        return replace(self, series={**self.series, **series}, units=units)
 
 
 def credible(series: Mapping[str, Series]) -> tuple[dict[str, Series], int]:

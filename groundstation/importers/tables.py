@@ -246,11 +246,12 @@ def _decimal(delimiter: str, body: list[list[str]]) -> str:
 
 
 def _unit_row(header: list[str], row: list[str]) -> dict[str, str]:
-    """The units of a row below the header that holds no number at all; empty when it is an ordinary row."""
+    """The units of a row below the header that holds words, and no number but the unit 1; empty when it is an ordinary row."""
     cells = [c.strip().strip("[]()") for c in row]
-    if len(cells) != len(header) or not any(cells) or not all(_numbers([c], ".")[1] for c in cells if c):
+    words = [c for c in cells if c and _numbers([c], ".")[1]]
+    if len(cells) != len(header) or len(words) + cells.count("1") != sum(map(bool, cells)):
         return {}
-    if not any(find_unit(c) for c in cells if c):
+    if not any(find_unit(c) for c in words):
         return {}
     return {h: c for h, c in zip(header, cells, strict=True) if h and c}
 
@@ -337,7 +338,14 @@ def table_log(path: Path, table: Table, time: Time | None) -> Log:
         seconds, numeric[RECORD] = _in_a_row(path, seconds)
     series = {name: Series(seconds, values) for name, values in numeric.items() if name != time.column}
     text_columns = tuple(w for w in (*table.words, *table.dates) if w != time.column)
-    return Log("table", series, common=True, notes=table.notes, text_columns=text_columns)
+    units = {**_header_units(series), **table.units}
+    return Log("table", series, common=True, notes=table.notes, text_columns=text_columns, units=units)
+
+
+def _header_units(names: Iterable[str]) -> dict[str, str]:
+    """Units that stand in brackets behind a name."""
+    found = {name: _HEADER_UNIT.match(name) for name in names}
+    return {name: match["unit"] for name, match in found.items() if match}
 
 
 RECORD = "record number"

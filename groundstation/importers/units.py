@@ -78,10 +78,14 @@ def conversion(text: str, column: str, si: str) -> tuple[float, float]:
     """
     unit = find_unit(text)
     if unit is None:
-        known = ", ".join(n for n, u in UNITS.items() if u.si in (si, "rad" if si == "deg" else si))
-        raise ImportDataError(f"column {column}: unit {text!r} is not known; for this column: {known}")
+        raise ImportDataError(f"column {column}: unit {text!r} is not known; for this column: {known_units(si)}")
     if unit.si == si:
         return unit.scale, unit.offset
     if si == "deg" and unit.si == "rad":  # latitude and longitude stay in degrees
         return unit.scale / _DEG, 0.0
-    raise ImportDataError(f"column {column}: unit {text!r} is not one of {si}")
+    raise ImportDataError(f"column {column}: unit {text!r} is not one of {si}; for this column: {known_units(si)}")
+
+
+def known_units(si: str) -> str:
+    """The units that lead to an SI unit, as a person would list them."""
+    return ", ".join(n for n, u in UNITS.items() if u.si in (si, "rad" if si == "deg" else si))

@@ -83,6 +83,23 @@ def lying_format(data: bytes, rng: Rng) -> bytes:
     return data[:at] + made + data[at + 89 :]
 
 
+def lying_matrix(data: bytes, rng: Rng) -> bytes:
+    """A MATLAB 5 file unpacked, with some words of its tags, dimensions and classes replaced, and packed again or not."""
+    size = int.from_bytes(data[132:136], "little")
+    packed = data[128:132] == b"\x0f\0\0\0"
+    with contextlib.suppress(zlib.error):
+        body = bytearray(zlib.decompress(data[136 : 136 + size]) if packed else data[128:])
+        for _ in range(int(rng.integers(1, 4))):
+            at = 4 * int(rng.integers(max(1, min(len(body), 600) // 4)))
+            words = (*range(10), *range(14, 19), 2**16, 2**27, 2**31 - 1, 2**31, 2**32 - 8, int(rng.integers(2**32)))
+            body[at : at + 4] = words[int(rng.integers(len(words)))].to_bytes(4, "little")
+        if rng.random() < 0.5:
+            made = zlib.compress(bytes(body))
+            return data[:128] + struct.pack("<II", 15, len(made)) + made
+        return data[:128] + bytes(body)
+    return flip_bits(data, rng)
+
+
 def lying_topic(data: bytes, rng: Rng) -> bytes:
     """A ULog with a format that holds itself, much of it, or other types; lengths fit."""
     fields = (
@@ -265,6 +282,8 @@ KINDS: dict[str, Kind] = {
         Kind("csv", ".csv", seeds.csv_inputs, (*TEXT, *TEXT, *BYTES),
              (IMPORT, verb("info", "FILE"), verb("import", "FILE", "-o", "TXT", "--rate", "30", "--split")), 2.0),
         Kind("parquet", ".parquet", seeds.parquet_inputs, BYTES, (IMPORT, verb("info", "FILE")), 2.0),
+        Kind("matlab", ".mat", lambda: seeds.matlab_inputs()[:3], (*BYTES, lying_matrix, lying_matrix), (IMPORT,), 1.5),
+        Kind("matlab 7.3", ".mat", lambda: seeds.matlab_inputs()[3:], BYTES, (IMPORT,), 0.5, quick=4),
         Kind("ulog", ".ulg", seeds.ulog_inputs, (*BYTES, lying_topic, lying_topic), (IMPORT,), 1.5),
         Kind("dataflash", ".bin", seeds.dataflash_inputs, (*BYTES, lying_format, lying_format), (IMPORT,), 1.5),
         Kind("tlog", ".tlog", seeds.tlog_inputs, (*BYTES, new_checksums, new_checksums, new_checksums),

@@ -67,6 +67,28 @@ def parquet_inputs() -> list[bytes]:
     return out
 
 
+def matlab_inputs() -> list[bytes]:
+    """MATLAB 5, packed and not: a struct with units, an array of structs, a cell; MATLAB 7.3."""
+    import h5py
+    from scipy.io import savemat
+
+    f = {n: v.reshape(-1, 1) for n, v in flown().items()}
+    records = np.array([f, {n: v[:20] for n, v in f.items()}], dtype=object)
+    sets = ({"flight": {**f, "units": {"p": "rad/s"}}}, {"run": records, "note": "words"}, {**f, "half": f["p"][:30]})
+    out = []
+    for i, variables in enumerate(sets):
+        stream = io.BytesIO()
+        savemat(stream, variables, do_compression=i == 0, long_field_names=True)
+        out.append(stream.getvalue())
+    stream = io.BytesIO()
+    with h5py.File(stream, "w", userblock_size=512) as file:
+        group = file.create_group("flight")
+        group.attrs["MATLAB_class"] = np.bytes_("struct")
+        for name, values in f.items():
+            group.create_dataset(name, data=values.T).attrs["MATLAB_class"] = np.bytes_("double")
+    return [*out, b"MATLAB 7.3 MAT-file".ljust(512, b"\0") + stream.getvalue()[512:]]
+
+
 def ulog_message(kind: bytes, payload: bytes) -> bytes:
     """One message of a ULog."""
     return struct.pack("<H", len(payload)) + kind + payload

@@ -1,0 +1,207 @@
+"""From a flight to what the air-data filter looks at: smoothed attitude, integrated velocity, fixes and airspeed."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import savgol_filter
+
+from estimation.compatibility.air_filter import INTERVAL, Nodes
+from estimation.compatibility.records import FLYING, SHORTEST, attitude_jumps
+from estimation.errors import DataError
+from estimation.signals.preprocess import noise_level
+from groundstation.flight import Flight
+
+Array = NDArray[np.float64]
+
+INERTIAL = ("ax", "ay", "az", "p", "q", "r", "phi", "theta", "psi")
+FIX = ("vn", "ve", "vd")
+GRAVITY = 9.80665
+
+SMOOTH_S = 1.0
+"""Over this long a gyro tells the change of attitude better than any attitude does; its noise over 1 s is 0.001 rad."""
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """Samples `rows` of a flight without gap: velocity (n, 3) integrated from specific force, NED; axes (n, 3, 3) body axes
+    as columns, NED; node (n,): the node each sample belongs to."""
+
+    rows: slice
+    velocity: Array
+    axes: Array
+    nodes: Nodes
+
+
+def stretches_of(flight: Flight, airspeed: Array) -> tuple[list[Stretch], list[str]]:
+    """Stretches in which the inertial motion is measured and the aircraft flies, and notes. airspeed: (N,) [m/s], true.
+
+    Raises DataError when no stretch is long enough or none has a fix and an airspeed.
+    """
+    whole = np.all(np.isfinite(np.column_stack([flight[c] for c in INERTIAL])), axis=1)
+    with np.errstate(invalid="ignore"):
+        usable = whole & ~(airspeed < FLYING)
+    jumps = sorted(attitude_jumps(flight))
+    fixes, speeds = fresh(flight, FIX), fresh_values(flight, "V", airspeed)
+    found, notes = [], []
+    for part in flight.segments:
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], usable[part], [False]]).astype(int)))
+        for a, b in zip(edges[::2] + part.start, edges[1::2] + part.start, strict=True):
+            inside = [j for j in jumps if a < j < b]
+            for first, last in zip([a, *inside], [*inside, b], strict=True):
+                rows = slice(int(first), int(last))
+                if last - first < SHORTEST or not (fixes[rows].any() and speeds[rows].any()):
+                    notes.append(
+                        f"{last - first} samples from t = {flight.time[first]:g} s left out: too short a stretch, or no "
+                        "velocity fix or airspeed in it"
+                    )
+                    continue
+                found.append(_stretch(flight, rows, airspeed, fixes, speeds))
+    if not found:
+        raise DataError(
+            f"{flight.name}: no {SHORTEST} samples in a row, in flight, with {', '.join(INERTIAL)} all measured and "
+            f"{', '.join(FIX)} and airspeed among them; nothing to reconstruct the air data from"
+        )
+    return found, notes
+
+
+def fresh(flight: Flight, columns: Sequence[str]) -> NDArray[np.bool_]:
+    """(N,) where a new sample of channels that come together stands, for a channel slower than the flight's rate.
+
+    Its rate is the one stated by the import (`native_hz`), or is seen: repeated values are held ones, and values on straight
+    lines between bends are interpolated.
+    """
+    values = np.column_stack([flight[c] for c in columns])
+    known = np.all(np.isfinite(values), axis=1)
+    rows = np.flatnonzero(known)
+    if rows.size < 4:
+        return known
+    changed = np.any(np.diff(values[rows], axis=0) != 0.0, axis=1)
+    candidates = rows[np.concatenate([[True], changed])]
+    every = _interval(flight, columns, values[rows])
+    chosen = np.zeros(len(flight), bool)
+    last = -np.inf
+    for row in candidates.tolist():
+        if flight.time[row] - last >= every:
+            chosen[row] = True
+            last = float(flight.time[row])
+    return chosen
+
+
+def _interval(flight: Flight, columns: Sequence[str], values: Array) -> float:
+    """Least time between two samples of their own [s]."""
+    stated = flight.provenance.detail.get("native_hz", {})
+    rates = [stated[c] for c in columns if isinstance(stated, dict) and isinstance(stated.get(c), (int, float))]
+    dt = flight.sample_interval
+    if rates and min(rates) > 0.0:
+        return max(1.0 / min(rates), dt) - 0.5 * dt
+    bend = np.abs(np.diff(values, 2, axis=0)).max(axis=1)
+    moving = bend > 1e-6 * max(float(np.median(np.abs(values).max(axis=1))), 1e-3)
+    share = float(moving.mean())
+    # a line between samples bends at one or two rows of each interval: taken for one, which is the fewer samples
+    return 0.5 * dt if share > 0.8 else dt / max(share, 0.01) - 0.5 * dt
+
+
+def fresh_values(flight: Flight, column: str, values: Array) -> NDArray[np.bool_]:
+    """(N,) where a new sample of a channel stands that is not, or not as it is, a column of the flight."""
+    return fresh(flight.with_columns(**{column: values}), (column,))
+
+
+def _stretch(
+    flight: Flight, rows: slice, airspeed: Array, fixes: NDArray[np.bool_], speeds: NDArray[np.bool_]
+) -> Stretch:
+    time = flight.time[rows]
+    axes = _axes(*_attitude(flight, rows))
+    force = np.einsum("nij,nj->ni", axes, np.column_stack([flight[c][rows] for c in ("ax", "ay", "az")]))
+    acceleration = force + np.array([0.0, 0.0, GRAVITY])
+    fix = np.column_stack([flight[c][rows] for c in FIX])
+    first = int(np.flatnonzero(fixes[rows])[0])
+    velocity = _integral(time, acceleration)
+    velocity += fix[first] - velocity[first]
+    node = _node_of(time)
+    nodes = Nodes(
+        time=_mean(time, node),
+        velocity=_at_middle(velocity, time, node),
+        mean_velocity=_mean(velocity, node, speeds[rows]),
+        axes=_at_middle(axes.reshape(-1, 9), time, node).reshape(-1, 3, 3),
+        force=_between(_integral(time, force), time, node),
+        turn=_between(_integral(time, axes.reshape(-1, 9)), time, node).reshape(-1, 3, 3),
+        acceleration=_mean(acceleration, node, fixes[rows]),
+        fix=_mean(fix - velocity, node, fixes[rows]),
+        fixes=np.bincount(node, fixes[rows].astype(float)).astype(float),
+        airspeed=_mean(airspeed[rows], node, speeds[rows]),
+    )
+    return Stretch(rows, velocity, axes, nodes)
+
+
+def _node_of(time: Array) -> NDArray[np.int64]:
+    """The node of each sample; a rest shorter than half an interval joins the last."""
+    node = np.floor((time - time[0]) / INTERVAL + 1e-9).astype(np.int64)
+    _, node = np.unique(node, return_inverse=True)
+    if np.sum(node == node[-1]) * np.median(np.diff(time)) < 0.5 * INTERVAL and node[-1] > 0:
+        node = np.minimum(node, node[-1] - 1)
+    return node
+
+
+def _mean(values: Array, node: NDArray[np.int64], use: NDArray[np.bool_] | None = None) -> Array:
+    """Mean over the samples of each node that are of use; NaN where there is none."""
+    flat = values.reshape(len(values), -1)
+    weight = np.ones(len(values)) if use is None else use.astype(float)
+    count = np.bincount(node, weight)
+    sums = np.column_stack([np.bincount(node, np.where(weight > 0, column, 0.0)) for column in flat.T])
+    with np.errstate(invalid="ignore"):
+        means = sums / np.where(count > 0, count, np.nan)[:, None]
+    return means[:, 0] if values.ndim == 1 else means
+
+
+def _at_middle(values: Array, time: Array, node: NDArray[np.int64]) -> Array:
+    middle = _mean(time, node)
+    return np.column_stack([np.interp(middle, time, column) for column in values.T])
+
+
+def _between(integral: Array, time: Array, node: NDArray[np.int64]) -> Array:
+    """What an integral gains from the middle of the node before; zeros for the first."""
+    at = _at_middle(integral, time, node)
+    return np.vstack([np.zeros(at.shape[1]), np.diff(at, axis=0)])
+
+
+def _integral(time: Array, rate: Array) -> Array:
+    """Trapezoidal, from zero. rate: (n, m)."""
+    steps = 0.5 * (rate[1:] + rate[:-1]) * np.diff(time)[:, None]
+    return np.vstack([np.zeros(rate.shape[1]), np.cumsum(steps, axis=0)])
+
+
+def _attitude(flight: Flight, rows: slice) -> tuple[Array, Array, Array]:
+    """phi, theta, psi [rad]: fast from the gyros, slow from the attitude measured."""
+    time = flight.time[rows]
+    p, q, r = (flight[c][rows] for c in "pqr")
+    phi, theta, psi = (np.unwrap(flight[c][rows]) for c in ("phi", "theta", "psi"))
+    turn = q * np.sin(phi) + r * np.cos(phi)
+    rates = (p + np.tan(theta) * turn, q * np.cos(phi) - r * np.sin(phi), turn / np.cos(theta))
+    return _joined(time, phi, rates[0]), _joined(time, theta, rates[1]), _joined(time, psi, rates[2])
+
+
+def _joined(time: Array, angle: Array, rate: Array) -> Array:
+    """A measured angle with its noise taken out by the rate that is measured beside it."""
+    fast = _integral(time, rate[:, None])[:, 0]
+    samples = 2 * max(1, round(0.5 * SMOOTH_S / float(np.median(np.diff(time))))) + 1
+    window = min(samples, len(time) - 1 + len(time) % 2)
+    return np.asarray(fast + savgol_filter(angle - fast, window, 1))
+
+
+def _axes(phi: Array, theta: Array, psi: Array) -> Array:
+    """(n, 3, 3) body axes as columns, in NED."""
+    cf, sf, ct, st, cp, sp = np.cos(phi), np.sin(phi), np.cos(theta), np.sin(theta), np.cos(psi), np.sin(psi)
+    rows = [
+        [ct * cp, sf * st * cp - cf * sp, cf * st * cp + sf * sp],
+        [ct * sp, sf * st * sp + cf * cp, cf * st * sp - sf * cp],
+        [-st, sf * ct, cf * ct],
+    ]
+    return np.moveaxis(np.array(rows), 2, 0)
+
+
+def measured_noise(flight: Flight, column: str, rows: NDArray[np.bool_]) -> float:
+    """Sample-to-sample noise of a channel over its own samples."""
+    values = flight[column][rows]
+    return noise_level(values[np.isfinite(values)])

@@ -1,0 +1,128 @@
+"""What can be done with a log: which models and methods, what is missing for the others, what one more sensor would add."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from estimation.aircraft import load_aircraft
+from estimation.engine.derived import DERIVED
+from estimation.estimators import registry
+from estimation.models.base import Model
+from estimation.models.library import BUILDERS
+from groundstation.flight import Flight
+
+RECONSTRUCTION = ("ax", "ay", "az", "p", "q", "r", "phi", "theta", "psi", "vn", "ve", "vd")
+"""Needed for `sideslip reconstruct`, with one of AIRSPEED."""
+AIRSPEED = ("V", "p_dynamic", "V_cas")
+AIR = ("V", "alpha", "beta")
+SURFACES = ("delta_e", "delta_a", "delta_r")
+
+SENSORS: Mapping[str, tuple[str, ...]] = {
+    "a vane for angle of attack": ("alpha",),
+    "a vane for sideslip": ("beta",),
+    "a pitot tube": ("V", "p_dynamic"),
+    "a GNSS receiver that gives velocity": ("vn", "ve", "vd"),
+    "an attitude (or heading) that is logged": ("phi", "theta", "psi"),
+    "an IMU that is logged": ("ax", "ay", "az", "p", "q", "r"),
+    "a barometer": ("altitude",),
+    "surface positions, or servo outputs with trim and travel in a mapping": SURFACES,
+    "thrust, from a table over throttle and airspeed or a load cell": ("thrust",),
+}
+"""What one could add to an aircraft -> the columns that come with it."""
+
+
+TRUSTED = ("ml",)
+"""Methods that do not take reconstructed angles for the ones flown; docs/compatibility.md has what gusts do to the others."""
+BELIEVE = f"believe {' and '.join(TRUSTED)}: reconstructed angles lack the gusts, which methods that regress on them cannot bear"
+
+
+@dataclass(frozen=True)
+class Possible:
+    """A model on a log. missing: columns without which it cannot be fitted; reconstructed: columns that `sideslip reconstruct`
+    makes; silent: outputs that are not compared. methods: by name, none where something is missing."""
+
+    model: str
+    missing: tuple[str, ...]
+    reconstructed: tuple[str, ...]
+    silent: tuple[str, ...]
+    methods: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """adds: sensor -> models that it would make possible."""
+
+    measured: tuple[str, ...]
+    models: tuple[Possible, ...]
+    adds: Mapping[str, tuple[str, ...]]
+    air: str  # "measured", "reconstruct" or why neither
+
+    def lines(self) -> list[str]:
+        """For a person."""
+        said = [f"measured: {', '.join(self.measured)}", f"air data: {self.air}"]
+        for m in self.models:
+            if m.missing:
+                said.append(f"{m.model}: not possible: {', '.join(m.missing)} missing")
+                continue
+            by = f" after 'sideslip reconstruct' ({', '.join(m.reconstructed)})" if m.reconstructed else ""
+            without = f"; {', '.join(m.silent)} not compared" if m.silent else ""
+            trust = f"; {BELIEVE}" if m.reconstructed else ""
+            said.append(f"{m.model}: possible{by} with {', '.join(m.methods)}{without}{trust}")
+        said += [f"one more: {sensor} would make possible: {', '.join(models)}" for sensor, models in self.adds.items()]
+        return said
+
+    def to_json(self) -> dict[str, object]:
+        """The same as data."""
+        models = [
+            {"model": m.model, "possible": not m.missing, "missing": list(m.missing), "methods": list(m.methods),
+             "reconstructed": list(m.reconstructed), "not_compared": list(m.silent),
+             "believe": list(TRUSTED if m.reconstructed else m.methods)}
+            for m in self.models
+        ]  # fmt: skip
+        adds = {k: list(v) for k, v in self.adds.items()}
+        return {"version": 1, "measured": list(self.measured), "air_data": self.air, "models": models, "adds": adds}
+
+
+def recipe(flight: Flight) -> Recipe:
+    """What the built-in models and methods can do with a flight's columns; nothing is fitted."""
+    have = frozenset(c for c in flight.columns if flight.measured(c))
+    aircraft = load_aircraft("cdfp")  # for the names in the models only
+    models = [build(aircraft) for build in BUILDERS.values()]
+    found = tuple(_possible(m, have) for m in models)
+    able = {p.model for p in found if not p.missing}
+    adds = {}
+    for sensor, columns in SENSORS.items():
+        more = have | set(columns)
+        gained = tuple(m.name for m in models if m.name not in able and not _possible(m, more).missing)
+        if gained:
+            adds[sensor] = gained
+    return Recipe(tuple(c for c in flight.columns if c in have), found, adds, _air(have))
+
+
+def _can_reconstruct(have: frozenset[str]) -> bool:
+    return have.issuperset(RECONSTRUCTION) and not have.isdisjoint(AIRSPEED)
+
+
+def _air(have: frozenset[str]) -> str:
+    if have.issuperset(AIR):
+        return "measured"
+    if _can_reconstruct(have):
+        return "no vanes for all of it; 'sideslip reconstruct' makes V, alpha, beta and wind, with their uncertainty"
+    lacking = [c for c in RECONSTRUCTION if c not in have]
+    if have.isdisjoint(AIRSPEED):
+        lacking.append("an airspeed (V, p_dynamic or V_cas)")
+    return f"incomplete, and to reconstruct it this is missing: {', '.join(lacking)}"
+
+
+def _possible(model: Model, have: frozenset[str]) -> Possible:
+    made = tuple(n for n in AIR if n not in have) if _can_reconstruct(have) else ()
+    all_there = have | set(made)
+    needed = [s.source for s in (*model.inputs, *model.outputs) if not s.optional]
+    missing = tuple(dict.fromkeys(n for n in needed if not _there(n, all_there)))
+    used = {s.source for s in (*model.inputs, *model.outputs)}
+    silent = tuple(s.source for s in model.outputs if s.source not in all_there)
+    methods = () if missing else registry.names()
+    return Possible(model.name, missing, tuple(n for n in made if n in used), silent, methods)
+
+
+def _there(column: str, have: frozenset[str] | Sequence[str]) -> bool:
+    return column in have or any(all(n in have for n in way.needs) for way in DERIVED.get(column, ()))
