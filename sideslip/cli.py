@@ -10,7 +10,9 @@ import io
 import os
 import sys
 from dataclasses import dataclass
+from difflib import get_close_matches
 from importlib.metadata import EntryPoint, PackageNotFoundError, entry_points, version
+from pathlib import Path
 from typing import TYPE_CHECKING, TextIO, cast
 
 import click
@@ -62,6 +64,12 @@ VERBS: dict[str, Verb] = {
 }
 
 
+SUGGESTED = 3  # verbs named for a mistyped one: more would be the list again
+ALIKE = (
+    0.6  # share of letters in common, as difflib's own default: one letter wrong, left out or swapped in a word of five
+)
+BEGINNING = 2  # letters from which a beginning names a verb
+
 INTERRUPTED = "sideslip: interrupted; files are closed"
 
 
@@ -83,11 +91,31 @@ class VerbTable(click.Group):
             raise MissingPackageError(cmd_name, error.name or str(error)) from error
         return command
 
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """The verb that the first word means; for a mistyped one the usage error names those that it resembles."""
+        word = args[0] if args else ""
+        if word and not word.startswith("-") and self.get_command(ctx, word) is None and not ctx.resilient_parsing:
+            ctx.fail(f"No such verb {word!r}{_meant(word, self.list_commands(ctx), args[1:])}")
+        return super().resolve_command(ctx, args)
+
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """The list of verbs from the table, without importing them."""
         with formatter.section("Commands"):
             rows = [(name, verb.summary) for name, verb in VERBS.items()]
             formatter.write_dl([*rows, *((found.name, f"From {found.module}.") for found in _package_verbs())])
+
+
+def _meant(word: str, verbs: list[str], rest: list[str]) -> str:
+    """What somebody may have meant by a word that is no verb: verbs spelt alike or beginning alike; for a file, to look at it."""
+    if Path(word).suffix and Path(word).exists():
+        return f"; it is a file: did you mean 'sideslip {' '.join(['info', word, *rest])}'?"
+    small = word.lower()
+    alike = get_close_matches(small, verbs, n=SUGGESTED, cutoff=ALIKE)
+    alike += [v for v in verbs if len(small) >= BEGINNING and v.startswith(small) and v not in alike]
+    quoted = [f"'sideslip {v}'" for v in alike[:SUGGESTED]]
+    return f"; did you mean {' or '.join(quoted)}?" if quoted else ""
 
 
 def _package_verbs() -> tuple[EntryPoint, ...]:
@@ -157,8 +185,9 @@ def _status(argv: list[str] | None) -> int:
         sys.stdout.flush()
     except click.ClickException as error:
         context = error.ctx if isinstance(error, click.UsageError) else None
-        hint = f"; see '{context.command_path} --help'" if context else ""
-        return _said(error.format_message().rstrip(".") + hint)
+        text = error.format_message().rstrip(".")
+        hint = f"{' See' if text.endswith('?') else '; see'} '{context.command_path} --help'" if context else ""
+        return _said(text + hint)
     except UserError as error:
         return _said(str(error))
     except ModuleNotFoundError as error:

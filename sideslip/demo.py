@@ -57,7 +57,7 @@ def demo(out: Path) -> int:
         "--json",
         report / "match.json",
         "--figure",
-        report / "match.png",
+        report / "match.svg",
     )
 
     click.echo("\n5  Four flights with something hidden in the aircraft; the gap workflow is not told what\n")
@@ -66,9 +66,54 @@ def demo(out: Path) -> int:
 
     from estimation.report.front import write_front_page
 
+    click.echo("\n6  The truth beside the answers: what the simulator flew with, and what it hid\n")
+    write_truth(report / "truth.json")
+    for line in truth_lines(report):
+        click.echo(line)
     page = write_front_page(report)
     click.echo(f"\n{time.monotonic() - begun:.0f} s. Report: {page}")
     return 0
+
+
+def write_truth(path: Path) -> None:
+    """What the simulator flew with: derivatives of the demo's flights, and the hidden effect with its size and unit."""
+    from daq.contract.outputs import write_json
+    from firmware_sim.physics.effects.registry import EFFECTS
+    from firmware_sim.world.scenario import load_scenario
+    from firmware_sim.world.simulation import derivatives_of
+
+    name, scale = DEMO_HIDDEN
+    effect = EFFECTS[name](scale)
+    hidden = {"name": name, "title": effect.title, "parameters": {name: [float(effect.size), effect.unit]}}
+    write_json({"derivatives": derivatives_of(load_scenario(DEMO_FLIGHTS[0])), "hidden": hidden}, path)
+
+
+def truth_lines(report: Path) -> list[str]:
+    """The truth in `report`/truth.json beside the joint estimates in estimate.json and the answer in gap.json."""
+    import json
+
+    from estimation.report.tables import rounded
+
+    truth, estimate, gap = (
+        json.loads((report / f"{n}.json").read_text(encoding="utf-8")) for n in ("truth", "estimate", "gap")
+    )
+    method, found = next(iter(estimate["joint"].items()))
+    lines = [f"  {'derivative':<12}{'truth':>10}{method:>12}{'bound':>10}"]
+    for name, e in found["parameters"].items():
+        if not e["identifiable"] or name not in truth["derivatives"] or name.endswith("_0"):
+            continue  # constants take up the sensors' offsets
+        value, bound = rounded(e["estimate"], e["std_coloured"])
+        lines.append(f"  {name:<12}{truth['derivatives'][name]:10.4g}{value:>12}{bound:>10}")
+    hidden = truth["hidden"]
+    size, unit = hidden["parameters"][hidden["name"]]
+    lines.append(f"  hidden: {hidden['name']} ({hidden['title']}) of {size:.4g} {unit}; answer: {gap['verdict']}")
+    for step in gap["steps"]:
+        said = "; ".join(
+            f"{n} = {' ± '.join(t for t in rounded(e['estimate'], e['std']) if t)}"
+            for n, e in step["parameters"].items()
+        )
+        lines.append(f"  found:  {step['effect']} ({step['title']}){': ' + said if said else ''}")
+    return lines
 
 
 def _run(verb: str, *arguments: object) -> None:

@@ -5,7 +5,10 @@ from typing import Any
 
 import click
 
+from daq.contract.errors import UserError
 from daq.contract.outputs import tried_file, write_json
+
+FOREIGN = (".ulg", ".ulog")  # of flight logs that 'sideslip import' reads and this verb does not
 
 
 @click.command(epilog="Example: sideslip info recordings/cdfp_ld1_raw.mcap --json info.json")
@@ -16,6 +19,10 @@ from daq.contract.outputs import tried_file, write_json
 @click.pass_context
 def info(ctx: click.Context, file: Path, json_path: Path | None) -> int:
     """What is in FILE: a raw recording, the directory of its segments, a flight, or a .tlog."""
+    if file.suffix.lower() in FOREIGN and file.is_file():
+        raise UserError(
+            f"{file}: a log of another program; convert it to a flight with 'sideslip import {file} -o FLIGHT.mcap'"
+        )
     if file.suffix not in (".tlog", ".csv", ".parquet"):
         from daq.commands import info as recording_info
 

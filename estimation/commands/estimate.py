@@ -109,7 +109,9 @@ def _able(extra: Extra) -> str:
 )
 @click.option("--seed", default=0, show_default=True, help="Of the bootstrap, and of the networks.")
 @click.option(
-    "--brief", is_flag=True, help="Print each flight in one line; tables for the mean and the joint estimate only."
+    "--brief",
+    is_flag=True,
+    help="Print each flight's estimates in one line; tables for the mean and the joint estimate only.",
 )
 def estimate(
     flights: tuple[Path, ...],
@@ -148,7 +150,7 @@ def estimate(
     from estimation.commands.progress import Progress
     from estimation.commands.truth import read_truth
     from estimation.models import load_model
-    from estimation.models.load import asks_for_aircraft
+    from estimation.models.load import asks_for_aircraft, check_model
     from estimation.session import runner
     from estimation.session.flights import select_segments, separated
     from groundstation.flight import read_flight
@@ -156,11 +158,13 @@ def estimate(
     check_outputs(
         json=json_path, figure=figure_path, report=report_folder, save_model=model_path, histories=histories_folder
     )
+    chosen_methods = tuple(dict.fromkeys(m.strip() for m in methods.split(",") if m.strip()))
+    found = [find(m) for m in chosen_methods]  # what is mistyped there or in the model is said before a flight is read
+    check_model(model)
     read = [select_segments(read_flight(path), segments) for path in flights]
     if each_segment:
         read = [part for flight in read for part in separated(flight)]
-    chosen_methods = tuple(dict.fromkeys(m.strip() for m in methods.split(",") if m.strip()))
-    if aircraft is None and not asks_for_aircraft(model) and not any(find(m).needs_aircraft for m in chosen_methods):
+    if aircraft is None and not asks_for_aircraft(model) and not any(m.needs_aircraft for m in found):
         craft = unknown_aircraft(read[0].provenance.aircraft or "not stated")
     else:
         craft = aircraft_of(read, aircraft)
@@ -249,6 +253,7 @@ def session_lines(session: "Session", *, brief: bool = False) -> Iterator[str]:
         for method, result in f.results.items():
             if brief:
                 yield f"{f.flight.name} ({len(f.flight)} samples), {method}: {result.text}"
+                yield f"  {brief_numbers(result)}"
                 continue
             yield ""
             yield f"{f.flight.name} ({len(f.flight)} samples), {method}: {result.text}"
@@ -276,6 +281,14 @@ def _verdict_lines(verdict: "Verdict | None", *, brief: bool) -> Iterator[str]:
     for doubt in () if brief else verdict.doubts:
         yield f"  doubt ({doubt.kind.value}): {doubt.text}"
     yield f"  recommended: {verdict.recommended.text}"
+
+
+def brief_numbers(result: "Result") -> str:
+    """Every estimate that the data could tell with its corrected bound, both to the second figure of the bound, in one line."""
+    from estimation.report.tables import rounded
+
+    told = [(n, rounded(e.estimate, e.std_coloured)) for n, e in result.parameters.items() if e.identifiable]
+    return "  ".join(f"{n} {value}" + (f" ({bound})" if bound else "") for n, (value, bound) in told)
 
 
 def result_lines(result: "Result") -> Iterator[str]:

@@ -85,14 +85,15 @@ def gap(
     from estimation.gap.effects import catalogue
     from estimation.gap.run import analyse
     from estimation.gap.workflow import Options
-    from estimation.models.load import asks_for_aircraft, load_model
+    from estimation.models.load import asks_for_aircraft, check_model, load_model
     from groundstation.flight import read_flight
 
     check_outputs(json=json_path, report=report_folder)
+    effects = catalogue(effect_files)  # what is mistyped in them or in the model is said before a flight is read
+    check_model(model)
     training = [read_flight(path) for path in flights]
     held = [read_flight(path) for path in holdout]
     chosen = load_model(model, aircraft_of([*training, *held], aircraft) if asks_for_aircraft(model) else None)
-    effects = catalogue(effect_files)
     options = Options(seed=seed, nulls=nulls)
     with Progress() as progress:
         result = analyse(chosen, training, held, effects, options, progress, report_folder, json_path)
@@ -102,7 +103,7 @@ def gap(
         from estimation.gap.pages.report import write_gap_report
         from estimation.gap.pages.rerun_report import available, write_gap_recording
 
-        click.echo(f"report: {write_gap_report(result, report_folder)}")
+        click.echo(f"report: {write_gap_report(result, report_folder, effects)}")
         if available():
             click.echo(f"the same in rerun: sideslip view {write_gap_recording(result, report_folder / 'gap.rrd')}")
     return 0

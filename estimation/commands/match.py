@@ -4,6 +4,8 @@ from pathlib import Path
 
 import click
 
+from estimation.signals.goodness_of_fit import THEIL_LIMIT
+
 EXAMPLE = "Example: sideslip match ld4.toml ld2.mcap --json match.json"
 
 
@@ -16,7 +18,7 @@ EXAMPLE = "Example: sideslip match ld4.toml ld2.mcap --json match.json"
 @click.option(
     "--limit",
     type=float,
-    default=0.3,
+    default=THEIL_LIMIT,
     show_default=True,
     help="Theil's coefficient above which a channel does not match (exit status 1).",
 )
@@ -52,31 +54,36 @@ def match(
     from estimation.aircraft.of_flight import aircraft_of
     from estimation.commands.outputs import check_outputs, write_json
     from estimation.models import load_model
-    from estimation.models.load import asks_for_aircraft
+    from estimation.models.load import asks_for_aircraft, check_model
     from estimation.session.flights import select_segments, unique_names
     from estimation.session.proof_of_match import predict
     from groundstation.flight import read_flight
 
     check_outputs(json=json_path, figure=figure_path, histories=histories_folder)
     wanted = tuple(n.strip() for n in free.split(",") if n.strip())
+    check_model(str(model))
     read = unique_names([select_segments(read_flight(path), segments) for path in flights])
     chosen = load_model(model, aircraft_of(read, aircraft) if asks_for_aircraft(str(model)) else None)
     proofs = [predict(chosen, flight, free=wanted) for flight in read]
     good = True
+    click.echo(f"limit: Theil's coefficient {limit:g} in every channel")
     for proof in proofs:
         click.echo(f"{proof.name}: {proof.text}")
-        click.echo(f"  {'channel':<10}{'r2':>8}{'Theil':>8}{'bias':>7}{'var':>7}{'cov':>7}{'rms':>11}{'white':>7}")
+        click.echo(
+            f"  {'channel':<10}{'r2':>8}{'Theil':>8}{'bias':>7}{'var':>7}{'cov':>7}{'rms':>11}{'white':>7}  match"
+        )
         for name, f in proof.fit.items():
+            judged = "pass" if f.theil <= limit else f"FAIL, above {limit:g}"
             click.echo(
                 f"  {name:<10}{f.r2:8.3f}{f.theil:8.3f}{f.theil_bias:7.2f}{f.theil_variance:7.2f}"
-                f"{f.theil_covariance:7.2f}{f.rms:11.4g}{f.whiteness:7.2f}"
+                f"{f.theil_covariance:7.2f}{f.rms:11.4g}{f.whiteness:7.2f}  {judged}"
             )
             good = good and f.theil <= limit
         for note in proof.result.flights[0].notes:
             click.echo(f"  note: {note}")
         good = good and proof.converged
     if json_path is not None:
-        write_json({"model": str(chosen.name), "flights": [p.to_json() for p in proofs]}, json_path)
+        write_json({"model": str(chosen.name), "limit": limit, "flights": [p.to_json() for p in proofs]}, json_path)
     if figure_path is not None:
         from estimation.report.histories import write_proof
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from estimation.engine.conditioned import Conditioned, conditioned
 from estimation.engine.derived import DERIVED, bridged, derived, way_to
 from estimation.engine.kernel import Array
+from estimation.engine.needs import require_columns
 from estimation.engine.plausible import refuse_impossible
 from estimation.errors import DataError
 from estimation.models.base import Model, Signal
@@ -100,8 +101,7 @@ def prepare(model: Model, flight: Flight, preparation: Preparation = AS_USUAL) -
     long enough is left.
     """
     notes = [n for said in flight.notes if (n := _less_used(said, model)) is not None]
-    required = [s.source for s in (*model.inputs, *model.outputs) if not s.optional and s.source not in DERIVED]
-    flight.require(dict.fromkeys(required), f"model {model.name}")
+    require_columns(model, flight)
     told = conditioned(flight, _looked_at(model), keep_held=preparation.keep_held)
     flight = told.flight
     notes += told.notes

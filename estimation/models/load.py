@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +35,11 @@ def load_model(which: str | Path | type | Model, aircraft: Aircraft | str | None
         return read_model(text)
     if ":" in text:
         return _from_class(_import_class(text), aircraft)
-    raise ModelError(f"model {text!r}: none of {', '.join(BUILDERS)}, no .toml file and not of the form module:Class")
+    alike = get_close_matches(text.lower(), list(BUILDERS), n=1)
+    meant = f"; did you mean {alike[0]}?" if alike else ""
+    raise ModelError(
+        f"model {text!r}: none of {', '.join(BUILDERS)}, no .toml file and not of the form module:Class{meant}"
+    )
 
 
 def _named(aircraft: Aircraft | str | None, what: str) -> Aircraft:
@@ -53,6 +58,12 @@ def _with_known_constants(model: Model, aircraft: Aircraft | None, what: str) ->
         return model
     aircraft.need(sorted(frozenset[str]().union(*(names_in(text) for text in model.definitions.values()))), what)
     return replace(model, constants={n: v for n, v in model.constants.items() if n not in unknown})
+
+
+def check_model(which: str) -> None:
+    """Raise ModelError where `load_model` would, as far as it needs no aircraft: an unknown name, a file or class in error."""
+    if not asks_for_aircraft(which):
+        load_model(which)
 
 
 def asks_for_aircraft(which: str) -> bool:

@@ -1,5 +1,7 @@
 """What the flights could not tell, why, and which manoeuvre would tell it."""
 
+import re
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -50,6 +52,46 @@ def untold(session: "Session") -> list[Untold]:
         entries.append(Untold(name, method, tuple(where), why, manoeuvre(session.model, name, why), told))
     order = list(session.model.parameter_names)
     return sorted(entries, key=lambda u: (order.index(u.parameter), session.methods.index(u.method)))
+
+
+@dataclass(frozen=True, slots=True)
+class Group:
+    """Parameters that one manoeuvre would tell. methods, where: estimates and flights that could not; whys: the different
+    reasons; told: those that all flights together could tell."""
+
+    parameters: tuple[str, ...]
+    methods: tuple[str, ...]
+    where: tuple[str, ...]
+    whys: tuple[str, ...]
+    manoeuvre: str
+    told: tuple[str, ...]
+
+
+def grouped(entries: Sequence[Untold]) -> list[Group]:
+    """One entry a manoeuvre: what to fly next, and all that it would tell."""
+    by: dict[str, list[Untold]] = {}
+    for entry in entries:
+        by.setdefault(entry.manoeuvre, []).append(entry)
+    return [
+        Group(
+            _once(u.parameter for u in found),
+            _once(u.method for u in found),
+            _once(w for u in found for w in u.where),
+            _once(short(u.why) for u in found),
+            fly,
+            _once(u.parameter for u in found if u.told),
+        )
+        for fly, found in by.items()
+    ]
+
+
+def short(why: str) -> str:
+    """A reason without its numbers, which differ from flight to flight, and without what the other columns say."""
+    return re.sub(r": this data cannot tell.*", "", re.sub(r"(?<![\w])[+-]?\d+(\.\d+)?(e[+-]?\d+)?", "…", why))
+
+
+def _once(items: Iterable[str]) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(items))
 
 
 def manoeuvre(model: "Model", parameter: str, why: str) -> str:

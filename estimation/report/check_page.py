@@ -9,11 +9,13 @@ import numpy as np
 from estimation.compatibility.result import Compatibility, ReconstructedFlight
 from estimation.report import published
 from estimation.report.compatibility_tables import fit_of
-from estimation.report.figures import MEASURED, Picture, broken_at_gaps, picture, styled
+from estimation.report.figures import ABOVE, MEASURED, Picture, broken_at_gaps, picture, styled
+from estimation.report.flight_card import flight_card
 from estimation.report.html import write_page
-from estimation.report.names import face, html, literal, tex
+from estimation.report.names import face, literal, tex
+from estimation.report.notes import collected, notes_table
 from estimation.report.provenance import provenance_table
-from estimation.report.tables import CANNOT_TELL, Table, number, significant, write_all
+from estimation.report.tables import CANNOT_TELL, Table, number, rounded, significant, write_all
 
 if TYPE_CHECKING:
     from groundstation.flight import Flight
@@ -39,6 +41,7 @@ def write_check_report(
         "factors": factor_table(results, flights),
         "fit": _fit_table(own),
         "provenance": provenance_table(flights),
+        "card": flight_card(flights),
     }
     findings = [(f.name, list(found)) for f, found in zip(flights, quality, strict=True)]
     told = [r.flights[0] for r in own]
@@ -50,11 +53,22 @@ def write_check_report(
         lead=f"{len(flights)} flight{'s' if len(flights) > 1 else ''}: {', '.join(f.name for f in flights)}. "
         "Do accelerations, rates, attitude and air data tell the same story?",
         tables=tables, figures=motion_figures(told), findings=findings,
-        unclear=[(n, html(f.name), f.why) for n, r in results for f in r.factors.values() if not f.identifiable],
+        unclear=_unclear(results),
         status=[(n, r.converged, r.text, r.turbulence) for n, r in results],
-        notes=list(dict.fromkeys((t.name, note) for t in told for note in t.notes)),
+        notes=notes_table((t.name, note) for t in told for note in t.notes),
         fails=counts.count("fail"), warns=counts.count("warn"),
     )  # fmt: skip
+
+
+def _unclear(results: Sequence[tuple[str, Compatibility]]) -> Table | None:
+    """What these flights cannot tell of the factors, each reason once."""
+    found = collected(
+        (f"{f.name}: {f.why}", flight) for flight, r in results for f in r.factors.values() if not f.identifiable
+    )
+    if not found:
+        return None
+    rows = tuple((*what.split(": ", 1), ", ".join(flights)) for what, flights in found.items())
+    return Table("unclear", "What these flights cannot tell", ("factor", "why", "flights"), rows, texts=(1, 2))
 
 
 def factor_table(results: Sequence[tuple[str, Compatibility]], flights: Sequence["Flight"]) -> Table:
@@ -69,7 +83,7 @@ def factor_table(results: Sequence[tuple[str, Compatibility]], flights: Sequence
             row.append(_with_bound(factor.estimate, factor.std_coloured) if factor.identifiable else CANNOT_TELL)
         for flight in others:
             said = published.compatibility_factor(flight, name)
-            row.append("" if said is None else _with_bound(*said))
+            row.append("" if said is None else f"{number(said[0])} ({significant(said[1], 2)})")
         rows.append(tuple(row))
     groups = [("", 2), ("estimate (bound)", len(results))] + (
         [("published, estimate (bound)", len(others))] if others else []
@@ -84,7 +98,8 @@ def factor_table(results: Sequence[tuple[str, Compatibility]], flights: Sequence
 
 
 def _with_bound(value: float, bound: float) -> str:
-    return f"{number(value)} ({significant(bound, 2)})"
+    shown, said = rounded(value, bound)
+    return f"{shown} ({said})" if said else shown
 
 
 def _fit_table(results: Sequence[Compatibility]) -> Table:
@@ -125,9 +140,9 @@ def motion_figures(flights: Sequence[ReconstructedFlight]) -> list[Picture]:
                     again = broken_at_gaps(flight.time, factor * flight.reconstructed[:, row])
                     axis.plot(flight.time, again, color=RECONSTRUCTED, lw=0.9, label="reconstructed")
                     axis.set_ylabel(f"${tex(name)}$ [{unit}]")
-                axes[0][column].set_title(literal(flight.name))
+                axes[0][column].set_title(literal(flight.name), loc="left")
                 axes[-1][column].set_xlabel("time [s]")
-            axes[0][0].legend(loc="upper right", ncols=2)
+            axes[0][0].legend(ncols=2, **ABOVE)
             figure.align_ylabels()
         caption = f"Measured and reconstructed motion, {' and '.join(f.name for f in shown)} (Figure 7 of the paper)."
         points = sum(2 * f.time.size * len(names) for f in shown)

@@ -1,4 +1,4 @@
-"""Figures 8 to 10 of the paper for one's own flights, residuals with autocorrelation, correlations of the estimates."""
+"""Figures 8 to 10 of the paper for one's own flights, correlations of the estimates and their confidence ellipses."""
 
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
@@ -9,9 +9,8 @@ from estimation.estimators.result import FlightFit, Result
 from estimation.models.base import ParameterRole
 from estimation.report import published
 from estimation.report.estimate_tables import is_published
-from estimation.report.figures import MEASURED, Picture, broken_at_gaps, look, picture, styled
+from estimation.report.figures import ABOVE, MEASURED, Picture, broken_at_gaps, look, picture, styled
 from estimation.report.names import axis_label, face, literal, tex
-from estimation.signals.goodness_of_fit import autocorrelation
 
 if TYPE_CHECKING:
     from estimation.models.base import Model
@@ -127,39 +126,7 @@ def _channels(axes: Any, model: "Model", first: "FlightFit | Proof", curves: Map
                 label=method,
             )
         axes[i].set_ylabel(axis_label(signal.name, unit))
-    axes[0].legend(loc="upper right", ncols=1 + len(curves))
-
-
-def residual_figure(model: "Model", result: Result) -> Picture:
-    """Residuals of one flight and their autocorrelation with the 95 % band of white noise."""
-    from matplotlib.figure import Figure
-
-    fit = result.flights[0]
-    colour = look(result.method).colour
-    with styled():
-        figure = Figure(figsize=(11.6, 1.3 * len(model.outputs) + 0.6), layout="constrained")
-        axes = figure.subplots(len(model.outputs), 2, squeeze=False, width_ratios=(2.2, 1), sharex="col")
-        step = float(np.nanmedian(np.diff(fit.time)))
-        for i, signal in enumerate(model.outputs):
-            factor, unit = face(signal.name, signal.unit)
-            residual = fit.residuals[:, i] if i < fit.residuals.shape[1] else np.array([np.nan])
-            axes[i][0].plot(fit.time, broken_at_gaps(fit.time, factor * residual), color=colour, lw=0.8)
-            axes[i][0].axhline(0, color="k", lw=0.5)
-            axes[i][0].set_ylabel(axis_label(signal.name, unit))
-            known = residual[np.isfinite(residual)]
-            if known.size > 8:
-                lags = min(known.size // 4, 100)
-                axes[i][1].vlines(step * np.arange(lags + 1), 0, autocorrelation(known, lags), color=colour, lw=1.0)
-                band = 1.96 / np.sqrt(known.size)
-                axes[i][1].axhspan(-band, band, color="0.6", alpha=0.25, lw=0)
-            axes[i][1].set_ylim(-0.6, 1.05)
-        axes[0][0].set_title("residual")
-        axes[0][1].set_title("autocorrelation")
-        axes[-1][0].set_xlabel("time [s]")
-        axes[-1][1].set_xlabel("lag [s]")
-        figure.align_ylabels()
-    return picture(figure, f"residuals_{fit.name}", f"{fit.name}, {result.method}: residuals and their autocorrelation; "
-                   "band: 95 % of white noise.", fit.time.size * len(model.outputs))  # fmt: skip
+    axes[0].legend(ncols=1 + len(curves), **ABOVE)
 
 
 def correlation_figure(result: Result, whose: str) -> Picture:
@@ -194,7 +161,7 @@ def proof_figure(proofs: Sequence[tuple[str, "Proof"]], refitted: str, of_paper:
         axes = figure.subplots(rows, len(proofs), squeeze=False, sharex="col")
         for j, (whose, proof) in enumerate(proofs):
             _channels(axes[:, j], proof.result.model, proof, {"predicted": proof.predicted})
-            axes[0][j].set_title(literal(f"{proof.name} predicted by {whose}"))
+            axes[0][j].set_title(literal(f"{proof.name} predicted by {whose}"), loc="left")
             axes[-1][j].set_xlabel("time [s]")
         figure.align_ylabels()
     points = sum(2 * p.time.size * rows for _, p in proofs)

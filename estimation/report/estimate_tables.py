@@ -1,10 +1,10 @@
 """Tables 3 to 5 of the paper for one's own flights, beside the published columns."""
 
-import math
 from typing import TYPE_CHECKING
 
 from estimation.report import published
-from estimation.report.tables import CANNOT_TELL, Table, number, significant
+from estimation.report.tables import CANNOT_TELL, Table, number, rounded, significant
+from estimation.signals.goodness_of_fit import THEIL_LIMIT
 
 if TYPE_CHECKING:
     from estimation.estimators.result import Estimate
@@ -67,8 +67,13 @@ def joint_table(session: "Session") -> Table | None:
         row = [name, *_before(session, name)]
         for method in methods:
             row += _three(session.joint[method].parameters.get(name))
+        if session.truth:
+            row.append(number(session.truth[name]) if name in session.truth else "")
         rows.append(tuple(row))
     groups, head = _head(session, methods, ("estimate", "bound", "corrected"))
+    if session.truth:
+        groups.append(("simulated", 1))
+        head.append("truth")
     return Table(
         "estimates_joint", f"Joint estimate over {len(session.flights)} flights{_best(session.verdict)}",
         tuple(head), tuple(rows), tuple(groups),
@@ -101,7 +106,7 @@ def mean_table(session: "Session") -> Table | None:
         for method in methods:
             s = session.mean[method].get(name)
             row += [CANNOT_TELL, "", "", ""] if s is None else [
-                number(s.mean), significant(s.std, 2), significant(s.bound, 2), str(s.count)]  # fmt: skip
+                *_to_bound(s.mean, s.std, s.bound), str(s.count)]  # fmt: skip
         for other in ("ml", "ngn") if ours else ():
             said = published.mean(other, name)
             row += ["", ""] if said is None else [number(said[0]), significant(said[1], 2)]
@@ -125,16 +130,20 @@ def mean_table(session: "Session") -> Table | None:
 def fit_table(session: "Session") -> Table:
     """r2 and Theil's coefficient per flight, method and output."""
     outputs = session.model.output_names
-    rows = []
+    rows: list[tuple[str, ...]] = []
+    failed: set[tuple[int, int]] = set()
     for f in session.flights:
         for method, result in f.results.items():
-            cells = [c for o in outputs for c in _fit_cells(result.flights[0].fit.get(o))]
-            rows.append((f.flight.name, method, *cells))
+            fits = [result.flights[0].fit.get(o) for o in outputs]
+            failed |= {
+                (len(rows), 3 + 3 * k) for k, fit in enumerate(fits) if fit is not None and fit.theil > THEIL_LIMIT
+            }
+            rows.append((f.flight.name, method, *(c for fit in fits for c in _fit_cells(fit))))
     return Table("fit", "Goodness of fit and residual whiteness",
                  ("flight", "method", *(h for _ in outputs for h in ("r²", "Theil", "white"))),
                  tuple(rows), (("", 2), *((o, 3) for o in outputs)), symbols=False,
-                 note="Theil's inequality coefficient: 0 perfect, below 0.25–0.3 good. white: share of residual "
-                 "autocorrelations inside the 95 % band of white noise.")  # fmt: skip
+                 note=f"Theil's inequality coefficient: 0 perfect; in red above the limit of {THEIL_LIMIT:g}. white: share of "
+                 "residual autocorrelations inside the 95 % band of white noise.", failed=frozenset(failed))  # fmt: skip
 
 
 def _fit_cells(fit: object) -> list[str]:
@@ -157,8 +166,14 @@ def _before(session: "Session", name: str) -> list[str]:
 def _three(e: "Estimate | None") -> list[str]:
     if e is None:
         return ["", "", ""]
-    bound = significant(e.std, 2) if math.isfinite(e.std) else ""
-    return [number(e.estimate), bound, significant(e.std_coloured, 2) if e.identifiable else CANNOT_TELL]
+    said = _to_bound(e.estimate, e.std, e.std_coloured)
+    return said if e.identifiable else [*said[:2], CANNOT_TELL]
+
+
+def _to_bound(value: float, other: float, bound: float) -> list[str]:
+    """Value, another spread and the bound to be believed: the value to the second figure of that bound."""
+    text, said = rounded(value, bound)
+    return [text, rounded(other, other)[1], said]
 
 
 def _safe(name: str) -> str:

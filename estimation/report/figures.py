@@ -1,10 +1,13 @@
-"""Figures as pictures inside the page: vector where that is small, pixels where a record is long."""
+"""Figures as pictures inside the page: vector; of a long record the curves alone are pixels, letters and axes never."""
 
 import base64
 import io
+import re
+import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,12 +24,17 @@ Array = NDArray[np.float64]
 MEASURED = "#9aa3ad"
 SPARE = Look("#000000", "P")  # of an estimator that brings none; Okabe and Ito's colours are told apart by all readers
 LARGE = 40_000  # points in one figure from which pixels are smaller than lines
+DOTS = 250  # dots of one series from which pixels are smaller: a dot is a hundred bytes of vectors
+CURVES = 2.2  # of matplotlib's drawing order: lines and dots are at 2 and below, letters and axes above
 STYLE: dict[str, Any] = {
     "font.size": 8.5, "axes.titlesize": 9.5, "axes.labelsize": 8.5, "axes.grid": True, "grid.alpha": 0.25, "grid.linewidth": 0.6,
     "axes.spines.top": False, "axes.spines.right": False, "axes.linewidth": 0.7, "xtick.major.width": 0.7,
     "ytick.major.width": 0.7, "legend.frameon": False, "legend.fontsize": 8, "svg.hashsalt": "sideslip",
     "lines.linewidth": 1.1, "mathtext.fontset": "dejavusans", "axes.formatter.useoffset": False,
 }  # fmt: skip
+
+ABOVE: dict[str, Any] = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "borderaxespad": 0.2}
+"""Where a legend stands clear of the curves."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,13 +66,14 @@ def picture(figure: "Figure", name: str, caption: str, points: int = 0) -> Pictu
     """Draw a figure. points: how many it holds."""
     buffer = io.BytesIO()
     width, height = (round(96 * float(inches)) for inches in figure.get_size_inches())
-    if points > LARGE:
-        figure.savefig(buffer, format="png", dpi=150)
-        kind = "image/png"
-    else:
-        figure.savefig(buffer, format="svg", metadata={"Date": None})
-        kind = "image/svg+xml"
-    uri = f"data:{kind};base64,{base64.b64encode(buffer.getvalue()).decode()}"
+    for axis in figure.axes:
+        if points > LARGE:
+            axis.set_rasterization_zorder(CURVES)
+        for line in axis.lines:
+            if line.get_marker() not in ("None", None) and np.size(line.get_xdata()) > DOTS:
+                line.set_rasterized(True)
+    figure.savefig(buffer, format="svg", metadata={"Date": None}, transparent=True, dpi=150)
+    uri = f"data:image/svg+xml;base64,{base64.b64encode(buffer.getvalue()).decode()}"
     return Picture(name, caption, uri, width, height)
 
 
@@ -78,11 +87,17 @@ def broken_at_gaps(time: Array, values: Array) -> Array:
     return np.where(gaps, np.nan, values)
 
 
-def file_picture(path: "Any", name: str, caption: str) -> Picture:
-    """A PNG file as a picture of the page."""
-    import struct
-
+def file_picture(path: Path, name: str, caption: str) -> Picture:
+    """A PNG or SVG file as a picture of the page."""
     data = path.read_bytes()
-    width, height = struct.unpack(">II", data[16:24])
-    uri = f"data:image/png;base64,{base64.b64encode(data).decode()}"
-    return Picture(name, caption, uri, width, height)
+    svg = path.suffix.lower() == ".svg"
+    width, height = _svg_size(data) if svg else struct.unpack(">II", data[16:24])
+    kind = "svg+xml" if svg else "png"
+    return Picture(name, caption, f"data:image/{kind};base64,{base64.b64encode(data).decode()}", width, height)
+
+
+def _svg_size(data: bytes) -> tuple[int, int]:
+    """Width and height [CSS pixels] that the head of an SVG file gives in points."""
+    found = [re.search(rb'\b%s="([0-9.]+)pt"' % side, data[:2000]) for side in (b"width", b"height")]
+    width, height = (round(float(f.group(1)) * 96 / 72) if f else 0 for f in found)
+    return width, height

@@ -1,4 +1,4 @@
-"""The front page of a folder of reports: the key numbers and figures, and links to each page."""
+"""The front page of a folder of reports: key numbers and figures, what was hidden where that is known, links to each page."""
 
 import json
 from pathlib import Path
@@ -6,8 +6,9 @@ from typing import Any
 
 from estimation.report import published
 from estimation.report.figures import Picture, file_picture
-from estimation.report.html import write_page
-from estimation.report.tables import CANNOT_TELL, Table, number, significant
+from estimation.report.html import MARK, link_back, write_page
+from estimation.report.tables import CANNOT_TELL, Table, number, pair, rounded, significant
+from estimation.signals.goodness_of_fit import THEIL_LIMIT
 
 PAGES = (
     ("check", "Data compatibility", "do accelerations, rates, attitude and air data tell the same story?"),
@@ -17,6 +18,7 @@ PAGES = (
         "estimates with bounds, histories, residuals, modes, what could not be told",
     ),
     ("gap", "Gap workflow", "what the model was missing, how it was found and what adding it changed"),
+    ("campaign", "Campaign", "many flights together"),
 )
 WORDS = {
     "no_gap": "no gap", "gap_closed": "gap closed", "gap_reduced": "gap reduced", "unknown_effect": "unknown effect",
@@ -24,18 +26,35 @@ WORDS = {
 }  # fmt: skip
 
 
+HEAD = ("before [σ]", "after [σ]", "floor [σ]")
+ERROR = (
+    "Error: estimate of {} less truth, in its corrected bounds; constants take up the sensors' offsets and have none."
+)
+
+
 def write_front_page(folder: Path) -> Path:
-    """Write folder/index.html from what lies in it: check/, estimate/, gap/ (each with index.html), match.png, and the
-    JSON files check.json, estimate.json, match.json, gap.json beside them. Missing ones are left out."""
-    found = {name: _read(folder / f"{name}.json") for name in ("check", "estimate", "match", "gap")}
-    links = [(f"{n}/index.html", title, about) for n, title, about in PAGES if (folder / n / "index.html").is_file()]
-    return write_page(
-        folder / "index.html", "front.html.j2",
-        title="Flight-test report", lead=_lead(found["estimate"], found["check"]), links=links,
-        keys=_keys(found), tables=[t for t in (_derivatives(found["estimate"]), _match(found["match"])) if t is not None],
+    """Write folder/index.html from what lies in it: check/, estimate/, gap/, campaign/ (each with index.html), match.svg or
+    match.png, and the JSON files check.json, estimate.json, match.json, gap.json, truth.json beside them. Missing ones are left
+    out. The pages get a link back to it.
+
+    truth.json, of simulated flights: {"derivatives": {name: value},
+    "hidden": {"name": effect, "parameters": {name: [value, unit]}}}.
+    """
+    found = {name: _read(folder / f"{name}.json") for name in ("check", "estimate", "match", "gap", "truth")}
+    there = [(n, title, about) for n, title, about in PAGES if (folder / n / "index.html").is_file()]
+    truth = found["truth"] or {}
+    page = write_page(
+        folder / "index.html", "front.html.j2", mark=MARK, back="",
+        title="Flight-test report", lead=_lead(found["estimate"], found["check"]),
+        links=[(f"{n}/index.html", title, about) for n, title, about in there], keys=_keys(found),
+        derivatives=_derivatives(found["estimate"], truth.get("derivatives", {})), match=_match(found["match"]),
+        hidden=_hidden(found["gap"], truth.get("hidden")), gap_table=_gap_table(found["gap"]),
         match_figure=_match_figure(folder), gap=found["gap"], verdict=WORDS.get((found["gap"] or {}).get("verdict", ""), ""),
         files=[f"{n}.json" for n, data in found.items() if data is not None],
     )  # fmt: skip
+    for name, *_ in there:
+        link_back(folder / name / "index.html")
+    return page
 
 
 def _read(path: Path) -> dict[str, Any] | None:
@@ -51,28 +70,43 @@ def _lead(estimate: dict[str, Any] | None, check: dict[str, Any] | None) -> str:
     return f"{craft}Flights: {names}."
 
 
-def _keys(found: dict[str, dict[str, Any] | None]) -> list[tuple[str, str]]:
+def _limit(match: dict[str, Any]) -> float:
+    """Limit of Theil's coefficient that a proof of match was judged by."""
+    return float(match.get("limit", THEIL_LIMIT))
+
+
+def _keys(found: dict[str, dict[str, Any] | None]) -> list[tuple[str, str, bool]]:
+    """(value, what it is, whether it is beyond its limit)."""
     keys = []
     if (check := found["check"]) is not None:
         verdicts = [q["verdict"] for f in check["flights"] for q in f["quality"]]
         bad = f"{verdicts.count('fail')} failed, {verdicts.count('warn')} warned"
-        keys.append((f"{verdicts.count('ok')} of {len(verdicts)}", f"data quality checks passed ({bad})"))
+        keys.append(
+            (f"{verdicts.count('ok')} of {len(verdicts)}", f"data quality checks passed ({bad})", "fail" in verdicts)
+        )
     if (match := found["match"]) is not None:
         theil = [c["theil"] for f in match["flights"] for c in f["fit"].values() if c["theil"] is not None]
         if theil:
-            keys.append((f"{max(theil):.2f}", "worst Theil coefficient of the proof of match (0 perfect, 1 hopeless)"))
+            keys.append(
+                (
+                    f"{max(theil):.2f}",
+                    f"worst Theil coefficient of the proof of match (limit {_limit(match):g})",
+                    max(theil) > _limit(match),
+                )
+            )
     if (gap := found["gap"]) is not None:
-        keys.append((WORDS.get(gap["verdict"], gap["verdict"]), "answer of the gap workflow"))
+        keys.append((WORDS.get(gap["verdict"], gap["verdict"]), "answer of the gap workflow", False))
         for step in gap["steps"][:2]:
             closed = (step["holdout"] or step["gap"])["closed"]
             where = "on the held-out flight" if step["holdout"] else "on the training flights"
             if closed is not None:
-                keys.append((f"{closed:.0%}", f"of the gap closed by {step['effect']} {where}"))
+                keys.append((f"{closed:.0%}", f"of the gap closed by {step['effect']} {where}", False))
     return keys
 
 
-def _derivatives(data: dict[str, Any] | None) -> Table | None:
-    """The joint estimates, or the means over flights, beside the wind tunnel and the published means."""
+def _derivatives(data: dict[str, Any] | None, truth: dict[str, float]) -> Table | None:
+    """The joint estimates, or the means over flights, beside the truth of simulated flights, the wind tunnel and the published
+    means."""
     if not data:
         return None
     source = data["joint"] or {}
@@ -88,6 +122,8 @@ def _derivatives(data: dict[str, Any] | None) -> Table | None:
             row += (
                 _pair(source[method]["parameters"].get(name)) if source else _mean_pair(data["mean"][method].get(name))
             )
+        if truth:
+            row += [number(truth.get(name)), _off(source, methods, name, truth.get(name))]
         if ours:
             said = published.mean("ml", name)
             row += [
@@ -97,51 +133,138 @@ def _derivatives(data: dict[str, Any] | None) -> Table | None:
             ]
         rows.append(tuple(row))
     spread = "bound" if source else "scatter"
-    head = ["", *(h for _ in methods for h in ("estimate", spread)), *(("value", "mean", "scatter") if ours else ())]
     best = data.get("recommended", {}).get("method") if source else None
+    told = ("truth", "error [bounds]") if truth else ()
+    head = [
+        "",
+        *(h for _ in methods for h in ("estimate", spread)),
+        *told,
+        *(("value", "mean", "scatter") if ours else ()),
+    ]
     titles = [f"{m} (recommended)" if m == best else m for m in methods]
-    groups = [("", 1), *((t, 2) for t in titles), *((("wind tunnel", 1), ("published, ml", 2)) if ours else ())]
+    groups = [("", 1), *((t, 2) for t in titles), *((("simulated", 2),) if truth else ()),
+              *((("wind tunnel", 1), ("published, ml", 2)) if ours else ())]  # fmt: skip
+    notes = [ERROR.format(methods[0])] if truth and methods else []
+    notes += [published.COMPARISON] if ours else []
     what = (
         "Joint estimates over all flights, bounds corrected for coloured residuals"
         if source
         else "Means over the flights"
     )
     return Table("derivatives", f"{what} [1/rad]", tuple(head), tuple(rows), tuple(groups),
-                 note=published.COMPARISON if ours else "")  # fmt: skip
+                 note=" ".join(notes))  # fmt: skip
+
+
+def _off(source: dict[str, Any], methods: list[str], name: str, true: float | None) -> str:
+    """How far the first method's joint estimate is from the truth, in its bounds."""
+    entry = source[methods[0]]["parameters"].get(name) if source else None
+    if true is None or entry is None or name.endswith("_0") or not entry["identifiable"] or not entry["std_coloured"]:
+        return ""
+    return f"{(entry['estimate'] - true) / entry['std_coloured']:+.1f}"
 
 
 def _pair(entry: dict[str, Any] | None) -> list[str]:
     if entry is None:
         return ["", ""]
     if not entry["identifiable"]:
-        return [number(entry["estimate"]), CANNOT_TELL]
-    return [number(entry["estimate"]), significant(entry["std_coloured"], 2)]
+        return [pair(entry["estimate"], entry["std_coloured"])[0], CANNOT_TELL]
+    return pair(entry["estimate"], entry["std_coloured"])
 
 
 def _mean_pair(entry: dict[str, Any] | None) -> list[str]:
-    return ["", ""] if entry is None else [number(entry["mean"]), significant(entry["std"], 2)]
+    return ["", ""] if entry is None else pair(entry["mean"], entry["std"])
 
 
 def _match(data: dict[str, Any] | None) -> Table | None:
     if not data or not data["flights"]:
         return None
-    channels = list(data["flights"][0]["fit"])
-    rows = []
+    channels, limit = list(data["flights"][0]["fit"]), _limit(data)
+    rows: list[tuple[str, ...]] = []
+    failed: set[tuple[int, int]] = set()
     for flight in data["flights"]:
-        row = [flight["name"]]
-        for channel in channels:
-            fit = flight["fit"].get(channel, {})
-            row += [number(fit.get("r2"), 3), number(fit.get("theil"), 3)]
-        rows.append(tuple(row))
+        fits = [flight["fit"].get(channel, {}) for channel in channels]
+        beyond = [k for k, fit in enumerate(fits) if fit.get("theil") is not None and fit["theil"] > limit]
+        failed |= {(len(rows), 2 + 2 * k) for k in beyond} | ({(len(rows), 1 + 2 * len(channels))} if beyond else set())
+        cells = [c for fit in fits for c in (number(fit.get("r2"), 3), number(fit.get("theil"), 3))]
+        rows.append((flight["name"], *cells, "FAIL" if beyond else "pass"))
     return Table("match", "Proof of match: flights predicted with parameters frozen",
-                 ("flight", *(h for _ in channels for h in ("r²", "Theil"))), tuple(rows),
-                 (("", 1), *((c, 2) for c in channels)), symbols=False)  # fmt: skip
+                 ("flight", *(h for _ in channels for h in ("r²", "Theil")), "match"), tuple(rows),
+                 (("", 1), *((c, 2) for c in channels), ("", 1)), symbols=False, failed=frozenset(failed),
+                 note=f"Limit: Theil's coefficient at most {limit:g} in every channel; in red what is above it.")  # fmt: skip
+
+
+def _gap_table(data: dict[str, Any] | None) -> Table | None:
+    """Each effect with its gap before and after, on the training flights and on those held out."""
+    if not data or not data["steps"]:
+        return None
+    rows = []
+    for step in data["steps"]:
+        held = step["holdout"] or {}
+        cells = [number(step["gap"][k], 2) for k in ("before", "after", "floor")]
+        cells += [number(held.get(k), 2) for k in ("before", "after")]
+        size = "; ".join(
+            f"{n} = {' ± '.join(t for t in rounded(e['estimate'], e['std']) if t)} {_unit(e)}".strip()
+            for n, e in step["parameters"].items()
+        )
+        rows.append((step["effect"], step["title"], size, number(step["confidence"], 2), *cells))
+    return Table(
+        "gap",
+        "Effects, with the disagreement in units of the measurement noise σ",
+        ("effect", "what it is", "estimate", "weight", *HEAD, *HEAD[:2]),
+        tuple(rows),
+        (("", 4), ("training flights", 3), ("held-out flights", 2)),
+        symbols=False,
+        texts=(1, 2),
+    )
+
+
+def _size(name: str, entry: dict[str, Any]) -> str:
+    value = " ± ".join(text for text in rounded(entry["estimate"], entry["std"]) if text)
+    return f"{name} = {value} {_unit(entry)}".strip()
+
+
+def _unit(entry: dict[str, Any]) -> str:
+    unit = str(entry.get("unit", ""))
+    return "" if unit == "1" else unit
+
+
+def _hidden(gap: dict[str, Any] | None, hidden: dict[str, Any] | None) -> Table | None:
+    """What was hidden in the simulated aircraft beside what the workflow says of it; None where it is not known."""
+    if not gap or not hidden:
+        return None
+    step = next((s for s in gap["steps"] if hidden["name"] in (s["effect"], *(m["effect"] for m in s["set"]))), None)
+    found = {} if step is None else step["parameters"]
+    if step is None:
+        said = "not found"
+    else:
+        said = "named" if step["effect"] == hidden["name"] else f"among those that {step['effect']} stands for"
+    rows = []
+    for name, (value, unit) in hidden["parameters"].items():
+        estimate, bound = pair(*((found[name]["estimate"], found[name]["std"]) if name in found else (None, None)))
+        said = (
+            "not found"
+            if step is None
+            else "named"
+            if step["effect"] == hidden["name"]
+            else f"among those that {step['effect']} stands for"
+        )
+        rows.append((hidden["name"], name, number(value), estimate, bound, unit or "1", said))
+    return Table(
+        "hidden",
+        "The hidden effect",
+        ("effect", "parameter", "truth", "estimate", "bound", "unit", "answer"),
+        tuple(rows),
+        symbols=False,
+        texts=(6,),
+        failed=frozenset({(i, 6) for i in range(len(rows))} if step is None else set()),
+    )
 
 
 def _match_figure(folder: Path) -> Picture | None:
-    path = folder / "match.png"
+    paths = [folder / "match.svg", folder / "match.png"]
+    path = next((p for p in paths if p.is_file()), None)
     return (
-        file_picture(path, "match_figure", "Measured and predicted motion, parameters frozen.")
-        if path.is_file()
-        else None
+        None
+        if path is None
+        else file_picture(path, "match_figure", "Measured and predicted motion, parameters frozen.")
     )

@@ -3,7 +3,6 @@
 import csv
 import io
 import json
-import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -13,6 +12,7 @@ from daq.contract.outputs import write_json, write_text
 from estimation.errors import EstimationError
 from estimation.models import Model, read_model
 from estimation.report.names import tex
+from estimation.report.tables import rounded
 
 FORMATS = (".json", ".tex", ".csv")
 
@@ -127,11 +127,3 @@ def _math(number: str) -> str:
     """A number in LaTeX's maths, powers of ten written out; nothing for an empty text."""
     mantissa, _, power = number.partition("e")
     return f"${mantissa}" + (rf" \times 10^{{{int(power)}}}$" if power else "$") if number else ""
-
-
-def rounded(value: float, bound: float | None) -> tuple[str, str]:
-    """Value and bound as text, both to the second figure of the bound; without one, four figures and ""."""
-    if bound is None or not math.isfinite(bound) or bound <= 0.0:
-        return f"{value:.4g}", ""
-    places = max(0, 1 - math.floor(math.log10(bound)))
-    return f"{value:.{places}f}", f"{bound:.{places}f}"

@@ -23,6 +23,8 @@ def tex(name: str) -> str:
         return f"{letter}_{{{_by_tex(what)}}}"
     if name in _GREEK:
         return rf"\{name}"
+    if name in ("delta_e", "delta_a", "delta_r"):
+        return rf"\delta_{name[-1]}"
     if name in ("ax", "ay", "az"):
         return f"a_{name[1]}"
     if re.fullmatch(r"[a-zA-Z]", name):

@@ -1,5 +1,7 @@
 """The page of `sideslip estimate`: tables, figures, modes, and what could not be told."""
 
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -7,25 +9,30 @@ import numpy as np
 
 from estimation.models.base import ParameterRole
 from estimation.report import published
-from estimation.report.advice import untold
+from estimation.report.advice import grouped, untold
+from estimation.report.ellipses import ellipse_figure
 from estimation.report.estimate_figures import (
     correlation_figure,
     history_figure,
     proof_figure,
-    residual_figure,
     scatter_figure,
 )  # fmt: skip
 from estimation.report.estimate_tables import estimate_table, fit_table, is_published, joint_table, mean_table
+from estimation.report.figures import Picture
+from estimation.report.flight_card import flight_card
 from estimation.report.histories import write_flights
 from estimation.report.html import write_page
 from estimation.report.modes import SpreadMode, mode_table, modes_with_spread
 from estimation.report.names import html
+from estimation.report.notes import notes_table
 from estimation.report.provenance import provenance_table, simulated
+from estimation.report.residual_figures import against_figure, residual_figure
 from estimation.report.tables import Table, number, write_all
+from estimation.signals.goodness_of_fit import THEIL_LIMIT
 
 if TYPE_CHECKING:
     from estimation.session.proof_of_match import Proof
-    from estimation.session.session import Session
+    from estimation.session.session import FlightEstimates, Session
     from estimation.session.verdict import Verdict
 
 SHOWN = 8  # flights with figures of their own; tables hold all
@@ -41,8 +48,11 @@ def write_estimate_report(session: "Session", folder: Path) -> Path:
     tables: dict[str, Table | None] = {
         "joint": joint_table(session), "mean": mean_table(session), "fit": fit_table(session), "modes": _modes(session),
         "proof": _proof_table(session, proofs), "provenance": provenance_table(flights),
+        "runs": _runs(session), "verdict": _verdict_table(session), "untold": _untold(session),
+        "card": flight_card(flights, session.aircraft if session.aircraft.name != UNNAMED else None),
     }  # fmt: skip
     each = [estimate_table(session, f) for f in used]
+    each = [*(replace(t, note="") for t in each[:-1]), *each[-1:]]  # one note on what the columns mean is enough
     write_all([*each, *(t for t in tables.values() if t is not None)], folder / "tables")
     best = session.leading
     whose = f"joint, {best.method}" if best is not None else ""
@@ -56,21 +66,17 @@ def write_estimate_report(session: "Session", folder: Path) -> Path:
         status=session.text, converged=session.converged, simulated=simulated(flights),
         comparison=published.COMPARISON if is_published(session) else "",
         tables=tables, each=each, scatter=scatter_figure(session) if used else None,
-        verdicts=[(who, v.recommended, v.doubts) for who, v in _verdicts(session)],
         doubts=[(m, html(n), s.text) for m, t in session.mean.items() for n, s in t.items() if s.text],
         histories=[history_figure(f, is_published(session)) for f in used[:SHOWN]],
-        residuals=[residual_figure(r.model, r) for f in used[:SHOWN] for r in list(f.results.values())[:1]],
+        residuals=[p for f in used[:SHOWN] for p in _residual_figures(f)],
         left_out=max(0, len(used) - SHOWN),
         proof=proof_figure(proofs[:2], refitted(session), is_published(session)) if proofs else None,
         shown=[path.relative_to(folder).as_posix() for path in write_flights(session, folder / "flights", SHOWN)],
         correlation=correlation_figure(best, whose) if best is not None and best.names else None,
+        ellipses=_ellipses(session, used[:1], whose),
         collinear=[(html(a), html(b), f"{rho:+.3f}") for a, b, rho in (best.collinear if best is not None else ())],
-        untold=[(html(u.parameter), u) for u in untold(session)],
-        runs=[(f.flight.name, m, r.converged, r.text, r.iterations) for f in session.flights for m, r in f.results.items()]
-        + [(f.flight.name, m, False, why, 0) for f in session.flights for m, why in f.failures.items()]
-        + [("joint", m, r.converged, r.text, r.iterations) for m, r in session.joint.items()]
-        + [("joint", m, False, why, 0) for m, why in session.joint_failures.items()],
-        notes=list(dict.fromkeys((f.flight.name, n) for f in used for n in f.notes)),
+        untold=[([html(n) for n in g.parameters], g) for g in grouped(untold(session))],
+        notes=notes_table((f.flight.name, n) for f in used for n in f.notes),
         model=session.model,
     )  # fmt: skip
 
@@ -120,28 +126,78 @@ def refitted(session: "Session") -> str:
     )
 
 
+def _verdict_table(session: "Session") -> Table:
+    """Which estimate is recommended, for each flight and all together, why, and what is doubtful about it."""
+    verdicts = list(_verdicts(session))
+    rows = tuple(
+        (who, v.recommended.method, v.recommended.why, "; ".join(f"{d.kind.value}: {d.text}" for d in v.doubts))
+        for who, v in verdicts
+    )
+    failed = frozenset((i, 1) for i, (_, v) in enumerate(verdicts) if v.recommended.method == "none")
+    head = ("estimate", "recommended", "why", "doubts")
+    return Table("verdict", "Whom to believe", head, rows, symbols=False, texts=(2, 3), failed=failed)
+
+
+def _runs(session: "Session") -> Table:
+    """How each fit ended, failures among them."""
+    ended = [
+        (f.flight.name, m, r.text, r.iterations, r.converged) for f in session.flights for m, r in f.results.items()
+    ]
+    ended += [(f.flight.name, m, why, 0, False) for f in session.flights for m, why in f.failures.items()]
+    ended += [("joint", m, r.text, r.iterations, r.converged) for m, r in session.joint.items()]
+    ended += [("joint", m, why, 0, False) for m, why in session.joint_failures.items()]
+    rows = tuple((who, m, text, str(n)) for who, m, text, n, _ in ended)
+    failed = frozenset((i, 2) for i, (*_, good) in enumerate(ended) if not good)
+    head = ("flight", "method", "end", "iterations")
+    what = "Each flight and method, and all flights together"
+    return Table("runs", what, head, rows, symbols=False, texts=(1, 2), failed=failed)
+
+
+def _untold(session: "Session") -> Table:
+    """Every parameter, method and reason, for the file beside the page."""
+    head = ("parameter", "method", "flights", "why", "fly next", "joint")
+    rows = tuple(
+        (u.parameter, u.method, ", ".join(u.where), u.why, u.manoeuvre, "told" if u.told else "")
+        for u in untold(session)
+    )
+    return Table("untold", "What could not be told", head, rows, texts=(2, 3, 4))
+
+
+def _residual_figures(f: "FlightEstimates") -> list[Picture]:
+    """Residuals of the first method over time, and against incidence, sideslip and surfaces."""
+    first = next(iter(f.results.values()))
+    figures = (residual_figure(first.model, first), against_figure(first.model, first, f.flight))
+    return [p for p in figures if p is not None]
+
+
+def _ellipses(session: "Session", first: "Sequence[FlightEstimates]", whose: str) -> Picture | None:
+    """Ellipses of the joint estimates of all methods, the leading one first; without these, of the first flight's."""
+    leading = session.leading
+    if leading is not None:
+        rest = [r for r in session.joint.values() if r is not leading]
+        return ellipse_figure([leading, *rest], "all flights together", session.truth)
+    return ellipse_figure([r for f in first for r in f.results.values()], whose.partition(",")[0], session.truth)
+
+
 def _proof_table(session: "Session", proofs: list[tuple[str, "Proof"]]) -> Table | None:
     if not proofs:
         return None
     outputs = session.model.output_names
-    rows = [
-        (
-            p.name,
-            whose,
-            *(
-                c
-                for o in outputs
-                for c in ((number(p.fit[o].r2, 3), number(p.fit[o].theil, 3)) if o in p.fit else ("", ""))
-            ),
-        )
-        for whose, p in proofs
-    ]
+    rows: list[tuple[str, ...]] = []
+    failed: set[tuple[int, int]] = set()
+    for whose, p in proofs:
+        fits = [p.fit.get(o) for o in outputs]
+        beyond = [k for k, fit in enumerate(fits) if fit is not None and not fit.theil <= THEIL_LIMIT]
+        failed |= {(len(rows), 3 + 2 * k) for k in beyond} | ({(len(rows), 2 + 2 * len(outputs))} if beyond else set())
+        cells = [c for fit in fits for c in (("", "") if fit is None else (number(fit.r2, 3), number(fit.theil, 3)))]
+        rows.append((p.name, whose, *cells, "FAIL" if beyond else "pass"))
     return Table(
         "figure10_match", "Proof of match over flights",
-        ("flight", "predicted by", *(h for _ in outputs for h in ("r²", "Theil"))),
-        tuple(rows), (("", 2), *((o, 2) for o in outputs)), symbols=False,
-        note=f"Derivatives frozen, {refitted(session)} refitted. A flight that could not tell a derivative predicts with what "
-        "was believed before flying, or with a poor number: its predictions of flights that use that control show it.",
+        ("flight", "predicted by", *(h for _ in outputs for h in ("r²", "Theil")), "match"),
+        tuple(rows), (("", 2), *((o, 2) for o in outputs), ("", 1)), symbols=False, failed=frozenset(failed),
+        note=f"Limit: Theil's coefficient at most {THEIL_LIMIT:g} in every channel; in red what is above it. Derivatives frozen, "
+        f"{refitted(session)} refitted. A flight that could not tell a derivative predicts with what was believed before flying, "
+        "or with a poor number: its predictions of flights that use that control show it.",
     )  # fmt: skip
 
 

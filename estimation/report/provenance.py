@@ -23,7 +23,7 @@ def provenance_table(flights: Sequence["Flight"]) -> Table:
     return Table(
         "provenance", "Where the flights come from",
         ("flight", "source", "file", "sha-256 of file", "of raw recording", "of calibration", "calibrated by", "samples",
-         "duration [s]"), tuple(rows), symbols=False,
+         "duration [s]"), tuple(rows), symbols=False, texts=(2,),
         note="First 16 digits of each SHA-256; that of the calibration is over all its files' names and hashes together.",
     )  # fmt: skip
 

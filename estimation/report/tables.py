@@ -1,6 +1,7 @@
 """A table as data: the same rows become HTML in the page, CSV and LaTeX beside it."""
 
 import csv
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +15,8 @@ CANNOT_TELL = "cannot tell"
 @dataclass(frozen=True)
 class Table:
     """name: of its files. groups: (label, columns spanned) over `head`, or empty. The first cell of a row is a parameter
-    or signal name where `symbols`. note: what the reader must know of the columns."""
+    or signal name where `symbols`. note: what the reader must know of the columns. texts: columns of sentences, which may
+    break. failed: (row, column) of the cells that are beyond their limit; marked on the page alone."""
 
     name: str
     caption: str
@@ -23,6 +25,8 @@ class Table:
     groups: tuple[tuple[str, int], ...] = ()
     symbols: bool = True
     note: str = ""
+    texts: tuple[int, ...] = ()
+    failed: frozenset[tuple[int, int]] = frozenset()
 
     def write(self, folder: Path) -> None:
         """<name>.csv and <name>.tex in `folder`."""
@@ -73,13 +77,29 @@ def number(value: float | None, digits: int = 4) -> str:
         return ""
     if digits >= 4 and 0.0 < abs(value) < 20.0 * 10.0**-digits:
         return f"{value:.2g}"
-    text = f"{value:.{digits}f}"
-    return text[1:] if text.startswith("-") and not text.strip("-0.") else text
+    return _unsigned_zero(f"{value:.{digits}f}")
 
 
 def significant(value: float | None, digits: int = 3) -> str:
     """Significant figures, empty for a value that is not there or not finite."""
     return "" if value is None or value - value != 0.0 else f"{value:.{digits}g}"
+
+
+def rounded(value: float, bound: float | None) -> tuple[str, str]:
+    """Value and bound as text, both to the second figure of the bound; without one, four figures and ""."""
+    if bound is None or not math.isfinite(bound) or bound <= 0.0:
+        return f"{value:.4g}", ""
+    places = max(0, 1 - math.floor(math.log10(bound)))
+    return _unsigned_zero(f"{value:.{places}f}"), f"{bound:.{places}f}"
+
+
+def _unsigned_zero(text: str) -> str:
+    return text[1:] if text.startswith("-") and not text.strip("-0.") else text
+
+
+def pair(value: float | None, bound: float | None) -> list[str]:
+    """Two cells: a value and its bound, both to the second figure of the bound; empty where they are not there."""
+    return ["", ""] if value is None or not math.isfinite(value) else list(rounded(value, bound))
 
 
 def write_all(tables: Sequence[Table], folder: Path) -> None:

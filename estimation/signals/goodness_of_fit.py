@@ -15,6 +15,9 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+THEIL_LIMIT = 0.3
+"""Theil's coefficient above which a channel does not match: the upper end of what the literature calls good, 0.25 to 0.3."""
+
 
 @dataclass(frozen=True, slots=True)
 class ChannelFit:

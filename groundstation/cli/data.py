@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from daq.contract import outputs
+from daq.contract.errors import UserError
 from daq.contract.outputs import tried_file, tried_folder
 
 if TYPE_CHECKING:
@@ -71,6 +72,9 @@ def _write(flight: "Flight", output: Path, split: bool, report: Path | None) -> 
 _SPLIT = click.option("--split", is_flag=True, help="Write each stretch without a gap in time to a file of its own.")
 
 
+FOREIGN = (".csv", ".parquet", ".ulg", ".tlog")  # what 'sideslip import' reads and is never a raw recording
+
+
 @click.command()
 @click.argument("raw", type=click.Path(path_type=Path))
 @click.option(
@@ -107,6 +111,10 @@ def calibrate(
     """
     from groundstation.calibration.recording import calibrate_recording
 
+    if raw.suffix.lower() in FOREIGN and raw.is_file():
+        raise UserError(
+            f"{raw}: not a raw recording of counts; a log of another program becomes a flight with 'sideslip import'"
+        )
     _write(calibrate_recording(raw, calibration, align=align, salvage=salvage), output, split, report)
 
 

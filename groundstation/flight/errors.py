@@ -4,19 +4,29 @@ from collections.abc import Sequence
 
 from daq.contract.errors import UserError
 
+UNKNOWN_SHOWN = 4  # of the columns that go by no known name: a hint, not the list
+
 
 class FlightError(UserError):
     """A flight file that cannot be used."""
 
 
 class MissingColumnError(FlightError):
-    """A column that the work at hand needs is not in the flight."""
+    """A column that the work at hand needs is not in the flight.
 
-    def __init__(self, flight: str, missing: Sequence[str], purpose: str) -> None:
+    models: those that would do without. unknown: columns of the flight that go by no known name, among which it may be.
+    """
+
+    def __init__(
+        self, flight: str, missing: Sequence[str], purpose: str, models: Sequence[str] = (), unknown: Sequence[str] = ()
+    ) -> None:
         self.missing = tuple(missing)
         names = ", ".join(missing)
         plural = "s" if len(missing) > 1 else ""
-        instead = " or choose a model without" if purpose.startswith("model") else ""
+        instead = f", or choose a model that does without: {', '.join(models)}" if models else ""
+        if unknown:
+            shown = ", ".join(unknown[:UNKNOWN_SHOWN]) + (", ..." if len(unknown) > UNKNOWN_SHOWN else "")
+            instead += f"; if it is there by another name ({shown}), 'sideslip import' with --map gives it its own"
         super().__init__(
             f"{flight}: column{plural} {names} missing, needed for {purpose}; add the column{plural}{instead}"
         )

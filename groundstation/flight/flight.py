@@ -51,6 +51,9 @@ AIRCRAFT_FILE = "aircraft_file"
 """Key of a provenance's detail under which the text of the aircraft's file travels with the flight."""
 
 
+FOREIGN = "if another program wrote the file, convert it with 'sideslip import'"
+
+
 @dataclass(frozen=True, slots=True)
 class Provenance:
     """Where a flight's numbers come from, so that every result can be traced."""
@@ -192,7 +195,12 @@ class Flight:
         """Raise MissingColumnError naming every one of `columns` that is absent or entirely NaN."""
         missing = [c for c in columns if not self.measured(c)]
         if missing:
-            raise MissingColumnError(self.name, missing, purpose)
+            raise MissingColumnError(self.name, missing, purpose, unknown=self.unknown_columns)
+
+    @property
+    def unknown_columns(self) -> tuple[str, ...]:
+        """Columns that go by no name of `daq.contract.channels`."""
+        return tuple(c for c in self.columns if c not in COLUMN_BY_NAME)
 
     def with_columns(self, **columns: Array) -> "Flight":
         """A copy with columns added or replaced."""
@@ -276,7 +284,7 @@ def read_flight(path: str | Path, *, gap_factor: float = GAP_FACTOR) -> Flight:
     check_file(path, error=FlightError)
     columns, provenance, notes = readers[path.suffix.lower()](path)
     if "time" not in columns:
-        raise FlightError(f"{path}: no column 'time' [s]; found {listed(columns) or 'nothing'}")
+        raise FlightError(f"{path}: no column 'time' [s]; found {listed(columns) or 'nothing'}; {FOREIGN}")
     time = columns.pop("time")
     segment = columns.pop("segment", None)
     if segment is not None and not (np.all(np.isfinite(segment)) and np.all(segment == np.round(segment))):
@@ -314,7 +322,10 @@ _Read = tuple[dict[str, Array], Provenance, list[Note | str]]
 
 
 def _read_csv(path: Path) -> _Read:
-    return read_csv(path, FlightError), Provenance(), []
+    try:
+        return read_csv(path, FlightError), Provenance(), []
+    except FlightError as error:
+        raise FlightError(f"{error}; {FOREIGN}") from error
 
 
 def _write_csv(flight: Flight, path: Path) -> None:

@@ -29,3 +29,12 @@ def test_demo(tmp_path: Path) -> None:
     members = [m["effect"] for m in gap["steps"][0]["set"]]
     assert DEMO_HIDDEN[0] in members
     assert gap["steps"][0]["gap"]["closed"] > 0.7
+    told = json.loads((out / "report" / "truth.json").read_text())
+    assert told["hidden"]["name"] == DEMO_HIDDEN[0]
+    assert {name: round(told["derivatives"][name], 4) for name in truth} == truth
+    assert f"hidden: {DEMO_HIDDEN[0]} (adverse yaw from aileron) of -0.01 1/rad" in done.stdout
+    front = page.read_text(encoding="utf-8")
+    assert 'id="hidden"' in front
+    assert "error [bounds]" in front
+    for name in ("check", "estimate", "gap"):
+        assert 'href="../index.html"' in (out / "report" / name / "index.html").read_text(encoding="utf-8")

@@ -72,6 +72,64 @@ def test_unknown_verb_and_option_are_status_2() -> None:
         assert "Traceback" not in done.stderr
 
 
+@pytest.mark.parametrize(
+    ("arguments", "meant"),
+    [
+        (("estimat", "x.csv"), "did you mean 'sideslip estimate'? See"),
+        (("chek",), "did you mean 'sideslip check'?"),
+        (("rec",), "did you mean 'sideslip record' or 'sideslip recover'?"),
+        (("Import",), "did you mean 'sideslip import'"),
+        (("log.csv",), "it is a file: did you mean 'sideslip info log.csv'?"),
+        (("info", "log.ulg"), "sideslip import"),
+        (("calibrate", "log.csv", "-o", "out.mcap"), "sideslip import"),
+        (("estimate", "log.csv"), "sideslip import"),
+        (("estimate", "none.csv", "--model", "latral"), "did you mean lateral?"),
+        (("estimate", "none.csv", "--method", "mll"), "method 'mll' is unknown"),
+        (("gap", "none.csv", "--model", "latral"), "did you mean lateral?"),
+        (("gap", "none.csv", "--effects", "none.toml"), "effects none.toml: no such file"),
+        (("match", "none.toml", "none.csv"), "none.toml: no such file"),
+    ],
+    ids=" ".join,
+)
+def test_what_is_mistyped_is_said_before_any_work_with_what_was_meant(
+    arguments: tuple[str, ...],
+    meant: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "log.csv").write_text("Timestamp;x\n1;2\n")
+    (tmp_path / "log.ulg").write_bytes(b"ULog\x01\x12\x35\x01")
+    with pytest.raises(SystemExit) as ended:
+        sideslip.main(list(arguments))
+    said = capsys.readouterr().err.strip()
+    assert ended.value.code == 2
+    assert meant in said
+    assert len(said.splitlines()) == 1
+
+
+def test_a_word_like_no_verb_is_not_guessed_at(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        sideslip.main(["flap"])
+    assert "did you mean" not in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("typed", "completed"), [("sideslip est", "plain,estimate"), ("sideslip check --js", "plain,--json")]
+)
+def test_the_shell_completes_verbs_and_options(
+    typed: str, completed: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("_SIDESLIP_COMPLETE", "bash_complete")
+    monkeypatch.setenv("COMP_WORDS", typed)
+    monkeypatch.setenv("COMP_CWORD", str(len(typed.split()) - 1))
+    with pytest.raises(SystemExit) as ended:
+        sideslip.main([])
+    assert ended.value.code == 0
+    assert capsys.readouterr().out.splitlines() == [completed]
+
+
 def test_truncated_recording_and_wrong_columns_are_one_sentence(tmp_path: Path) -> None:
     (tmp_path / "cut.mcap").write_bytes(b"\x89MCAP0\r\n\x01\x00")
     (tmp_path / "wrong.csv").write_text("time,speed\n0,1\n0.05,1\n0.1,1\n")

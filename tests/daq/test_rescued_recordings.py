@@ -14,7 +14,7 @@ from daq import commands
 from daq.contract.recordings.accounting import info_mcap, recover, verify
 from daq.contract.recordings.mcap_records import ATTACHMENT_INDEX, CHUNK, METADATA_INDEX, STATISTICS, SUMMARY_OFFSET
 from daq.contract.recordings.reading import read_parts, read_recording, read_recordings, read_segment
-from daq.contract.recordings.recording import RecordingError, RecordingWriter
+from daq.contract.recordings.recording import LogTime, RecordingError, RecordingWriter
 from daq.contract.scan import encode_scan
 from groundstation.calibration.recording import calibrate_recording
 from groundstation.receiver.recording import ReceivedWriter
@@ -84,7 +84,7 @@ def test_a_chunk_under_any_other_code_is_not_lost(one: bytes, code: int, tmp_pat
 def test_messages_that_have_no_seal_are_not_lost_either(code: int, tmp_path: Path) -> None:
     path = tmp_path / "x_000.mcap"
     with path.open("wb") as stream:
-        writer = ReceivedWriter(stream, make_info(role="received"))
+        writer = ReceivedWriter(stream, make_info(role="received"), LogTime())
         for n in range(20):
             writer.write_scan(make_scan(n))
             writer.write_link(b"{}", n, n)

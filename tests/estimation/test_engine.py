@@ -184,6 +184,32 @@ def test_missing_columns_are_named(clean_flight: Flight) -> None:
         prepare(load_model("lateral", "cdfp"), Flight.build("cut", clean_flight.time, without))
 
 
+def test_every_missing_column_is_named_at_once_with_the_models_that_do_without(clean_flight: Flight) -> None:
+    kept = ("beta", "p", "r", "phi", "ay", "delta_a", "delta_r", "V", "rho")
+    some = Flight.build("cut", clean_flight.time, {c: clean_flight.columns[c] for c in kept})
+    with pytest.raises(MissingColumnError) as without_theta:
+        prepare(load_model("lateral", "cdfp"), some)
+    text = str(without_theta.value)
+    assert "columns alpha, theta, q missing" in text
+    assert text.endswith("choose a model that does without: lateral-simple")
+    strange = {**{c: clean_flight.columns[c] for c in ("p", "phi")}, "AOA": clean_flight.columns["alpha"]}
+    with pytest.raises(MissingColumnError) as nothing:
+        prepare(load_model("lateral-simple", "cdfp"), Flight.build("cut", clean_flight.time, strange))
+    text = str(nothing.value)
+    assert (
+        "columns delta_a, delta_r, V, beta, r, ay, rho (or p_dynamic and V or altitude to derive it from) missing"
+        in text
+    )
+    assert "choose a model" not in text
+    assert "(AOA), 'sideslip import'" in text
+
+
+def test_a_column_that_comes_with_another_is_not_asked_for(clean_flight: Flight) -> None:
+    without = {k: v for k, v in clean_flight.columns.items() if k not in ("V", "V_dot")}
+    with pytest.raises(MissingColumnError, match="column V missing"):
+        prepare(load_model("lateral", "cdfp"), Flight.build("cut", clean_flight.time, without))
+
+
 def test_gaps_and_holes_split_segments(clean_flight: Flight) -> None:
     keep = (clean_flight.time < 8) | (clean_flight.time > 11)
     columns = {k: v[keep].copy() for k, v in clean_flight.columns.items()}

@@ -8,7 +8,8 @@ import pytest
 
 from estimation.errors import EstimationError
 from estimation.models import load_model, write_model
-from estimation.report.model_export import export_model, rounded
+from estimation.report.model_export import export_model
+from estimation.report.tables import rounded
 
 
 @pytest.fixture

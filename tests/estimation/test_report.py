@@ -18,7 +18,7 @@ from estimation.report.check_page import write_check_report
 from estimation.report.front import write_front_page
 from estimation.report.modes import modes, modes_with_spread, state_matrix, trim
 from estimation.report.page import write_estimate_report
-from estimation.report.tables import Table, number
+from estimation.report.tables import Table, number, rounded
 from estimation.session import runner
 from estimation.session.session import Session
 from groundstation.flight import Flight, Provenance
@@ -87,7 +87,16 @@ def test_page_is_one_file_with_every_part(report: Path) -> None:
         "provenance",
     ):
         assert f'<h2 id="{part}"' in text
-    assert text.count("<img") >= 2 + 2 + 1 + 1 + 1
+    for piece in (
+        "flight_card",
+        "residuals_cdfp_ld1",
+        "against_cdfp_ld1",
+        "ellipses",
+        "figure10_match",
+        "runs",
+    ):
+        assert f'id="{piece}"' in text
+    assert text.count("<img") >= 2 + 2 + 2 + 1 + 1 + 1 + 1
     assert not list(report.parent.glob("*.part"))
 
 
@@ -171,7 +180,9 @@ def test_front_page_links_what_is_there_and_nothing_else(session: Session, repor
     (folder / "estimate.json").write_text(json.dumps(session.to_json()), encoding="utf-8")
     text = write_front_page(folder).read_text(encoding="utf-8")
     assert set(outside_references(text)) == {"estimate/index.html", "estimate.json"}
-    assert number(session.joint["ml"].parameters["Cl_p"].estimate) in text
+    found = session.joint["ml"].parameters["Cl_p"]
+    assert rounded(found.estimate, found.std_coloured)[0] in text
+    assert outside_references(report.read_text(encoding="utf-8")) == ["../index.html"]
 
 
 def test_front_page_of_an_empty_folder_says_so(tmp_path: Path) -> None:

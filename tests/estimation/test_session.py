@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner
 
 from estimation.aircraft import load_aircraft
-from estimation.commands.estimate import estimate
+from estimation.commands.estimate import estimate, session_lines
 from estimation.commands.match import match
 from estimation.errors import EstimationError
 from estimation.models import load_model, write_model
@@ -143,3 +143,14 @@ def test_light_imports() -> None:
         "assert not {'torch', 'matplotlib', 'scipy', 'rerun'} & set(sys.modules)"
     )
     subprocess.run([sys.executable, "-c", code], check=True, cwd=Path(__file__).parents[2])
+
+
+def test_brief_prints_the_numbers_that_the_data_could_tell(made_flights: list[Flight]) -> None:
+    session = runner.estimate(LATERAL, made_flights[:1], load_aircraft("cdfp"), ["ml"])
+    _, ended, numbers = session_lines(session, brief=True)
+    assert "ml: " in ended
+    found = session.flights[0].results["ml"].parameters
+    for name, e in found.items():
+        assert (f"{name} " in numbers) is e.identifiable
+    value = float(numbers.split("Cl_p ")[1].split()[0])
+    assert value == pytest.approx(found["Cl_p"].estimate, abs=0.05 * found["Cl_p"].std_coloured)

@@ -1,82 +1,139 @@
 """The gap report: one self-contained HTML page that tells the story to a flight-test engineer."""
 
 import re
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
-import numpy as np
-from jinja2 import Environment
+from estimation.gap.answer.result import GapResult, Histories, Step
+from estimation.gap.effects import catalogue
+from estimation.gap.effects.base import Effect
+from estimation.gap.pages import gap_tables
+from estimation.gap.pages.residual_maps import AFTER, BEFORE, residual_maps
+from estimation.report.figures import ABOVE, MEASURED, Picture, broken_at_gaps, picture, styled
+from estimation.report.html import write_page
+from estimation.report.names import axis_label, face
+from estimation.report.notes import notes_table
+from estimation.report.tables import Table, write_all
 
-from daq.contract.plain_words import printed
-from estimation.gap.answer.result import GapResult, Histories
-from estimation.gap.pages.residual_maps import png, residual_maps
+if TYPE_CHECKING:
+    from markupsafe import Markup
 
-PAGE = Path(__file__).with_name("report.html.j2")
+HERE = Path(__file__).parent
+BAND = "#9db4c4"
 TITLES = {
     "no_gap": "No gap", "gap_closed": "Gap found and closed", "gap_reduced": "Gap found and reduced",
     "unknown_effect": "A gap nothing in the catalogue explains", "cannot_tell": "These flights cannot tell",
 }  # fmt: skip
 
 
-def write_gap_report(result: GapResult, folder: Path) -> Path:
-    """Write `folder`/index.html and return its path; pictures are inside the page."""
+@dataclass(frozen=True)
+class Told:
+    """A step as the page shows it."""
+
+    step: Step
+    tables: tuple[Table, ...]
+    equation: "Markup | None"
+
+
+def write_gap_report(result: GapResult, folder: Path, effects: Sequence[Effect] = ()) -> Path:
+    """Write folder/index.html with its pictures inside, and its tables as CSV and LaTeX in folder/tables; returns the page.
+
+    effects: those that were asked for, for their units; by default the catalogue.
+    """
+    steps = [_told(s) for s in result.steps]
+    tables: dict[str, Table | None] = {
+        "missing": gap_tables.missing_table(result) if result.views else None,
+        "repeat": gap_tables.repeat_table(result), "ties": gap_tables.ties_table(result),
+        "cannot": gap_tables.cannot_table(result), "rejected": gap_tables.rejected_table(result),
+        "sizes": gap_tables.sizes_table(result, effects or catalogue()),
+        "notes": notes_table(_of_flight(n) for n in result.notes),
+    }  # fmt: skip
+    write_all(
+        [*(t for s in steps for t in s.tables), *(t for t in tables.values() if t is not None)], folder / "tables"
+    )
+    flights = [h.flight + (" (held out)" if h.holdout else "") for h in result.histories]
+    return write_page(
+        folder / "index.html", "report.html.j2", templates=HERE,
+        title=TITLES[result.verdict.value], lead=f"Model {result.model_before.name}; flights: {', '.join(flights)}.",
+        r=result, steps=steps, tables=tables, gate=result.details["kinematic_gate"],
+        histories=[history_figure(h, result) for h in result.histories],
+        bars=score_figure(result), places=residual_maps(result) if result.views else None,
+    )  # fmt: skip
+
+
+def _of_flight(note: str) -> tuple[str, str]:
+    """(flight, sentence) of a note; one of no flight is of all."""
+    flight, found, text = note.partition(": ")
+    return (flight, text) if found else ("all", note)
+
+
+def _told(step: Step) -> Told:
+    tables = (
+        gap_tables.step_gap(step),
+        gap_tables.step_parameters(step),
+        gap_tables.step_members(step),
+        gap_tables.step_migrated(step),
+    )
+    return Told(step, tuple(t for t in tables if t is not None), typeset(step.equation) if step.equation else None)
+
+
+def typeset(equation: str) -> "Markup":
+    """C_nβ and the like with their subscripts lowered."""
     from markupsafe import Markup
 
-    def gap(g: Any) -> Markup:
-        cells = (f"{g.before:.3f}", f"{g.after:.3f}", f"{g.floor:.3f}", f"{g.closed:.0%}")
-        return Markup("".join(f'<td class="n">{c}</td>' for c in cells))
-
-    def typeset(equation: str) -> Markup:
-        """C_nβ and the like with their subscripts lowered."""
-        return Markup(re.sub(r"_([^\s_()|*+−=,;/]+)", r"<sub>\1</sub>", str(Markup.escape(equation))))
-
-    page = Environment(autoescape=True, finalize=printed).from_string(PAGE.read_text(encoding="utf-8")).render(
-        r=result, title=TITLES[result.verdict.value], gap=gap, typeset=typeset, gate=result.details["kinematic_gate"],
-        pictures=[(f"{h.flight}{' (held out)' if h.holdout else ''}", _history(h, result.outputs)) for h in result.histories],
-        bars=_bars(result), places=residual_maps(result) if result.views else "", cannot=result.details["cannot_tell"],
-    )  # fmt: skip
-    folder.mkdir(parents=True, exist_ok=True)
-    path = folder / "index.html"
-    path.write_text(page, encoding="utf-8")
-    return path
+    return Markup(re.sub(r"_([^\s_()|*+−=,;/]+)", r"<sub>\1</sub>", str(Markup.escape(equation))))
 
 
-def _history(h: Histories, outputs: tuple[str, ...]) -> str:
+def history_figure(h: Histories, result: GapResult) -> Picture:
+    """Measured, before and after of every channel of one flight, and what is left."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(11, 1.7 * len(outputs)), layout="constrained")
-    axes = figure.subplots(len(outputs), 2, sharex=True, squeeze=False)
-    for c, name in enumerate(outputs):
-        unit, k = ("m/s²", 1.0) if name.startswith("a") and len(name) == 2 else ("deg", 180 / np.pi)
-        left, right = axes[c]
-        left.plot(h.time, k * h.measured[:, c], ".", ms=2, color="#8899a6", label="measured")
-        left.plot(h.time, k * h.before[:, c], lw=0.9, color="#c8553d", label="before")
-        left.plot(h.time, k * h.after[:, c], lw=0.9, color="#2a6f97", label="after")
-        left.set_ylabel(f"{name} [{unit}{'/s' if name in 'pqr' else ''}]")
-        right.axhspan(-k * h.floor[c], k * h.floor[c], color="#dfe8ee", label="floor ±1σ")
-        right.plot(h.time, k * (h.measured - h.before)[:, c], lw=0.6, color="#c8553d")
-        right.plot(h.time, k * (h.measured - h.after)[:, c], lw=0.6, color="#2a6f97")
-    axes[0][0].legend(fontsize=7, ncols=3)
-    axes[0][1].legend(fontsize=7)
-    axes[0][0].set_title("measured and model", fontsize=9)
-    axes[0][1].set_title("residuals", fontsize=9)
-    for axis in axes[-1]:
-        axis.set_xlabel("time [s]")
-    return png(figure)
+    units = {s.name: s.unit for s in result.model_before.outputs}
+    with styled():
+        figure = Figure(figsize=(11.6, 1.45 * len(result.outputs) + 0.6), layout="constrained")
+        axes = figure.subplots(len(result.outputs), 2, sharex=True, squeeze=False)
+        for c, name in enumerate(result.outputs):
+            k, unit = face(name, units[name])
+            left, right = axes[c]
+            left.plot(h.time, k * h.measured[:, c], ".", ms=2, color=MEASURED, label="measured")
+            for course, colour, label in ((h.before, BEFORE, "before"), (h.after, AFTER, "after")):
+                left.plot(h.time, broken_at_gaps(h.time, k * course[:, c]), lw=0.9, color=colour, label=label)
+                right.plot(h.time, broken_at_gaps(h.time, k * (h.measured - course)[:, c]), lw=0.6, color=colour)
+            left.set_ylabel(axis_label(name, unit))
+            right.axhspan(-k * h.floor[c], k * h.floor[c], color=BAND, alpha=0.35, lw=0, label="floor ± 1σ")
+        for axis, title in zip(axes[0], ("measured and model", "residuals"), strict=True):
+            axis.legend(ncols=3, **ABOVE)
+            axis.set_title(title, loc="left")
+        for axis in axes[-1]:
+            axis.set_xlabel("time [s]")
+        figure.align_ylabels()
+    held = ", held out" if h.holdout else ""
+    points = 5 * h.time.size * len(result.outputs)
+    return picture(
+        figure,
+        f"history_{h.flight}",
+        f"{h.flight}{held}: measured, model before and model after, and what is left.",
+        points,
+    )
 
 
-def _bars(result: GapResult) -> str:
+def score_figure(result: GapResult) -> Picture:
+    """Scores of all hypotheses and the threshold that simulated nulls set."""
     from matplotlib.figure import Figure
 
     names = list(result.scores)
-    figure = Figure(figsize=(9, 0.2 * len(names) + 1), layout="constrained")
-    axis = figure.subplots()
     named = {s.effect for s in result.steps}
-    colours = ["#2a6f97" if n in named else "#b8c4cc" for n in names]
-    axis.barh(range(len(names)), [max(result.scores[n], 1e-3) for n in names], color=colours)
-    axis.set_yticks(range(len(names)), names, fontsize=7)
-    axis.invert_yaxis()
-    axis.axvline(result.threshold, color="#c8553d", lw=1, label=f"null threshold {result.threshold:.2f}")
-    axis.set_xlabel("score in units of its scatter on the nulls")
-    axis.legend(fontsize=8)
-    return png(figure)
+    colours = [AFTER if n in named else MEASURED for n in names]
+    with styled():
+        figure = Figure(figsize=(9, 0.18 * len(names) + 1), layout="constrained")
+        axis = figure.subplots()
+        axis.barh(range(len(names)), [max(result.scores[n], 1e-3) for n in names], color=colours)
+        axis.set_yticks(range(len(names)), names, fontsize=7)
+        axis.invert_yaxis()
+        axis.margins(y=0.01)
+        axis.axvline(result.threshold, color=BEFORE, lw=1, label=f"null threshold {result.threshold:.2f}")
+        axis.set_xlabel("score in units of its scatter on the nulls")
+        axis.legend(loc="lower right")
+    return picture(figure, "scores", "Every hypothesis of the catalogue with its score; in colour what is named.")

@@ -25,8 +25,8 @@ def history(flight: str, holdout: bool, rng: np.random.Generator) -> Histories:
     return Histories(flight, holdout, 0.05 * np.arange(20), measured, before, after, FLOOR)
 
 
-@pytest.fixture
-def answered(rng: np.random.Generator) -> GapResult:
+def an_answer(rng: np.random.Generator) -> GapResult:
+    """A gap closed by one effect, on two training flights and one held out."""
     model = load_model("lateral", "cdfp")
     gap = Gap(1.65, 1.19, 1.17)
     step = Step(
@@ -43,6 +43,11 @@ def answered(rng: np.random.Generator) -> GapResult:
         outputs=model.output_names, views=(view,),
         histories=(history("f0", False, rng), history("f1", False, rng), history("f3", True, rng)),
     )  # fmt: skip
+
+
+@pytest.fixture
+def answered(rng: np.random.Generator) -> GapResult:
+    return an_answer(rng)
 
 
 class Recording:

@@ -116,4 +116,4 @@ def test_a_curve_in_another_unit_than_the_column_is_an_error(nominal: Calibratio
 def test_instruments_without_a_file_are_named_in_the_notes(make_scans: MakeScans, nominal: CalibrationSet) -> None:
     flight = calibrate(make_scans(5), without(nominal, "beta_vane.toml"))
     assert np.isnan(flight["beta"]).all()
-    assert any("beta_vane was recorded, but calibration set poor has no file" in note for note in flight.notes)
+    assert any("beta_vane was recorded, but calibration set poor has no file" in str(note) for note in flight.notes)

@@ -1,0 +1,193 @@
+"""The tables of the gap page, each with heads and units; what several flights or effects share is said once."""
+
+import re
+from collections.abc import Mapping, Sequence
+
+from estimation.gap.answer.result import Gap, GapResult, Step
+from estimation.gap.effects.base import Effect
+from estimation.report.notes import collected
+from estimation.report.tables import Table, number, pair, significant
+
+GAP_HEAD = ("before [σ]", "after [σ]", "floor [σ]", "closed [%]")
+BEFORE_FLYING, MIGRATED = ("from [1/rad]", "to [1/rad]"), "moved by [bounds]"
+LISTED = 16
+"""Pairs that these flights cannot tell apart: the closest ones. A pair further down is told apart better than all of these."""
+
+
+SHARED = (
+    (r"^fits \d+% of its usual size", "fits only a small part of its usual size"),
+    (r"^closes only \d+% of the gap", "closes too little of the gap"),
+)
+"""Reasons for which effects are rejected in many rounds, with other numbers in each."""
+
+
+def step_gap(step: Step) -> Table:
+    """The disagreement before and after a step, on the flights it was found on and on those held out."""
+    rows = [("training flights", *_gap(step.gap))]
+    if step.holdout is not None:
+        rows.append(("held-out flights", *_gap(step.holdout)))
+    return Table(f"gap_{step.effect}", "Disagreement of model and flight", ("", *GAP_HEAD), tuple(rows), symbols=False)
+
+
+def _gap(gap: Gap) -> tuple[str, str, str, str]:
+    return number(gap.before, 3), number(gap.after, 3), number(gap.floor, 3), f"{100.0 * gap.closed:.0f}"
+
+
+def step_parameters(step: Step) -> Table | None:
+    """What was estimated of the effect."""
+    if not step.estimates:
+        return None
+    rows = tuple((n, *pair(*e), _unit(step.units.get(n, ""))) for n, e in step.estimates.items())
+    head = ("", "estimate", "bound", "unit")
+    return Table(f"parameters_{step.effect}", "Estimate of the effect", head, rows)
+
+
+def step_members(step: Step) -> Table | None:
+    """Effects that explain the disagreement about as well, where there are any."""
+    if len(step.members) < 2:
+        return None
+    rows = tuple((m.effect, m.title, number(m.weight, 2), m.separate_by) for m in step.members)
+    return Table(
+        f"members_{step.effect}",
+        "What it could be",
+        ("effect", "what it is", "weight", "what would separate it"),
+        rows,
+        symbols=False,
+        texts=(1, 3),
+        note="Weights add to one over the effects that explain the disagreement about as well.",
+    )
+
+
+def step_migrated(step: Step) -> Table | None:
+    """Derivatives of the base that had absorbed the effect."""
+    if not step.migrated:
+        return None
+    rows = tuple((n, number(m.before), number(m.after), number(m.bounds, 1)) for n, m in step.migrated.items())
+    return Table(f"migrated_{step.effect}", "Derivatives that had absorbed it", ("", *BEFORE_FLYING, MIGRATED), rows)
+
+
+def missing_table(result: GapResult) -> Table:
+    """What is missing in each coefficient, stage by stage."""
+    first = result.views[0]
+    rows = tuple((n, *(significant(v.equations[n], 2) for v in result.views)) for n in first.equations)
+    return Table(
+        "missing",
+        "Missing in each coefficient, rms [1]",
+        ("coefficient", *(v.stage for v in result.views)),
+        rows,
+        symbols=False,
+    )
+
+
+def repeat_table(result: GapResult) -> Table | None:
+    """Whether the flights repeat each other; those beyond the limit are in red."""
+    entries = result.details["repeatability"]
+    if not entries:
+        return None
+    rows = tuple(
+        (
+            f["flight"],
+            str(f["chi2"]),
+            str(f["usual"]),
+            str(f["limit"]),
+            "FAIL: unlike the others" if f["odd"] else "pass",
+        )
+        for f in entries
+    )
+    failed = frozenset((i, c) for i, f in enumerate(entries) if f["odd"] for c in (1, 4))
+    return Table(
+        "repeatability",
+        "Do the flights repeat each other?",
+        ("flight", "fitted alone instead of together gains [χ²]", "usual [χ²]", "limit [χ²]", "verdict"),
+        rows,
+        symbols=False,
+        texts=(4,),
+        failed=failed,
+        note="Red: beyond the limit. Usual and limit: simulated nulls.",
+    )
+
+
+def ties_table(result: GapResult) -> Table | None:
+    """Pairs of effects with nearly the same signature."""
+    if not result.ties:
+        return None
+    rows = tuple((t.first, t.second, number(t.cosine, 3)) for t in result.ties[:LISTED])
+    left = len(result.ties) - len(rows)
+    note = "|cos| of their signatures in the residuals, 1: the same." + (
+        f" {left} pairs that are told apart better are in gap.json." if left else ""
+    )
+    return Table(
+        "ties",
+        "Effects that these flights cannot tell apart",
+        ("effect", "effect", "|cos| [1]"),
+        rows,
+        symbols=False,
+        note=note,
+    )
+
+
+def cannot_table(result: GapResult) -> Table | None:
+    """Effects that these flights would not show, by the manoeuvre that would."""
+    by = collected((c["separate_by"], c["effect"]) for c in result.details["cannot_tell"])
+    if not by:
+        return None
+    return Table(
+        "fly_next",
+        "Not visible on these flights",
+        ("fly next", "it would show"),
+        tuple((fly, ", ".join(names)) for fly, names in by.items()),
+        symbols=False,
+        texts=(0, 1),
+    )
+
+
+def rejected_table(result: GapResult) -> Table | None:
+    """What was looked at and not taken, by the reason; the same effect is looked at again in every round."""
+    by = collected((_reason(r.why, r.effect), r.effect) for r in result.rejected)
+    if not by:
+        return None
+    return Table(
+        "rejected",
+        "Looked at and rejected",
+        ("why", "effects"),
+        tuple((why, ", ".join(names)) for why, names in by.items()),
+        symbols=False,
+        texts=(0, 1),
+    )
+
+
+def _reason(why: str, effect: str) -> str:
+    """A reason that others may share: without the effect's own name at its head, and without the numbers of one round."""
+    for pattern, said in SHARED:
+        why = re.sub(pattern, said, why)
+    return why.removeprefix(f"{effect.partition(' ')[0]} ") if why.endswith("to nothing") else why
+
+
+def sizes_table(result: GapResult, effects: Sequence[Effect]) -> Table:
+    """Score of every hypothesis, and the smallest size that would have been seen, with its unit."""
+    units = _units(effects)
+    rows = []
+    for name, size in sorted(result.minimum_detectable.items(), key=lambda item: -result.scores.get(item[0], 0.0)):
+        score = result.scores.get(name)
+        rows.append((name, "" if score is None else number(score, 1), significant(size, 2), units.get(name, "")))
+    return Table(
+        "sizes",
+        "Smallest size that would have been seen",
+        ("effect or its parameter", "score [σ of nulls]", "smallest size", "unit"),
+        tuple(rows),
+        symbols=False,
+        note=f"An effect of this size would pass the threshold of {result.threshold:.2f} on these flights. Units as in "
+        "the catalogue of effects; 1: none, or per radian.",
+    )
+
+
+def _units(effects: Sequence[Effect]) -> Mapping[str, str]:
+    """Unit of every parameter by its name, and by the effect's where it has one form."""
+    found = {p.name: _unit(p.unit) for e in effects for form in e.forms for p in form.parameters}
+    return found | {
+        e.name: _unit(e.forms[0].parameters[0].unit) for e in effects if len(e.forms) == 1 and e.forms[0].parameters
+    }
+
+
+def _unit(unit: str) -> str:
+    return unit or "1"

@@ -1,0 +1,146 @@
+"""The flight card: mass, CG, speeds, height, weather and configuration of each flight, from its columns and its aircraft."""
+
+import math
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimation.aircraft.of_flight import aircraft_of
+from estimation.errors import AircraftError
+from estimation.report.tables import Table, number
+
+if TYPE_CHECKING:
+    from estimation.aircraft import Aircraft
+    from groundstation.flight import Flight
+
+Array = NDArray[np.float64]
+KELVIN = 273.15
+UTC_KEY = "utc_offset_s"  # in a flight's provenance: UTC less the flight's time [s]
+LATEST = 1e11  # seconds since 1970 that a calendar still has a year for
+SURFACES = {"delta_e": "e", "delta_a": "a", "delta_r": "r"}
+HEAD = (
+    "flight",
+    "date, time [UTC]",
+    "mass [kg]",
+    "CG from nose [m]",
+    "V [m/s]",
+    "height [m]",
+    "α [deg]",
+    "pressure [hPa]",
+    "temperature [°C]",
+    "density [kg/m³]",
+    "wind [m/s]",
+    "surfaces e/a/r moved [deg rms]",
+    "configuration",
+)
+
+
+def flight_card(flights: Sequence["Flight"], aircraft: "Aircraft | None" = None) -> Table:
+    """One row a flight. aircraft: of all of them; None takes the one each flight carries or names, where there is one."""
+    return Table(
+        "flight_card",
+        "Aircraft, speeds, height, weather and configuration",
+        HEAD,
+        tuple(_row(f, aircraft or _own(f)) for f in flights),
+        symbols=False,
+        texts=(12,),
+        note="Speeds, heights and angles: median (lowest to highest) over the samples used. Mass and CG: as in the aircraft's "
+        "file. Wind: mean of ground less air velocity, and whence it blows. Empty: not measured or not stated.",
+    )
+
+
+def _own(flight: "Flight") -> "Aircraft | None":
+    try:
+        return aircraft_of([flight])
+    except AircraftError:
+        return None
+
+
+def _row(flight: "Flight", craft: "Aircraft | None") -> tuple[str, ...]:
+    return (
+        flight.name,
+        _date(flight),
+        "" if craft is None or not math.isfinite(craft.mass) else f"{craft.mass:.4g}",
+        "" if craft is None or craft.cg_from_nose is None else f"{craft.cg_from_nose:.4g}",
+        _range(flight, "V", 1.0, 1),
+        _range(flight, "altitude", 1.0, 0),
+        _range(flight, "alpha", float(np.degrees(1.0)), 1),
+        number(_median(flight, "p_static", 0.01), 1),
+        number(_median(flight, "temperature", 1.0, -KELVIN), 1),
+        number(_median(flight, "rho", 1.0), 3),
+        _wind_text(flight),
+        _surfaces(flight),
+        str(flight.provenance.detail.get("configuration", "")),
+    )
+
+
+def _date(flight: "Flight") -> str:
+    """When the first sample was taken, where the recording knew UTC."""
+    offset = flight.provenance.detail.get(UTC_KEY)
+    if not isinstance(offset, int | float) or not 0.0 < offset + float(flight.time[0]) < LATEST:
+        return ""
+    return datetime.fromtimestamp(offset + float(flight.time[0]), UTC).strftime("%Y-%m-%d %H:%M")
+
+
+def _known(flight: "Flight", column: str) -> Array:
+    values = flight[column] if flight.measured(column) else np.zeros(0)
+    return values[np.isfinite(values)]
+
+
+def _median(flight: "Flight", column: str, factor: float, shift: float = 0.0) -> float | None:
+    values = _known(flight, column)
+    return factor * float(np.median(values)) + shift if values.size else None
+
+
+def _range(flight: "Flight", column: str, factor: float, digits: int) -> str:
+    values = factor * _known(flight, column)
+    if not values.size:
+        return ""
+    return f"{np.median(values):.{digits}f} ({values.min():.{digits}f} to {values.max():.{digits}f})"
+
+
+def _surfaces(flight: "Flight") -> str:
+    moved = [float(np.degrees(_known(flight, s).std())) if flight.measured(s) else None for s in SURFACES]
+    return " / ".join("–" if m is None else f"{m:.1f}" for m in moved) if any(m is not None for m in moved) else ""
+
+
+def _wind_text(flight: "Flight") -> str:
+    found = mean_wind(flight)
+    if found is None:
+        return ""
+    speed, whence = found
+    return f"{speed:.1f} from {math.degrees(whence) % 360.0:.0f}°"
+
+
+def mean_wind(flight: "Flight") -> tuple[float, float] | None:
+    """(speed [m/s], direction it blows from [rad, clockwise from north]) as the mean of ground velocity less the air
+    velocity that V, alpha, beta and the attitude give; None where these or vn, ve are not measured together.
+    """
+    needed = ("V", "alpha", "beta", "phi", "theta", "psi", "vn", "ve")
+    if not all(flight.measured(c) for c in needed):
+        return None
+    c: Mapping[str, Array] = {n: flight[n] for n in needed}
+    north, east = _air_velocity(c)
+    with np.errstate(invalid="ignore"):
+        wind_north, wind_east = c["vn"] - north, c["ve"] - east
+    known = np.isfinite(wind_north) & np.isfinite(wind_east)
+    if not known.any():
+        return None
+    n, e = float(wind_north[known].mean()), float(wind_east[known].mean())
+    return math.hypot(n, e), math.atan2(-e, -n)
+
+
+def _air_velocity(c: Mapping[str, Array]) -> tuple[Array, Array]:
+    """North and east components of the velocity through the air: body components turned by yaw, pitch and roll."""
+    u = c["V"] * np.cos(c["alpha"]) * np.cos(c["beta"])
+    v = c["V"] * np.sin(c["beta"])
+    w = c["V"] * np.sin(c["alpha"]) * np.cos(c["beta"])
+    sf, cf = np.sin(c["phi"]), np.cos(c["phi"])
+    st, ct = np.sin(c["theta"]), np.cos(c["theta"])
+    ahead = u * ct + (v * sf + w * cf) * st  # along the heading, level
+    aside = v * cf - w * sf
+    sp, cp = np.sin(c["psi"]), np.cos(c["psi"])
+    return ahead * cp - aside * sp, ahead * sp + aside * cp

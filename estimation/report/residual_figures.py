@@ -1,0 +1,136 @@
+"""What is left of a fit: residuals over time, autocorrelation, spectrum, and against incidence, sideslip and surfaces."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimation.estimators.result import FlightFit, Result
+from estimation.report.figures import LARGE, Picture, broken_at_gaps, look, picture, styled
+from estimation.report.names import axis_label, face, tex
+from estimation.signals.goodness_of_fit import autocorrelation
+
+if TYPE_CHECKING:
+    from estimation.models.base import Model
+    from groundstation.flight import Flight
+
+Array = NDArray[np.float64]
+AGAINST = ("alpha", "beta", "delta_e", "delta_a", "delta_r")
+BINS = 10  # equally filled: enough to show a bend, and each mean is over a tenth of the flight
+FEWEST = 8  # samples from which a spectrum, a correlation or a bin says anything
+SPECTRUM = 256  # samples of a stretch of Welch's estimate: 0.08 Hz apart at 20 Hz
+MOVED = 1e-6  # of a quantity that stands still nothing is shown
+
+
+def residual_figure(model: "Model", result: Result) -> Picture:
+    """Residuals of one flight, their autocorrelation and their spectrum, with what white noise would show."""
+    from matplotlib.figure import Figure
+
+    fit = result.flights[0]
+    colour = look(result.method).colour
+    with styled():
+        figure = Figure(figsize=(11.6, 1.3 * len(model.outputs) + 0.6), layout="constrained")
+        axes = figure.subplots(len(model.outputs), 3, squeeze=False, width_ratios=(2.0, 1, 1), sharex="col")
+        step = float(np.nanmedian(np.diff(fit.time)))
+        for i, signal in enumerate(model.outputs):
+            factor, unit = face(signal.name, signal.unit)
+            residual = factor * _residual(fit, i)
+            axes[i][0].plot(fit.time, broken_at_gaps(fit.time, residual), color=colour, lw=0.8)
+            axes[i][0].axhline(0, color="k", lw=0.5)
+            axes[i][0].set_ylabel(axis_label(signal.name, unit))
+            known = residual[np.isfinite(residual)]
+            if known.size > FEWEST:
+                _correlation(axes[i][1], known, step, colour)
+                _spectrum(axes[i][2], known, step, colour)
+            axes[i][1].set_ylim(-0.6, 1.05)
+        for column, (title, below) in enumerate(
+            (
+                ("residual", "time [s]"),
+                ("autocorrelation", "lag [s]"),
+                ("spectrum, share of variance", "frequency [Hz]"),
+            )
+        ):
+            axes[0][column].set_title(title)
+            axes[-1][column].set_xlabel(below)
+        figure.align_ylabels()
+    return picture(
+        figure,
+        f"residuals_{fit.name}",
+        f"{fit.name}, {result.method}: residuals, their autocorrelation (band: 95 % of white "
+        "noise) and power spectral density over its mean (dashed: white noise).",
+        fit.time.size * len(model.outputs),
+    )
+
+
+def _residual(fit: FlightFit, i: int) -> Array:
+    return fit.residuals[:, i] if i < fit.residuals.shape[1] else np.full(fit.time.size, np.nan)
+
+
+def _correlation(axis: Any, known: Array, step: float, colour: str) -> None:
+    lags = min(known.size // 4, 100)
+    axis.vlines(step * np.arange(lags + 1), 0, autocorrelation(known, lags), color=colour, lw=1.0)
+    band = 1.96 / np.sqrt(known.size)
+    axis.axhspan(-band, band, color="0.6", alpha=0.25, lw=0)
+
+
+def spectrum(known: Array, step: float) -> tuple[Array, Array]:
+    """(frequency [Hz], power spectral density over its mean) of evenly sampled residuals (N,), `step` apart [s]; by Welch's
+    method without the frequency nought. White noise is one everywhere.
+    """
+    from scipy.signal import welch
+
+    frequency, density = welch(known, 1.0 / step, nperseg=min(SPECTRUM, known.size))
+    mean = float(np.mean(density[1:]))
+    return frequency[1:], density[1:] / mean if mean > 0.0 else density[1:]
+
+
+def _spectrum(axis: Any, known: Array, step: float, colour: str) -> None:
+    frequency, density = spectrum(known, step)
+    axis.plot(frequency, density, color=colour, lw=0.9)
+    axis.axhline(1.0, color="0.4", lw=0.8, ls="--")
+    axis.set_yscale("log")
+    axis.minorticks_off()
+    axis.set_ylim(1e-2, max(30.0, 1.5 * float(density.max())))
+
+
+def against_figure(model: "Model", result: Result, flight: "Flight") -> Picture | None:
+    """Residuals of one flight against incidence, sideslip and the surfaces that moved, with means of equally filled bins;
+    None where none of these was measured."""
+    from matplotlib.figure import Figure
+
+    fit = result.flights[0]
+    shown = [c for c in AGAINST if flight.measured(c) and np.nanstd(flight[c]) > MOVED and len(flight) == fit.time.size]
+    if not shown:
+        return None
+    colour = look(result.method).colour
+    points = fit.time.size * len(model.outputs) * len(shown)
+    with styled():
+        figure = Figure(figsize=(11.6, 1.3 * len(model.outputs) + 0.6), layout="constrained")
+        axes = figure.subplots(len(model.outputs), len(shown), squeeze=False, sharex="col", sharey="row")
+        for i, signal in enumerate(model.outputs):
+            factor, unit = face(signal.name, signal.unit)
+            for j, column in enumerate(shown):
+                x = np.degrees(flight[column])
+                axes[i][j].plot(x, factor * _residual(fit, i), ".", color=colour, ms=1.6, alpha=0.35)
+                axes[i][j].errorbar(*binned(x, factor * _residual(fit, i)), color="k", fmt="o-", ms=2.4, lw=0.8)
+                axes[i][j].axhline(0, color="0.4", lw=0.6)
+                axes[-1][j].set_xlabel(f"${tex(column)}$ [deg]")
+            axes[i][0].set_ylabel(axis_label(signal.name, unit))
+        figure.align_ylabels()
+    caption = (
+        f"{fit.name}, {result.method}: residuals against incidence, sideslip and surfaces. Black: means of {BINS} equally filled "
+        "bins with 95 % of what white noise of this size would leave; a bend that leaves them is a term the model lacks."
+    )
+    return picture(figure, f"against_{fit.name}", caption, points if points > LARGE else 0)
+
+
+def binned(x: Array, residual: Array) -> tuple[Array, Array, Array]:
+    """(centres, means, 1.96 standard errors) of `residual` in equally filled bins of `x`; (N,) each, NaN left out."""
+    known = np.isfinite(x) & np.isfinite(residual)
+    order = np.argsort(x[known])
+    x, residual = x[known][order], residual[known][order]
+    parts = [p for p in np.array_split(np.arange(x.size), BINS) if p.size >= FEWEST]
+    centres = np.array([x[p].mean() for p in parts])
+    means = np.array([residual[p].mean() for p in parts])
+    errors = np.array([1.96 * residual[p].std(ddof=1) / np.sqrt(p.size) for p in parts])
+    return centres, means, errors

@@ -1,0 +1,210 @@
+"""Pieces of the report pages against hand-made numbers: folding, rounding, grouping, figures' statistics, flight card."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from estimation.report.advice import Untold, grouped
+from estimation.report.ellipses import ellipse
+from estimation.report.figures import LARGE, picture
+from estimation.report.flight_card import flight_card, mean_wind
+from estimation.report.fold import SHEET, label, needs_width, pieces, width, words
+from estimation.report.html import render
+from estimation.report.notes import notes_table
+from estimation.report.residual_figures import binned, spectrum
+from estimation.report.tables import Table, pair, rounded
+from groundstation.flight import Flight, Provenance
+
+
+def table(groups: int, span: int = 3) -> Table:
+    """One column of names and `groups` groups of numbers of nine letters."""
+    head = ("", *(f"h{i}" for i in range(groups * span)))
+    rows = tuple((name, *["-0.123456"] * groups * span) for name in ("Cl_p", "Cn_r"))
+    return Table("t", "caption", head, rows, (("", 1), *((f"g{i}", span) for i in range(groups))))
+
+
+def test_a_narrow_table_is_one_piece() -> None:
+    (whole,) = pieces(table(3))
+    assert whole.columns == tuple(range(10))
+    assert not whole.wide
+
+
+@pytest.mark.parametrize("groups", [5, 9, 14])
+def test_a_wide_table_is_cut_between_groups_and_each_piece_fits_and_begins_with_the_names(groups: int) -> None:
+    wide = table(groups)
+    found = pieces(wide)
+    assert all(p.columns[0] == 0 and width(wide, p.columns, small=p.wide) <= SHEET for p in found)
+    assert [c for p in found for c in p.columns[1:]] == list(range(1, 1 + 3 * groups))
+    assert all(sum(span for _, span in p.groups) == len(p.columns) for p in found)
+    assert needs_width({"tables": [wide]})
+    assert not needs_width({"tables": {"a": table(1), "b": None}})
+
+
+def test_every_cell_of_the_page_has_its_head_and_failed_ones_are_marked() -> None:
+    shown = replace(table(1), failed=frozenset({(1, 2)}))
+    page = render(
+        "front.html.j2",
+        title="t",
+        lead="l",
+        links=[],
+        keys=[],
+        derivatives=shown,
+        match=None,
+        hidden=None,
+        gap_table=None,
+        match_figure=None,
+        gap=None,
+        verdict="",
+        files=[],
+    )
+    assert page.count('data-label="g0 h1"') == 2
+    assert page.count('class="fail"') == 1
+    assert label(shown, 0) == ""
+
+
+def test_columns_without_numbers_are_words() -> None:
+    mixed = Table("t", "", ("a", "b", "c", "d"), (("x", "-1.2", "pass", ""), ("y", "cannot tell", "FAIL", "")))
+    assert words(mixed) == {0, 2}
+
+
+@pytest.mark.parametrize(
+    ("value", "bound", "expected"),
+    [
+        (0.123456, 0.00346, ("0.1235", "0.0035")),
+        (1234.56, 67.0, ("1235", "67")),
+        (2.0, None, ("2", "")),
+        (-0.00001, 0.02, ("0.000", "0.020")),
+    ],
+)
+def test_numbers_stand_to_the_second_figure_of_their_bound(
+    value: float, bound: float | None, expected: tuple[str, str]
+) -> None:
+    assert rounded(value, bound) == expected
+
+
+def test_pair_of_nothing_is_empty() -> None:
+    assert pair(None, 1.0) == pair(float("nan"), 1.0) == ["", ""]
+
+
+def test_what_one_manoeuvre_would_tell_is_one_row() -> None:
+    entries = [
+        Untold("CY_dr", "ml", ("f1",), "delta_r moved only 0.18 deg rms: this data cannot tell; move it", "rudder", ()),
+        Untold(
+            "CY_dr", "ml", ("f2",), "delta_r moved only 0.16 deg rms: this data cannot tell; move it", "rudder", ("ml",)
+        ),
+        Untold(
+            "Cn_dr", "ngn", ("f1",), "delta_r moved only 0.18 deg rms: this data cannot tell; move it", "rudder", ()
+        ),
+        Untold("CY_p", "ml", ("f1",), "bound 0.02 is wider than 0.015: this data cannot tell", "aileron", ()),
+    ]
+    rudder, aileron = grouped(entries)
+    assert (rudder.parameters, rudder.methods, rudder.where) == (("CY_dr", "Cn_dr"), ("ml", "ngn"), ("f1", "f2"))
+    assert rudder.whys == ("delta_r moved only … deg rms",)
+    assert rudder.told == ("CY_dr",)
+    assert aileron.parameters == ("CY_p",)
+
+
+def test_a_note_of_several_flights_is_said_once() -> None:
+    found = notes_table([("f1", "late"), ("f2", "late"), ("f1", "short"), ("f1", "late")])
+    assert found is not None
+    assert found.rows == (("late", "f1, f2"), ("short", "f1"))
+    assert notes_table([]) is None
+
+
+def test_ellipse_holds_95_percent_of_draws(rng: np.random.Generator) -> None:
+    covariance = np.array([[4.0, -1.5], [-1.5, 1.0]])
+    border = ellipse((3.0, -2.0), covariance) - [3.0, -2.0]
+    draws = rng.multivariate_normal([0.0, 0.0], covariance, size=20_000)
+
+    def radius(points: np.ndarray) -> np.ndarray:
+        return np.asarray(np.einsum("ij,jk,ik->i", points, np.linalg.inv(covariance), points))
+
+    assert np.ptp(radius(border)) < 1e-9
+    assert np.mean(radius(draws) < radius(border).mean()) == pytest.approx(0.95, abs=0.006)  # four sigma of 20000 draws
+
+
+def test_spectrum_is_flat_for_white_noise_and_peaks_at_a_tone(rng: np.random.Generator) -> None:
+    step, n = 0.05, 4096
+    noise = rng.standard_normal(n)
+    frequency, density = spectrum(noise, step)
+    assert np.mean(density[frequency < 5]) == pytest.approx(np.mean(density[frequency >= 5]), rel=0.15)
+    frequency, density = spectrum(noise + 2 * np.sin(2 * np.pi * 3.0 * step * np.arange(n)), step)
+    assert frequency[np.argmax(density)] == pytest.approx(3.0, abs=0.08)
+
+
+def test_bins_show_a_cubic_that_is_left(rng: np.random.Generator) -> None:
+    x = rng.uniform(-1, 1, 2000)
+    centres, means, errors = binned(x, x**3 + 0.1 * rng.standard_normal(x.size))
+    assert np.all(np.diff(centres) > 0)
+    assert np.abs(means - centres**3).max() < 0.03
+    assert np.abs(means[[0, -1]]).min() > 10 * errors.max()
+
+
+def circling(wind_north: float, wind_east: float) -> Flight:
+    """A level turn at 15 m/s in a steady wind, with a little sideslip and bank."""
+    t = np.arange(0.0, 40.0, 0.1)
+    flat = np.zeros_like(t)
+    psi, beta, phi, alpha = 0.2 * t, flat + 0.05, flat + 0.4, flat + 0.07
+    # the plane is level: theta such that the velocity has no vertical part
+    theta = np.arctan2(
+        np.sin(beta) * np.sin(phi) + np.sin(alpha) * np.cos(beta) * np.cos(phi), np.cos(alpha) * np.cos(beta)
+    )
+    course = psi + np.arctan2(
+        np.sin(beta) * np.cos(phi) - np.sin(alpha) * np.cos(beta) * np.sin(phi),
+        np.cos(alpha) * np.cos(beta) * np.cos(theta)
+        + (np.sin(beta) * np.sin(phi) + np.sin(alpha) * np.cos(beta) * np.cos(phi)) * np.sin(theta),
+    )
+    columns = {
+        "V": flat + 15.0,
+        "alpha": alpha,
+        "beta": beta,
+        "phi": phi,
+        "theta": theta,
+        "psi": psi,
+        "altitude": flat + 80,
+        "vn": 15.0 * np.cos(course) + wind_north,
+        "ve": 15.0 * np.sin(course) + wind_east,
+        "p_static": flat + 100_000.0,
+        "temperature": flat + 293.15,
+    }
+    return Flight.build("turn", t, columns, provenance=Provenance(aircraft="cdfp"))
+
+
+def test_flight_card_gives_wind_weather_mass_and_speeds() -> None:
+    flight = circling(-3.0, 4.0)  # blows to the south-east: from the north-west
+    found = mean_wind(flight)
+    assert found is not None
+    assert found[0] == pytest.approx(5.0, abs=1e-6)
+    assert np.degrees(found[1]) % 360 == pytest.approx(np.degrees(np.arctan2(-4.0, 3.0)) % 360, abs=1e-4)
+    card = flight_card([flight])
+    row = dict(zip(card.head, card.rows[0], strict=True))
+    assert row["wind [m/s]"] == "5.0 from 307°"
+    assert row["pressure [hPa]"] == "1000.0"
+    assert row["temperature [°C]"] == "20.0"
+    assert row["V [m/s]"] == "15.0 (15.0 to 15.0)"
+    assert row["mass [kg]"]
+    assert row["density [kg/m³]"] == row["date, time [UTC]"] == ""
+
+
+def test_flight_card_of_an_unknown_aircraft_leaves_its_mass_empty() -> None:
+    stranger = replace(circling(0.0, 0.0), provenance=Provenance(aircraft="nobody", detail={"utc_offset_s": 1.7e9}))
+    row = dict(zip(flight_card([stranger]).head, flight_card([stranger]).rows[0], strict=True))
+    assert row["mass [kg]"] == ""
+    assert row["date, time [UTC]"] == "2023-11-14 22:13"
+
+
+def test_figures_are_vectors_and_stay_small_with_long_records() -> None:
+    import base64
+
+    from matplotlib.figure import Figure
+
+    figure = Figure()
+    axis = figure.subplots()
+    axis.plot(np.random.default_rng(1).standard_normal(60_000), ".")
+    axis.set_xlabel("time")
+    shown = picture(figure, "f", "caption", LARGE + 1)
+    text = base64.b64decode(shown.uri.partition(",")[2])
+    assert shown.uri.startswith("data:image/svg+xml")
+    assert b"<image" in text  # the dots
+    assert len(text) < 400_000
