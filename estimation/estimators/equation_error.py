@@ -240,9 +240,24 @@ def _describe(simulator: Simulator, data: list[FlightData], solution: EquationEr
     found, pairs = estimates(
         model, solution.names, vector, solution.covariance, solution.coloured, solution.undetermined, data
     )
+    flights, R = simulated_fits(model, data, [solution.values] * len(data))
+    text = "solved" + (" with terms chosen by partial F" if stepwise else "")
+    blind = [n for n, e in found.items() if not e.identifiable]
+    status = Status.NOT_IDENTIFIABLE if blind else Status.CONVERGED
+    text += f"; cannot be told from this data: {', '.join(blind)}" if blind else ""
+    return Result(
+        model, "ls", status, text, ROUNDS, ROUNDS, float("nan"), R, solution.names, found, solution.covariance,
+        solution.coloured, pairs, tuple(flights), simulator.kernel.label,
+    )  # fmt: skip
+
+
+def simulated_fits(
+    model: Model, data: Sequence[FlightData], values: Sequence[Mapping[str, float]]
+) -> tuple[list[FlightFit], Array]:
+    """How each flight compares with the model simulated at its `values`, and the (ny, ny) variances of the residuals."""
     flights, residuals = [], []
-    for flight in data:
-        predicted = simulate(model, flight, solution.values)
+    for flight, at in zip(data, values, strict=True):
+        predicted = simulate(model, flight, at)
         time = np.full(flight.samples, np.nan)
         measured = np.full_like(predicted, np.nan)
         for s in flight.segments:
@@ -258,12 +273,4 @@ def _describe(simulator: Simulator, data: list[FlightData], solution: EquationEr
     stacked = np.concatenate(residuals)
     known = np.isfinite(stacked)
     variance = np.where(known, stacked, 0.0) ** 2
-    R = np.diag(variance.sum(axis=0) / np.maximum(known.sum(axis=0), 1))
-    text = "solved" + (" with terms chosen by partial F" if stepwise else "")
-    blind = [n for n, e in found.items() if not e.identifiable]
-    status = Status.NOT_IDENTIFIABLE if blind else Status.CONVERGED
-    text += f"; cannot be told from this data: {', '.join(blind)}" if blind else ""
-    return Result(
-        model, "ls", status, text, ROUNDS, ROUNDS, float("nan"), R, solution.names, found, solution.covariance,
-        solution.coloured, pairs, tuple(flights), simulator.kernel.label,
-    )  # fmt: skip
+    return flights, np.diag(variance.sum(axis=0) / np.maximum(known.sum(axis=0), 1))

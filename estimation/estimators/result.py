@@ -121,6 +121,23 @@ class Profile:
 
 
 @dataclass(frozen=True)
+class History:
+    """How estimates came about during the flight. time: (n,) s; estimate, std: name -> (n,), NaN before it could be told."""
+
+    time: Array
+    estimate: Mapping[str, Array]
+    std: Mapping[str, Array]
+
+    def to_json(self) -> dict[str, Any]:
+        """`time` and each parameter by name; JSON knows no NaN, so what cannot be told yet is null."""
+        told = {
+            n: {"estimate": [finite(v) for v in self.estimate[n]], "std": [finite(v) for v in self.std[n]]}
+            for n in self.estimate
+        }
+        return {"time": self.time.tolist(), **told}
+
+
+@dataclass(frozen=True)
 class Result:
     """A whole fit, of one flight or of many together. Matrices are in the order of `names` (the shared parameters)."""
 
@@ -142,6 +159,7 @@ class Result:
     extra: Mapping[str, Any] = field(default_factory=dict)
     profile: Mapping[str, Profile] = field(default_factory=dict)
     bootstrap: Bootstrap | None = None
+    history: History | None = None
 
     @property
     def converged(self) -> bool:
@@ -195,6 +213,8 @@ class Result:
             data["profile"] = {n: p.to_json() for n, p in self.profile.items()}
         if self.bootstrap is not None:
             data["bootstrap"] = self.bootstrap.to_json()
+        if self.history is not None:
+            data["history"] = self.history.to_json()
         return data
 
     def _fit_json(self) -> dict[str, Any]:

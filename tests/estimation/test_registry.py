@@ -55,7 +55,7 @@ def sideslip(*arguments: object, path: Path | None = None, cwd: Path | None = No
 
 
 def test_names_and_titles() -> None:
-    assert tuple(built_in()) == ("ml", "fem", "ngn", "ngn-improved", "ls")
+    assert tuple(built_in()) == ("ml", "fem", "ngn", "ngn-improved", "ls", "live")
     assert all(e.title and e.look is not None for e in built_in().values())
     assert names(Extra.STEPWISE) == ("ls",)
     with pytest.raises(EstimationError, match=r"method 'guess' is unknown; known are ml, fem, ngn, ngn-improved, ls"):

@@ -68,6 +68,9 @@ class Request:
     duration: float = 30.0
     jitter: float = 1.0
     inertia: Mapping[str, float] = field(default_factory=dict)
+    centred: bool = (
+        False  # surfaces recorded as the mean of what is held before and after; else 2.5 ms before their effect
+    )
 
 
 def perturbed_derivatives(rng: np.random.Generator, spread: float = 0.15) -> dict[str, float]:
@@ -116,7 +119,8 @@ def fly(requests: Sequence[Request]) -> list[dict[str, Array]]:
     u = np.stack([_schedule(r, g, steps) for r, g in zip(requests, rngs, strict=True)], axis=-1)  # (4, steps, n)
     gust = np.stack([_gust(r, g, steps) for r, g in zip(requests, rngs, strict=True)], axis=-1)  # (3, steps, n)
     e["Ixz"] = inertia["Ixz"] + e["Ixz_error"]
-    history = _integrate(d, inertia, speed, u, gust, e, x_, steps, n)
+    centred = np.array([r.centred for r in requests])
+    history = _integrate(d, inertia, speed, u, gust, e, x_, centred, steps, n)
     return [_measure({k: v[:, i] for k, v in history.items()}, r, g, {k: v[i] for k, v in e.items()},
                      {k: v[i] for k, v in x_.items()})
             for i, (r, g) in enumerate(zip(requests, rngs, strict=True))]  # fmt: skip
@@ -149,7 +153,8 @@ def _trim(d: Mapping[str, Array], V: Array) -> tuple[Array, Array, Array]:
 
 
 def _integrate(d: Mapping[str, Array], inertia: Mapping[str, Array], V0: Array, u: Array, gust: Array,
-               e: Mapping[str, Array], x_: Mapping[str, Array], steps: int, n: int) -> dict[str, Array]:  # fmt: skip
+               e: Mapping[str, Array], x_: Mapping[str, Array], centred: NDArray[np.bool_], steps: int,
+               n: int) -> dict[str, Array]:  # fmt: skip
     Ixx, Iyy, Izz, Ixz = inertia["Ixx"], inertia["Iyy"], inertia["Izz"], e["Ixz"]
     det = Ixx * Izz - Ixz**2
     a0, de0, T0 = _trim(d, V0)
@@ -254,7 +259,9 @@ def _integrate(d: Mapping[str, Array], inertia: Mapping[str, Array], V0: Array, 
             out[name][k] = obs[name]
         for name, i in (("p", 3), ("q", 4), ("r", 5), ("phi", 6), ("theta", 7), ("psi", 8), ("altitude", 9)):
             out[name][k] = x[i]
-        out["delta_a"][k], out["delta_r"][k], out["delta_e"][k], out["thrust"][k] = servo[0], servo[1], servo[2], thrust
+        before = line[:, max(k - 1, 0)]
+        out["delta_a"][k], out["delta_r"][k] = np.where(centred, 0.5 * (servo[:2] + before), servo[:2])
+        out["delta_e"][k], out["thrust"][k] = servo[2], thrust
         k2, _ = rhs(x + dt / 2 * k1, *args)
         k3, _ = rhs(x + dt / 2 * k2, *args)
         k4, _ = rhs(x + dt * k3, *args)

@@ -1,0 +1,102 @@
+"""What the recursive estimator is told: the airframe, what is believed of its derivatives, and one sample of its motion.
+
+Body axes x forward, y right, z down, at the centre of gravity; SI and radians; derivatives per radian, rates as
+p b / 2V and r b / 2V. +delta_r trailing edge to port, +delta_a rolls left.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from daq.contract.channels import COLUMN_BY_NAME
+
+GRAVITY = 9.80665  # m/s2, standard
+
+COLUMNS = ("0", "beta", "p", "r", "da", "dr")
+"""Columns of the regression, as they end the name of a derivative; `0` is the constant."""
+
+EQUATIONS: Mapping[str, tuple[str, ...]] = {
+    "CY": ("beta", "p", "r", "dr"),
+    "Cl": ("beta", "p", "r", "da", "dr"),
+    "Cn": ("beta", "p", "r", "dr"),
+}
+"""Coefficient -> columns that its derivatives stand for, beside the constant."""
+
+CONTROLS: Mapping[str, str] = {"da": "delta_a", "dr": "delta_r"}
+"""Column of the regression -> signal of the control."""
+
+DERIVATIVES = tuple(f"{coefficient}_{c}" for coefficient, terms in EQUATIONS.items() for c in ("0", *terms))
+"""Every parameter of the three equations, constants included."""
+
+
+class Sample(NamedTuple):
+    """One calibrated scan: time [s], angles [rad], rates [rad/s], V true airspeed [m/s], ay at the CG [m/s2], rho [kg/m3]."""
+
+    time: float
+    beta: float
+    p: float
+    q: float
+    r: float
+    phi: float
+    theta: float
+    alpha: float
+    V: float
+    ay: float
+    delta_a: float
+    delta_r: float
+    rho: float
+
+    @property
+    def credible(self) -> bool:
+        """Whether every value is a number that an aircraft can show: a scan with a silent or raving sensor makes no row."""
+        return math.isfinite(self.time) and all(
+            low <= x <= high for x, (low, high) in zip(self[1:], _RANGES, strict=True)
+        )
+
+
+SIGNALS = Sample._fields[1:]
+"""Signals that a sample consists of, in its order; names are those of the flight's columns."""
+
+_RANGES = tuple(COLUMN_BY_NAME[name].plausible for name in SIGNALS)
+
+
+@dataclass(frozen=True, slots=True)
+class Belief:
+    """What is believed of one derivative before flying: value and standard deviation [1/rad]."""
+
+    value: float
+    std: float
+
+
+@dataclass(frozen=True)
+class Airframe:
+    """Geometry [m, m2], mass [kg], moments of inertia [kg m2], and beliefs by name (`DERIVATIVES`).
+
+    `Ixz` as it stands in the equations of motion (positive for a nose-down principal axis). servo_lag [s]: first-order lag of the
+    servos, None where not known; surfaces are then drawn through their samples. Raises ValueError for a value
+    that no airframe has, naming it.
+    """
+
+    span: float
+    area: float
+    mass: float
+    Ixx: float
+    Iyy: float
+    Izz: float
+    Ixz: float
+    beliefs: Mapping[str, Belief] = field(default_factory=dict)
+    servo_lag: float | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("span", "area", "mass", "Ixx", "Iyy", "Izz"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > 0.0):
+                raise ValueError(f"{name} is {value:g}; it must be a positive number")
+        if not self.Ixz**2 < self.Ixx * self.Izz:
+            raise ValueError(f"Ixz is {self.Ixz:g}; its square must be less than Ixx Izz")
+
+    def believed(self, name: str) -> float:
+        """The believed value of a derivative, zero where nothing is believed."""
+        belief = self.beliefs.get(name)
+        return 0.0 if belief is None else belief.value

@@ -1,0 +1,208 @@
+"""The recursive estimator: scans in, derivatives with bounds out, at any moment."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.identification.airframe import COLUMNS, CONTROLS, EQUATIONS, Airframe, Belief, Sample
+from daq.identification.controls import ControlSignal
+from daq.identification.rows import TOTAL, RowMaker
+from daq.identification.simulated_motion import SimulatedMotion
+from daq.identification.solve import Solution, solve
+from daq.identification.sums import Block, Sums
+
+Array = NDArray[np.float64]
+
+USEFUL = 0.3  # a bound wider than this part of what is believed tells nothing new
+BEYOND_DOUBT = 0.2  # but five bounds from zero is told, however small it was believed to be
+BLOCK = 30.0  # s in which constants are taken to stay the same
+GAP = 1.0  # s without a whole scan after which the simulated motion begins anew
+SLOWEST = 3.0  # m/s; below, non-dimensional rates mean nothing
+MOVE_IT = "move it on purpose (doublet or 3-2-1-1)"
+LEARN = 1.0  # s between two lookings at what the instruments are simulated with
+
+
+@dataclass(frozen=True, slots=True)
+class LiveDerivative:
+    """One derivative now [1/rad]. std: honest bound, one standard deviation; white: the bound as if
+    residuals were white. `why` says why the number is not fit to be shown
+    yet; where there is none at all, estimate is NaN and std infinite."""
+
+    name: str
+    estimate: float
+    std: float
+    white: float
+    why: str = ""
+
+    @property
+    def told(self) -> bool:
+        """Whether there is a number to show."""
+        return not self.why
+
+
+@dataclass(frozen=True)
+class LiveEstimates:
+    """What is known at `time` [s]. span: seconds of flight in it; still: controls that have not moved, as signals."""
+
+    time: float
+    span: float
+    rows: int
+    derivatives: Mapping[str, LiveDerivative]
+    still: tuple[str, ...]
+
+
+class LiveEstimator:
+    """Takes calibrated scans in order of time; any step length, scans may be missing.
+
+    Costs the same for every scan however long the flight is. Not thread safe. skipped: scans without a row, because a value
+    was missing, time did not advance, or the aircraft hardly moves through the air.
+    """
+
+    def __init__(self, airframe: Airframe) -> None:
+        self._airframe = airframe
+        self._motion = SimulatedMotion(airframe)
+        self._rows = RowMaker(airframe, self._motion)
+        self._controls = {c: ControlSignal() for c in CONTROLS}
+        self._closed = Sums()
+        self._block = Block()
+        self._block_start = math.nan
+        self._last = -math.inf
+        self._learn_at = -math.inf
+        self._levels = [np.zeros(TOTAL)]
+        self.scans = 0
+        self.skipped = 0
+
+    def restart(self) -> None:
+        """A new stretch begins: time may be any, and nothing leads over from before. What is known is kept."""
+        self._close_block()
+        self._interrupt()
+        self._levels.append(np.zeros(TOTAL))
+        self._last = self._learn_at = -math.inf
+
+    def add(self, sample: Sample) -> None:
+        """One scan. One that is not credible, or not later than the last, is counted in `skipped`."""
+        self.scans += 1
+        if not sample.credible or sample.V < SLOWEST or sample.time <= self._last:
+            self.skipped += 1
+            return
+        if sample.time - self._last > GAP:
+            self._interrupt()
+        self._last = sample.time
+        self._take(sample)
+        if sample.time >= self._learn_at:
+            self._learn_at = sample.time + LEARN
+            self._learn()
+
+    def _take(self, sample: Sample) -> None:
+        held = (self._controls["da"].add(sample.delta_a), self._controls["dr"].add(sample.delta_r))
+        row = self._rows.add(sample, held)
+        if row is None:
+            self._block.interrupt()
+            return
+        if not row.time - self._block_start <= BLOCK:
+            self._close_block()
+            self._block_start = row.time
+        self._block.add(row)
+
+    def _interrupt(self) -> None:
+        self._rows.restart()
+        self._block.interrupt()
+        for control in self._controls.values():
+            control.restart()
+
+    def _close_block(self) -> None:
+        self._closed = self._closed.plus(self._block.sums.without_constant())
+        self._levels[-1] += self._block.sums.cross[0]
+        self._block = Block()
+        self._block_start = math.nan
+
+    # ------------------------------------------------------------------------------------------------ answers
+
+    @property
+    def still(self) -> tuple[str, ...]:
+        """Controls that have not moved yet, by the names of their signals."""
+        return tuple(CONTROLS[c] for c, signal in self._controls.items() if not signal.moved)
+
+    @property
+    def stretches(self) -> int:
+        """Number of the present stretch: how often `restart` was called."""
+        return len(self._levels) - 1
+
+    def solutions(self) -> dict[str, Solution | None]:
+        """Each equation as far as the scans so far tell it."""
+        sums = self._sums()
+        return {c: solve(sums, e, self._columns(c)) for e, c in enumerate(EQUATIONS)}
+
+    def estimates(self, stretches: slice = slice(None)) -> LiveEstimates:
+        """Every derivative as far as the scans so far tell it. stretches: those of which the constants are wanted."""
+        sums, solutions, found = self._sums(), self.solutions(), {}
+        open_level = [*self._levels[:-1], self._levels[-1] + self._block.sums.cross[0]]
+        level = np.sum(open_level[stretches], axis=0)
+        for coefficient, solution in solutions.items():
+            found.update({d.name: d for d in self._described(coefficient, solution, level)})
+        return LiveEstimates(self._last, sums.span, sums.rows, found, self.still)
+
+    def _sums(self) -> Sums:
+        return self._closed.plus(self._block.sums.without_constant())
+
+    def _columns(self, coefficient: str) -> tuple[int, ...]:
+        """Columns of an equation without those of controls at rest."""
+        return tuple(
+            COLUMNS.index(term)
+            for term in EQUATIONS[coefficient]
+            if term not in self._controls or self._controls[term].moved
+        )
+
+    def _described(self, coefficient: str, solution: Solution | None, level: Array) -> list[LiveDerivative]:
+        if solution is None:
+            return [self._untold(coefficient, term) for term in ("0", *EQUATIONS[coefficient])]
+        value, variance = solution.constant(level) if level[0] > 0.0 else (math.nan, math.inf)
+        spread = math.sqrt(variance)
+        result = [self._judged(f"{coefficient}_0", value, spread, spread)]
+        for term in EQUATIONS[coefficient]:
+            column = COLUMNS.index(term)
+            if column not in solution.columns:
+                result.append(self._untold(coefficient, term))
+                continue
+            at = solution.columns.index(column)
+            bound, white = (math.sqrt(c[at, at]) for c in (solution.covariance, solution.white))
+            result.append(self._judged(f"{coefficient}_{term}", float(solution.values[at]), bound, white))
+        return result
+
+    def _untold(self, coefficient: str, term: str) -> LiveDerivative:
+        """No number; where a control rests, the control is named."""
+        resting = term in self._controls and not self._controls[term].moved
+        why = f"{CONTROLS[term]} has not moved: {MOVE_IT}" if resting else "not enough flown yet"
+        return LiveDerivative(f"{coefficient}_{term}", math.nan, math.inf, math.inf, why)
+
+    def _judged(self, name: str, value: float, bound: float, white: float) -> LiveDerivative:
+        limit = useful_bound(value, self._airframe.beliefs.get(name))
+        why = "" if bound <= limit else f"bound {bound:.2g} is wider than {limit:.2g}: fly more that moves it"
+        return LiveDerivative(name, value, bound, white, why)
+
+    def _learn(self) -> None:
+        """Simulate the instruments with what is known by now: belief and estimate, each weighted by its bound."""
+        for coefficient, solution in self.solutions().items():
+            if solution is not None:
+                self._motion.values.update(self._weighed(coefficient, solution))
+
+    def _weighed(self, coefficient: str, solution: Solution) -> dict[str, float]:
+        names = [f"{coefficient}_{COLUMNS[c]}" for c in solution.columns]
+        beliefs = [self._airframe.beliefs.get(n) for n in names]
+        if any(b is None or not b.std > 0.0 for b in beliefs):
+            return {}
+        mean = np.array([b.value for b in beliefs if b is not None])
+        spread = np.diag([b.std**2 for b in beliefs if b is not None])
+        gain = spread @ np.linalg.inv(spread + solution.covariance)
+        return dict(zip(names, (mean + gain @ (solution.values - mean)).tolist(), strict=True))
+
+
+def useful_bound(value: float, belief: Belief | None) -> float:
+    """The widest bound with which a number is worth showing beside what is believed; the laboratory's rule for its own."""
+    found = BEYOND_DOUBT * abs(value)
+    if belief is None:
+        return abs(value)
+    return max(USEFUL * abs(belief.value) if belief.value else belief.std, found)

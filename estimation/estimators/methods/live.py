@@ -1,0 +1,26 @@
+"""`live`: the recursive estimator that also runs on board and at the ground, over a file, with its history."""
+
+from typing import TYPE_CHECKING
+
+from estimation.estimators.estimator import Estimator, Look, Task
+
+if TYPE_CHECKING:
+    from estimation.estimators.result import Result
+
+
+def _fit(task: Task) -> "Result":
+    from estimation.estimators.recursive import recursive
+
+    return recursive(task.model, task.flights, task.aircraft)
+
+
+ESTIMATORS = (
+    Estimator(
+        "live",
+        "recursive regression with simulated instruments",
+        _fit,
+        rank=5,
+        look=Look("#56B4E9", "P"),
+        needs_aircraft=True,
+    ),
+)
