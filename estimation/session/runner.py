@@ -66,11 +66,23 @@ def estimate(
 
 def _judged(session: Session) -> Session:
     """The session with a verdict on each flight, and on the joint estimate where there is one."""
-    flights = tuple(replace(f, verdict=verdict(f.results, f.failures)) for f in session.flights)
+    found = {f.flight.name: _reconstructed_angles(session.model, f.flight) for f in session.flights}
+    flights = tuple(
+        replace(f, verdict=verdict(f.results, f.failures, reconstructed=found[f.flight.name])) for f in session.flights
+    )
     if not session.joint and not session.joint_failures:
         return replace(session, flights=flights)
+    any_of = tuple(sorted(set().union(*found.values())))
     members = {m: [f.results[m] for f in session.flights if m in f.results] for m in session.methods}
-    return replace(session, flights=flights, verdict=verdict(session.joint, session.joint_failures, members))
+    return replace(session, flights=flights, verdict=verdict(session.joint, session.joint_failures, members, any_of))
+
+
+def _reconstructed_angles(model: Model, flight: Flight) -> tuple[str, ...]:
+    """Flow angles of the model that `sideslip reconstruct` has put into the flight."""
+    detail = flight.provenance.detail.get("reconstructed")
+    columns = detail.get("columns", ()) if isinstance(detail, Mapping) else ()
+    used = {s.source for s in (*model.inputs, *model.outputs, *model.states)} & set(map(str, columns))
+    return tuple(sorted(used & {"alpha", "beta"}))
 
 
 def _tried(estimator: Estimator, task: Task) -> Outcome:

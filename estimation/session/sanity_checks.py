@@ -36,6 +36,7 @@ class DoubtKind(Enum):
     JOINT = "joint outside its members"
     SCATTER = "scatter beyond bounds"
     EXTRAPOLATION = "beyond what was flown"
+    RECONSTRUCTED = "reconstructed angles"
 
 
 @dataclass(frozen=True, slots=True)

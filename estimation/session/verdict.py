@@ -67,6 +67,7 @@ class _Case:
     results: Mapping[str, Result]
     against: dict[str, str] = field(default_factory=dict)
     doubts: list[Doubt] = field(default_factory=list)
+    reconstructed: str = ""
 
     @property
     def left(self) -> list[str]:
@@ -84,9 +85,18 @@ def verdict(
     results: Mapping[str, Result],
     failures: Mapping[str, str] | None = None,
     members: Mapping[str, Sequence[Result]] | None = None,
+    reconstructed: Sequence[str] = (),
 ) -> Verdict:
-    """The verdict on the results of several methods on the same data. members: of a joint estimate, each flight's by method."""
-    case = _Case(results)
+    """The verdict on the results of several methods on the same data. members: of a joint estimate, each flight's by method.
+
+    reconstructed: flow angles that the model uses and that were not measured but found from the other instruments. They lack
+    the gusts: methods that take them for the angles flown miss by bounds (docs/compatibility.md), output error hardly does.
+    """
+    case = _Case(results, reconstructed=" and ".join(reconstructed))
+    if reconstructed:
+        what = f"{case.reconstructed} reconstructed, not measured, without the gusts, which only output error bears"
+        for method in set(results) - {"ml"}:
+            case.object_to(method, DoubtKind.RECONSTRUCTED, what)
     for method, why in (failures or {}).items():
         case.doubts.append(Doubt(DoubtKind.FAILED, f"{method}: {why}"))
     for method, result in results.items():
@@ -121,7 +131,7 @@ def _choice(case: _Case) -> Recommendation:
     if not case.results:
         return Recommendation(NOBODY, "no method came to a result")
     noise = _process_noise(case)
-    if noise.present and "ml" in case.results:
+    if noise.present and "ml" in case.results and not case.reconstructed:
         case.against.setdefault("ml", noise.text)
     for method in (m for m in ("ml", "fem") if m in case.left):
         if contradicted := _contradicted(case, method):
@@ -215,6 +225,8 @@ def _why(case: _Case, method: str, noise: ProcessNoise) -> str:
     """Why a likelihood is recommended."""
     witnesses = [m for m in case.left if m in REGRESSIONS]
     agree = f"it agrees with {' and '.join(witnesses)}" if witnesses else ""
+    if case.reconstructed:
+        return f"{case.reconstructed} reconstructed, not measured: only output error does not take them for the angles flown"
     if method == "fem":
         return _joined(noise.text or "its innovations are white", agree)
     if "fem" in case.left:

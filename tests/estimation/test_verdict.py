@@ -33,14 +33,14 @@ METHODS = ("ml", "fem", "ls")
 def calm() -> Mapping[str, Result]:
     """Results of a flight in still air."""
     flight = fly(Case(noise=NOISE), np.random.default_rng(21))[0][0]
-    return runner.estimate(LATERAL, [flight], load_aircraft(), METHODS).flights[0].results
+    return runner.estimate(LATERAL, [flight], load_aircraft("cdfp"), METHODS).flights[0].results
 
 
 @pytest.fixture(scope="module")
 def rough() -> Mapping[str, Result]:
     """Results of a flight in gusts of 0.5 m/s, 1.7 deg of sideslip."""
     flight = fly(Case(noise=NOISE, gust=0.5), np.random.default_rng(22))[0][0]
-    return runner.estimate(LATERAL, [flight], load_aircraft(), METHODS).flights[0].results
+    return runner.estimate(LATERAL, [flight], load_aircraft("cdfp"), METHODS).flights[0].results
 
 
 def moved(result: Result, **values: float) -> Result:
@@ -64,6 +64,25 @@ def test_gusts_recommend_the_filter_and_output_error_alone_is_not_believed(rough
     alone = verdict({"ml": rough["ml"]})
     assert alone.recommended.method == NOBODY
     assert "--method ml,fem,ls" in alone.recommended.why
+
+
+def test_reconstructed_angles_leave_output_error_alone(rough: Mapping[str, Result]) -> None:
+    found = verdict(rough, reconstructed=("beta",))
+    assert found.recommended.method == "ml"
+    assert "reconstructed" in found.recommended.why
+    against = {d.text.split(":")[0] for d in found.doubts if d.kind is DoubtKind.RECONSTRUCTED}
+    assert against == {"fem", "ls"}
+    assert verdict({"ls": rough["ls"]}, reconstructed=("beta",)).recommended.method == NOBODY
+
+
+def test_a_flight_says_which_of_its_angles_were_reconstructed() -> None:
+    flight = fly(Case(noise=NOISE), np.random.default_rng(23))[0][0]
+    detail = {**flight.provenance.detail, "reconstructed": {"columns": ["V", "alpha", "beta"]}}
+    flight = replace(flight, provenance=replace(flight.provenance, detail=detail))
+    session = runner.estimate(LATERAL, [flight], load_aircraft("cdfp"), ("ml", "ls"))
+    found = session.flights[0].verdict
+    assert found is not None
+    assert "beta reconstructed" in found.recommended.why or "alpha and beta reconstructed" in found.recommended.why
 
 
 def test_process_noise_is_looked_for_where_forces_act() -> None:
@@ -149,7 +168,7 @@ def test_a_failing_method_is_a_sentence_and_loses_no_other_result(
     own = Estimator("broken", "one that breaks", _broken)
     usual = runner.find
     monkeypatch.setattr(runner, "find", lambda name: own if name == "broken" else usual(name))
-    session = runner.estimate(LATERAL, made_flights[:2], load_aircraft(), ["ls", "broken"], joint=True)
+    session = runner.estimate(LATERAL, made_flights[:2], load_aircraft("cdfp"), ["ls", "broken"], joint=True)
     first, second = session.flights
     assert set(first.results) == {"ls", "broken"}
     assert set(second.results) == {"ls"}
@@ -165,7 +184,7 @@ def test_a_failing_method_is_a_sentence_and_loses_no_other_result(
 def test_a_flight_that_no_method_can_use_is_still_refused(made_flights: list[Flight]) -> None:
     lacking = made_flights[0].with_columns(delta_a=np.full(len(made_flights[0]), np.nan))
     with pytest.raises(MissingColumnError, match="delta_a"):
-        runner.estimate(LATERAL, [lacking], load_aircraft(), ["ml", "ls"])
+        runner.estimate(LATERAL, [lacking], load_aircraft("cdfp"), ["ml", "ls"])
 
 
 # --------------------------------------------------------------------------------------- cannot tell, and initial states
