@@ -171,7 +171,11 @@ def _estimated(work: Work, method: str, flight: Flight, craft: Aircraft, about: 
     except UserError as error:
         yield _run_row(work, method, FAILED, str(error), **about)
         return
-    result, doubts = session.flights[0].results[find(method).name], session.flights[0].doubts
+    name = find(method).name
+    if name in session.flights[0].failures:
+        yield _run_row(work, method, FAILED, session.flights[0].failures[name], **about)
+        return
+    result, doubts = session.flights[0].results[name], session.flights[0].doubts
     grave = [d.text for d in doubts if d.kind is not DoubtKind.UNEXPLAINED]
     status = OPEN if not result.converged else DOUBTFUL if grave else OK
     why = result.text if not result.converged else "; ".join(grave or [d.text for d in doubts])

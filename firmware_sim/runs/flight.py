@@ -230,12 +230,13 @@ def prepare_flight(
     models = parse_sensors(merged(placed(craft), scenario.sensors), scenario.name)
     faults = FaultSet(parse_faults(scenario.faults, scenario.name), 0, seed)
     radio_model = parse_radio(scenario.radio, scenario.name)
-    _refuse_old_recordings(folder)
-    if calibration is not None:
-        calibration = calibration_of(craft, calibration, folder)
     config, text = logger_config(scenario, folder, config_file, calibration)
     if config.sequencer is not None:
         plan_of(load_manoeuvre(config.sequencer.manoeuvre), config.sequencer)  # before any file is made
+    _refuse_old_recordings(folder)
+    if calibration is not None:
+        calibration = calibration_of(craft, calibration, folder)
+        config, text = logger_config(scenario, folder, config_file, calibration)
     clock = SimulatedClock(START_UTC_NS, speed=speed)
     cockpit = _cockpit(scenario, clock)
     world = TruthFile(source or World(scenario, seed, cockpit), folder / "truth.csv")

@@ -77,7 +77,7 @@ def test_unknown_verb_and_option_are_status_2() -> None:
     [
         (("estimat", "x.csv"), "did you mean 'sideslip estimate'? See"),
         (("chek",), "did you mean 'sideslip check'?"),
-        (("rec",), "did you mean 'sideslip record' or 'sideslip recover'?"),
+        (("rec",), "did you mean 'sideslip record' or 'sideslip recover' or 'sideslip reconstruct'?"),
         (("Import",), "did you mean 'sideslip import'"),
         (("log.csv",), "it is a file: did you mean 'sideslip info log.csv'?"),
         (("info", "log.ulg"), "sideslip import"),

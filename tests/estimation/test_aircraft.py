@@ -27,7 +27,7 @@ from estimation.commands.estimate import estimate
 from estimation.commands.gap import gap
 from estimation.commands.match import match
 from estimation.errors import AircraftError, ModelError
-from estimation.models import load_model
+from estimation.models import load_model, write_model
 from groundstation.cli.data import import_
 from groundstation.flight import AIRCRAFT_FILE, Flight, Provenance, read_flight
 from tests.estimation.cessna import CESSNA_172, PUBLISHED, SHAPE
@@ -173,7 +173,11 @@ def test_a_flight_whose_aircraft_is_not_known_is_refused_with_the_way_out(flight
     [(estimate, []), (estimate, ["--model", "own.toml", "--method", "ngn"]), (gap, ["--nulls", "20"])],
     ids=["estimate", "neural", "gap"],
 )
-def test_verbs_refuse_a_flight_without_aircraft(command: object, more: list[str], root: Path) -> None:
+def test_verbs_refuse_a_flight_without_aircraft(
+    command: object, more: list[str], root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_model(load_model("lateral", "cdfp"), tmp_path / "own.toml")
+    monkeypatch.chdir(tmp_path)
     flight = root / "recordings" / "foreign" / "ordinary_0.csv"
     done = CliRunner().invoke(command, [str(flight), *more])  # type: ignore[arg-type]
     assert isinstance(done.exception, AircraftError)

@@ -164,7 +164,7 @@ SMALL = {"states": "['p']", "outputs": "['p']", "inputs": "['delta_a']", "parame
         ({"inputs": "[{name='delta_a', control='yes'}]"}, "L_p*p", "must be true or false"),
         ({"transforms": "[{kind='delay', input='delta_a', parameters='T'}]"}, "L_p*p", "must be a list of names"),
         ({}, "L_p*p + 1e999", "no number to calculate with"),
-        ({}, "L_p*p + 1/0", "cannot be calculated"),
+        ({}, "L_p*p + 1/0", "no number to calculate with"),
     ],
 )
 def test_model_files_with_mistakes_are_told_in_words(

@@ -61,7 +61,7 @@ def test_what_cannot_be_had_is_one_sentence(made_flights: list[Flight], tmp_path
         (("--method", "ngn", "--device", "cuda"), "no GPU here"),
         (("--method", "ngn", "--bootstrap", "3"), "at least 10"),
         (("--method", "ls", "--bootstrap", "30"), "methods ml, ngn and ngn-improved"),
-        (("--truth", str(tmp_path / "none.json")), "cannot be read"),
+        (("--truth", str(tmp_path / "none.json")), "no such file"),
     ):
         error = run(flight, *words).exception
         assert isinstance(error, EstimationError)

@@ -93,7 +93,7 @@ def test_an_estimator_of_a_package_of_ones_own(package: Path, made_flights: list
     table = (tmp_path / "page" / "tables" / "estimates_ld.csv").read_text().splitlines()[0]
     assert "own" in table
     told = sideslip("estimate", "--help", path=package)
-    assert "ls, own;" in " ".join(told.stdout.split())
+    assert "live, own;" in " ".join(told.stdout.split())
 
 
 def test_an_estimator_that_is_not_installed(made_flights: list[Flight], tmp_path: Path) -> None:

@@ -147,7 +147,8 @@ def test_light_imports() -> None:
 
 def test_brief_prints_the_numbers_that_the_data_could_tell(made_flights: list[Flight]) -> None:
     session = runner.estimate(LATERAL, made_flights[:1], load_aircraft("cdfp"), ["ml"])
-    _, ended, numbers = session_lines(session, brief=True)
+    _, ended, numbers, recommended = session_lines(session, brief=True)
+    assert "recommended: ml: " in recommended
     assert "ml: " in ended
     found = session.flights[0].results["ml"].parameters
     for name, e in found.items():

@@ -17,7 +17,9 @@ def fit(task: Task) -> Result:
     if name.startswith("hangs"):
         time.sleep(3600.0)
     if name.startswith("raises"):
-        raise ZeroDivisionError("on purpose")
+        raise RuntimeError("on purpose")
+    if name.startswith("divides"):
+        raise ZeroDivisionError("by design")
     if name.startswith("slow"):
         time.sleep(float(os.environ["SLOW_S"]))
     return find("ls").fit(task).with_method("hostile")

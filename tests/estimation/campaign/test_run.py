@@ -101,11 +101,20 @@ def test_bad_flights_are_rows_and_can_be_tried_again(campaign: Run, flights: lis
     plan = {"flights": [*flights[:1], str(bad), str(tmp_path / "nosuch.csv")], "methods": [HOSTILE]}
     found = campaign(plan)
     assert (found.done, sorted(found.failed)) == (1, [str(tmp_path / "nosuch.csv"), str(bad)])
-    assert "ZeroDivisionError: on purpose" in found.failed[str(bad)]
+    assert "RuntimeError: on purpose" in found.failed[str(bad)]
     rows = results_of(tmp_path / "out")
     assert rows.filter(pc.equal(rows["status"], "failed"))["flight"].to_pylist() == ["nosuch", "raises"]
     assert campaign(plan).fitted == 0
     assert campaign(plan, retry_failed=True).fitted == 1
+
+
+def test_a_flight_that_a_method_cannot_settle_is_a_row_with_the_reason(
+    campaign: Run, flights: list[str], tmp_path: Path
+) -> None:
+    bad = altered(Path(flights[0]), tmp_path / "divides.csv", 1.0)
+    found = campaign({"flights": [*flights[:1], str(bad)], "methods": [HOSTILE]})
+    assert (found.done, list(found.failed)) == (1, [str(bad)])
+    assert "failed in its arithmetic (by design)" in found.failed[str(bad)]
 
 
 def test_joint_estimates_are_in_the_tables(campaign: Run, flights: list[str], tmp_path: Path) -> None:
