@@ -135,7 +135,15 @@ def _verdict_table(session: "Session") -> Table:
     )
     failed = frozenset((i, 1) for i, (_, v) in enumerate(verdicts) if v.recommended.method == "none")
     head = ("estimate", "recommended", "why", "doubts")
-    return Table("verdict", "Whom to believe", head, rows, symbols=False, texts=(2, 3), failed=failed)
+    return Table(
+        "verdict",
+        "The method recommended, why, and what is doubted",
+        head,
+        rows,
+        symbols=False,
+        texts=(2, 3),
+        failed=failed,
+    )
 
 
 def _runs(session: "Session") -> Table:

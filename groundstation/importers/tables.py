@@ -99,7 +99,7 @@ def _read_csv(path: Path, layout: FileFormat, can_be_time: Callable[[str], bool]
     body = itertools.chain(start[1:] if units else start, rows)
     first = above + 2 + layout.skip_after_header + bool(units)
     columns = _Columns(header, layout.decimal or _decimal(delimiter, start), first, can_be_time)
-    columns.take(path, body)
+    columns.take(path, body, needs_time)
     passed_over = (f"{above} lines above the column names passed over",) if above and not layout.header_line else ()
     return columns.table(units, passed_over)
 
@@ -115,8 +115,12 @@ class _Columns:
         self._words: dict[int, list[str]] = {i: [] for i, name in enumerate(header) if can_be_time(name)}
         self._first = first
 
-    def take(self, path: Path, rows: Iterator[list[str]]) -> None:
-        """Use all rows. Raises ImportDataError naming the line that has not as many cells as the header."""
+    def take(self, path: Path, rows: Iterator[list[str]], needs_time: bool) -> None:
+        """Use all rows. Raises ImportDataError naming the line that has not as many cells as the header.
+
+        needs_time: one of the columns that can be the time must hold it; where none of some hundred thousand rows has a digit
+        there, no more are read.
+        """
         width = len(self._header)
         at_once = max(1, _CELLS_AT_ONCE // width)
         while block := list(itertools.islice(rows, at_once)):
@@ -126,9 +130,21 @@ class _Columns:
                     f"{path}: table line {self._row + uneven} has {len(block[uneven])} cells, the header has {width}; if the "
                     "column names stand further down, say in which line in a mapping file: [file] header_line"
                 )
-            for i, cells in enumerate(zip(*block, strict=True)):
+            by_column = list(zip(*block, strict=True))
+            if needs_time and len(block) == at_once and self._row == self._first:
+                self._check_time(path, by_column)
+            for i, cells in enumerate(by_column):
                 self._take_column(i, cells)
             self._row += len(block)
+
+    def _check_time(self, path: Path, by_column: Sequence[Sequence[str]]) -> None:
+        if any(_DIGIT.search(" ".join(by_column[i])) for i in self._words):
+            return
+        i = next(iter(self._words))
+        word = next((cell.strip() for cell in by_column[i] if cell.strip()), "")
+        raise ImportDataError(
+            f"{path}: time column {self._header[i]!r} holds {one_line(word, 60)!r} and the like, neither numbers nor dates"
+        )
 
     def _take_column(self, i: int, cells: Sequence[str]) -> None:
         values, wrong = _numbers(cells, self._decimal)
@@ -160,6 +176,7 @@ class _Columns:
         return Table(numeric, words, units=units, notes=tuple(said))
 
 
+_DIGIT = re.compile(r"\d")
 _LINE = re.compile(r"^[^\S\n]*[^\s#][^\n]*", re.MULTILINE)
 
 

@@ -147,3 +147,14 @@ def test_files_in_a_row_become_segments(tmp_path: Path, flown: Columns) -> None:
     assert np.isnan(flight["V"][:150]).all()
     np.testing.assert_allclose(flight["V"][150:], flown["V"][150:])
     assert len(flight.provenance.detail["files"]) == 2
+
+
+def test_a_time_of_words_alone_is_refused_before_all_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("groundstation.importers.tables._CELLS_AT_ONCE", 200)
+    path = tmp_path / "words.csv"
+    path.write_text("time,p\n" + "ab,1\n" * 150 + "0.05,2\n" * 150)
+    with pytest.raises(ImportDataError, match="time column 'time' holds 'ab' and the like, neither numbers nor dates"):
+        import_data(path, None)
+    path.write_text("time,p\n" + "ab,1\n" * 60 + "".join(f"{0.05 * i},2\n" for i in range(400)))
+    with pytest.raises(ImportDataError, match="not a number"):
+        import_data(path, None)
