@@ -92,6 +92,11 @@ def _read_csv(path: Path, layout: FileFormat, can_be_time: Callable[[str], bool]
             f"{path}: no column 'time', or the one named for it; found {listed(header, 12)}; "
             "name the time column in a mapping file (--map), or the rate where there is none: [time] rate_hz = 50"
         )
+    if needs_time and len(header) == 1:
+        raise ImportDataError(
+            f"{path}: one column only, {header[0]!r}, and nothing beside it; if the cells are parted by a character that was not "
+            'seen, say which in a mapping file: [file] delimiter = "|"'
+        )
     start = list(itertools.islice(rows, layout.skip_after_header, layout.skip_after_header + 50))
     if not start:
         raise ImportDataError(f"{path}: no table with a header line and rows in it")

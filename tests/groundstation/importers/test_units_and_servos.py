@@ -158,3 +158,10 @@ def test_a_time_of_words_alone_is_refused_before_all_is_read(tmp_path: Path, mon
     path.write_text("time,p\n" + "ab,1\n" * 60 + "".join(f"{0.05 * i},2\n" for i in range(400)))
     with pytest.raises(ImportDataError, match="not a number"):
         import_data(path, None)
+
+
+def test_a_table_of_one_column_is_no_flight(tmp_path: Path) -> None:
+    path = tmp_path / "one.csv"
+    path.write_text("time\n" + "".join(f"{0.05 * i}\n" for i in range(100)))
+    with pytest.raises(ImportDataError, match="one column only, 'time'"):
+        import_data(path, None)
