@@ -35,7 +35,9 @@ class Interrupts:
         self.seen = False
 
     def leave_at_once(self) -> None:
-        """From here on nothing is open: an interrupt ends the process."""
+        """From here on nothing is open: an interrupt ends the process, one that still waits to be tried again does nothing."""
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, signal.SIG_IGN)  # else the interpreter's end would make it deadly again
         signal.signal(signal.SIGINT, self._leave)
 
     def raise_in_work(self) -> None:

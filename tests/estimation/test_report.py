@@ -71,7 +71,7 @@ def outside_references(page: str) -> list[str]:
 
 def test_page_is_one_file_with_every_part(report: Path) -> None:
     text = report.read_text(encoding="utf-8")
-    assert outside_references(text) == []
+    assert set(outside_references(text)) <= {"../index.html"}  # the way back, once there is a front page beside it
     assert "<script" not in text
     for part in (
         "scatter",
