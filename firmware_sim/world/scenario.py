@@ -23,7 +23,7 @@ BUILT_IN_FOLDER = Path(__file__).parents[1] / "scenarios"
 
 
 class _Table(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, ser_json_inf_nan="constants")
 
 
 class FlightTable(_Table):

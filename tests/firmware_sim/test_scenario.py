@@ -157,3 +157,9 @@ class TestManoeuvres:
         flown = manoeuvres_of(scenario_from({"flight": {"manoeuvres": "multisine"}}, "here"), 3)
         aileron, rudder = (m for m in flown)
         assert not set(aileron.harmonics) & set(rudder.harmonics)
+
+
+def test_numbers_that_are_none_are_written_as_they_were_read(tmp_path: Path) -> None:
+    file = tmp_path / "odd.toml"
+    file.write_text("[flight]\nspeed_m_s = 17.0\n[logger.scan]\nx = [nan, inf, 1.0]\n")
+    assert "nan" in load_scenario(str(file)).toml()
