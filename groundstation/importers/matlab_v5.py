@@ -8,6 +8,8 @@ Format: MathWorks, "MAT-File Format" (level 5).
 
 import io
 import struct
+import subprocess
+import sys
 import zlib
 from dataclasses import dataclass, field
 from math import prod
@@ -150,10 +152,28 @@ def read_v5(path: Path, data: bytes) -> tuple[dict[str, Any], int]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", MatReadWarning)  # of names that come twice
+            _survives(path, sound)
             found = loadmat(io.BytesIO(sound), chars_as_strings=True)
     except (*_DAMAGE, MatReadError) as error:
         raise ImportDataError(f"{path}: damaged MATLAB file ({type(error).__name__}); save it anew with -v7") from error
     return {str(k): plain(v) for k, v in found.items() if not str(k).startswith("__")}, left_out
+
+
+_TRIAL = (
+    "import io, sys; from scipy.io import loadmat; loadmat(io.BytesIO(sys.stdin.buffer.read()), chars_as_strings=True)"
+)
+
+
+def _survives(path: Path, sound: bytes) -> None:
+    """Raise ImportDataError for a file at which scipy's compiled reader crashes: tried in a process of its own first."""
+    try:
+        done = subprocess.run(
+            [sys.executable, "-I", "-c", _TRIAL], input=sound, capture_output=True, timeout=60, check=False
+        )
+    except subprocess.TimeoutExpired:
+        raise ImportDataError(f"{path}: damaged MATLAB 5 file (no end after 60 s); save it anew") from None
+    if done.returncode < 0:
+        raise ImportDataError(f"{path}: damaged MATLAB 5 file, at which its reader crashes; save it anew")
 
 
 def _sound(path: Path, data: bytes) -> tuple[bytes, int]:
