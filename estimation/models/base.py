@@ -232,7 +232,7 @@ class Model(ModelParts):
     @cached_property
     def digest(self) -> str:
         """Digest of the whole model, values included: names it in lineages and reports."""
-        return hashlib.sha256(json.dumps(self.to_dict(), sort_keys=True, default=str).encode()).hexdigest()[:16]
+        return hashlib.sha256(json.dumps(self.to_dict(), sort_keys=True).encode()).hexdigest()[:16]
 
 
 def _has(definitions: Mapping[str, str]) -> str:

@@ -124,7 +124,7 @@ class Structure:
 
     @cached_property
     def digest(self) -> str:
-        return hashlib.sha256(json.dumps(astuple(self), default=str).encode()).hexdigest()[:24]
+        return hashlib.sha256(json.dumps(astuple(self)).encode()).hexdigest()[:24]
 
 
 @dataclass(frozen=True)

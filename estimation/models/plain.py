@@ -94,6 +94,8 @@ def parameter(data: object) -> Parameter:
         texts = {"name", "unit", "reference_source", "description", "role"}
         flags = {"fixed", "local"}
         for key, value in data.items():
+            if key in texts - {"name", "role"} and not isinstance(value, str):  # those two are looked at by themselves
+                raise ModelError(f"parameter {data.get('name')!r}: {key} = {value!r} must be text")
             if key in Parameter.__dataclass_fields__ and key not in texts | flags:
                 number(value, f"parameter {data.get('name')!r}: {key}")
             if key in flags and not isinstance(value, bool):

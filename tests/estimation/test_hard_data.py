@@ -161,6 +161,7 @@ SMALL = {"states": "['p']", "outputs": "['p']", "inputs": "['delta_a']", "parame
         ({"constants": "3"}, "L_p*p", "must be a table"),
         ({"outputs": "['p', 'p']"}, "L_p*p", "stands there twice"),
         ({"parameters": "[{name=3}]"}, "L_p*p", "must be text"),
+        ({"parameters": "[{name='L_p', unit=2020-01-01}]"}, "L_p*p", "unit = .* must be text"),
         ({"inputs": "[{name='delta_a', control='yes'}]"}, "L_p*p", "must be true or false"),
         ({"transforms": "[{kind='delay', input='delta_a', parameters='T'}]"}, "L_p*p", "must be a list of names"),
         ({}, "L_p*p + 1e999", "no number to calculate with"),
