@@ -352,10 +352,10 @@ class Recorder:
         if self._segment is None:
             return False
         self._segment.writer.log_time = self._time.best
-        if (
-            not self._syncer.busy
-        ):  # after another file that one comes first: its last scans count for more than this head
-            self._syncer.request(self._segment)  # so that a cut in the first moments shows that a session began
+        # So that a cut in the first moments shows that a session began. After another file that one comes first: its last
+        # scans count for more than this head.
+        if not self._syncer.busy:
+            self._syncer.request(self._segment)
         return True
 
     def _close_segment(self, *, final: bool) -> bool:

@@ -33,7 +33,7 @@ def reconstruct(
     from estimation.commands.outputs import check_outputs, write_json
     from estimation.compatibility.air_data import reconstruct_air, sentence, with_air
     from estimation.compatibility.air_filter import Assumptions
-    from groundstation.flight import read_flight, write_flight
+    from groundstation.flight import RECONSTRUCTED, read_flight, write_flight
 
     check_outputs(json=json_path, output=output)
     assumed = Assumptions(trim_sideslip=math.radians(trim_sideslip), attitude=math.radians(attitude_error))
@@ -50,7 +50,7 @@ def reconstruct(
     if kept:
         click.echo(f"  note: {' and '.join(kept)} measured by a vane: kept as measured")
     if json_path is not None:
-        write_json(as_json(output, air, made.provenance.detail["reconstructed"]["columns"]), json_path)
+        write_json(as_json(output, air, made.provenance.detail[RECONSTRUCTED]["columns"]), json_path)
 
 
 def wind_lines(air: "AirData") -> list[str]:

@@ -36,14 +36,12 @@ from estimation.compatibility.air_nodes import (
 from estimation.compatibility.records import attitude_errors
 from estimation.engine.derived import with_derived
 from estimation.errors import DataError
-from groundstation.flight import Flight
+from groundstation.flight import RECONSTRUCTED, Flight
 from groundstation.flight.notes import Note, NoteKind
 
 Array = NDArray[np.float64]
 
 AIR = ("alpha", "beta", "V")
-RECONSTRUCTED = "reconstructed"
-"""Key of a provenance's detail: what was reconstructed, from what, how sure."""
 
 GUSTS = (0.1, 0.14, 0.2, 0.28, 0.4, 0.57, 0.8, 1.13, 1.6)
 """Levels [m/s] among which the likelihood chooses, steps of the root of 2: what a calm morning has near the ground, to moderate

@@ -128,7 +128,7 @@ def refitted(session: "Session") -> str:
 
 def _verdict_table(session: "Session") -> Table:
     """Which estimate is recommended, for each flight and all together, why, and what is doubtful about it."""
-    verdicts = list(_verdicts(session))
+    verdicts = _verdicts(session)
     rows = tuple(
         (who, v.recommended.method, v.recommended.why, "; ".join(f"{d.kind.value}: {d.text}" for d in v.doubts))
         for who, v in verdicts

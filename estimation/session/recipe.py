@@ -8,6 +8,7 @@ from estimation.engine.derived import DERIVED
 from estimation.estimators import registry
 from estimation.models.base import Model
 from estimation.models.library import BUILDERS
+from estimation.session.verdict import TRUSTED_RECONSTRUCTED
 from groundstation.flight import Flight
 
 RECONSTRUCTION = ("ax", "ay", "az", "p", "q", "r", "phi", "theta", "psi", "vn", "ve", "vd")
@@ -30,9 +31,10 @@ SENSORS: Mapping[str, tuple[str, ...]] = {
 """What one could add to an aircraft -> the columns that come with it."""
 
 
-TRUSTED = ("ml",)
-"""Methods that do not take reconstructed angles for the ones flown; docs/compatibility.md has what gusts do to the others."""
-BELIEVE = f"believe {' and '.join(TRUSTED)}: reconstructed angles lack the gusts, which methods that regress on them cannot bear"
+BELIEVE = (
+    f"believe {' and '.join(TRUSTED_RECONSTRUCTED)}: reconstructed angles lack the gusts, which methods that regress on them "
+    "cannot bear"
+)
 
 
 @dataclass(frozen=True)
@@ -75,7 +77,7 @@ class Recipe:
         models = [
             {"model": m.model, "possible": not m.missing, "missing": list(m.missing), "methods": list(m.methods),
              "reconstructed": list(m.reconstructed), "not_compared": list(m.silent),
-             "believe": list(TRUSTED if m.reconstructed else m.methods)}
+             "believe": list(TRUSTED_RECONSTRUCTED if m.reconstructed else m.methods)}
             for m in self.models
         ]  # fmt: skip
         adds = {k: list(v) for k, v in self.adds.items()}

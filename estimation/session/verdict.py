@@ -27,6 +27,9 @@ REGRESSIONS: Mapping[str, float] = {"ls": 0.15, "ngn": 0.15, "ngn-improved": 0.0
 """Methods that take measured motion for truth -> the part of a derivative by which that is known to move it, which their
 bounds leave out (docs/ngn.md: 10-15 % and 5 % against truth)."""
 
+TRUSTED_RECONSTRUCTED = ("ml",)
+"""Methods that do not take reconstructed angles for the ones flown; docs/compatibility.md has what gusts do to the others."""
+
 NOISY = 0.6  # mean log ratio of variances, ml over fem: calm and light air up to 0.35, gusts of 0.5 deg from 0.96
 PREDICTABLE = 0.4  # mean of -log(1 - rho^2) of neighbouring residuals: light air up to 0.19, gusts of 0.5 deg from 0.67
 COLOURED = 0.3  # correlation of neighbouring innovations: a right model leaves 0.2 at most in 60 flights
@@ -95,7 +98,7 @@ def verdict(
     case = _Case(results, reconstructed=" and ".join(reconstructed))
     if reconstructed:
         what = f"{case.reconstructed} reconstructed, not measured, without the gusts, which only output error bears"
-        for method in set(results) - {"ml"}:
+        for method in (m for m in results if m not in TRUSTED_RECONSTRUCTED):
             case.object_to(method, DoubtKind.RECONSTRUCTED, what)
     for method, why in (failures or {}).items():
         case.doubts.append(Doubt(DoubtKind.FAILED, f"{method}: {why}"))

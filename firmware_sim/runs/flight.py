@@ -235,8 +235,9 @@ def prepare_flight(
         plan_of(load_manoeuvre(config.sequencer.manoeuvre), config.sequencer)  # before any file is made
     _refuse_old_recordings(folder)
     if calibration is not None:
-        calibration = calibration_of(craft, calibration, folder)
-        config, text = logger_config(scenario, folder, config_file, calibration)
+        placed_set = calibration_of(craft, calibration, folder)
+        if placed_set != calibration:
+            config, text = logger_config(scenario, folder, config_file, placed_set)
     clock = SimulatedClock(START_UTC_NS, speed=speed)
     cockpit = _cockpit(scenario, clock)
     world = TruthFile(source or World(scenario, seed, cockpit), folder / "truth.csv")

@@ -49,6 +49,8 @@ METADATA_NAME = "sideslip.flight"
 
 AIRCRAFT_FILE = "aircraft_file"
 """Key of a provenance's detail under which the text of the aircraft's file travels with the flight."""
+RECONSTRUCTED = "reconstructed"
+"""Key of a provenance's detail: which columns were not measured but found from the others, from what, how sure."""
 
 
 FOREIGN = "if another program wrote the file, convert it with 'sideslip import'"
