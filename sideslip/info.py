@@ -8,7 +8,7 @@ import click
 from daq.contract.errors import UserError
 from daq.contract.outputs import tried_file, write_json
 
-FOREIGN = (".ulg", ".ulog")  # of flight logs that 'sideslip import' reads and this verb does not
+_READ_HERE = (".tlog", ".csv", ".parquet")
 
 
 @click.command(epilog="Example: sideslip info recordings/cdfp_ld1_raw.mcap --json info.json")
@@ -19,11 +19,13 @@ FOREIGN = (".ulg", ".ulog")  # of flight logs that 'sideslip import' reads and t
 @click.pass_context
 def info(ctx: click.Context, file: Path, json_path: Path | None) -> int:
     """What is in FILE: a raw recording, the directory of its segments, a flight, or a .tlog."""
-    if file.suffix.lower() in FOREIGN and file.is_file():
+    from groundstation.importers.endings import FOREIGN
+
+    if file.suffix.lower() in FOREIGN - {*_READ_HERE} and file.is_file():
         raise UserError(
             f"{file}: a log of another program; convert it to a flight with 'sideslip import {file} -o FLIGHT.mcap'"
         )
-    if file.suffix not in (".tlog", ".csv", ".parquet"):
+    if file.suffix not in _READ_HERE:
         from daq.commands import info as recording_info
 
         ctx.invoke(recording_info, recording=file, json_path=json_path)

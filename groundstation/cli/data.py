@@ -69,15 +69,7 @@ def _write(flight: "Flight", output: Path, split: bool, report: Path | None) -> 
         _say(part, target, report and report.with_stem(f"{report.stem}_{number}"))
 
 
-_SPLIT = click.option("--split", is_flag=True, help="Write each stretch without a gap in time to a file of its own.")
-
-
-FOREIGN = (".csv", ".parquet", ".ulg", ".tlog")  # what 'sideslip import' reads and is never a raw recording
-
-
-@click.command()
-@click.argument("raw", type=click.Path(path_type=Path))
-@click.option(
+_OUTPUT = click.option(
     "-o",
     "--output",
     type=click.Path(path_type=Path),
@@ -85,6 +77,12 @@ FOREIGN = (".csv", ".parquet", ".ulg", ".tlog")  # what 'sideslip import' reads 
     callback=tried_file,
     help="Flight to write: .mcap, .csv or .parquet.",
 )
+_SPLIT = click.option("--split", is_flag=True, help="Write each stretch without a gap in time to a file of its own.")
+
+
+@click.command()
+@click.argument("raw", type=click.Path(path_type=Path))
+@_OUTPUT
 @click.option(
     "--calibration",
     type=click.Path(path_type=Path),
@@ -110,6 +108,7 @@ def calibrate(
     Example: sideslip calibrate recordings/nominal -o nominal.mcap
     """
     from groundstation.calibration.recording import calibrate_recording
+    from groundstation.importers.endings import FOREIGN
 
     if raw.suffix.lower() in FOREIGN and raw.is_file():
         raise UserError(
@@ -120,14 +119,7 @@ def calibrate(
 
 @click.command("import")
 @click.argument("data", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="DATA...")
-@click.option(
-    "-o",
-    "--output",
-    type=click.Path(path_type=Path),
-    required=True,
-    callback=tried_file,
-    help="Flight to write: .mcap, .csv or .parquet.",
-)
+@_OUTPUT
 @click.option(
     "--map",
     "mapping",

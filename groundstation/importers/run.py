@@ -18,6 +18,7 @@ from groundstation.flight import Flight, Provenance
 from groundstation.flight.credible_columns import credible_values
 from groundstation.flight.notes import Note, unknown_columns
 from groundstation.flight.plausibility import suspicions
+from groundstation.importers.endings import LOGS, TABLES
 from groundstation.importers.errors import ImportDataError
 from groundstation.importers.join import joined
 from groundstation.importers.mapping import EXAMPLE, FileFormat, Map, Source, built_in_map, load_map
@@ -32,8 +33,6 @@ DEFAULT_RATE = 50.0
 """Highest rate [Hz] of the common time base of a log whose series have times of their own, unless stated."""
 
 _WRAPPED = ("phi", "psi")
-_TABLES = (".csv", ".txt", ".tsv", ".asc", ".dat", ".parquet", ".mat")
-_LOGS = (".ulg", ".bin", ".tlog")
 ENTRY_POINTS = "sideslip.importers"
 
 
@@ -112,19 +111,14 @@ def _record(path: Path, log: Log, chosen: Map, rate_hz: float | None, accept_imp
 def read_logs(path: Path, given: Map | None = None) -> list[tuple[Log, Map]]:
     """The records of a file, each with its mapping. Raises ImportDataError for a file that cannot be read."""
     suffix = path.suffix.lower()
-    if suffix in _TABLES:
+    if suffix in TABLES:
         return _read_tables(path, given)
-    readers: dict[str, tuple[str, Callable[[Path], Log]]] = {
-        ".ulg": ("px4", _ulog),
-        ".ulog": ("px4", _ulog),
-        ".bin": ("ardupilot", _dataflash),
-        ".tlog": ("mavlink", _tlog),
-    }
-    if suffix not in readers:
+    if suffix not in LOGS:
         return [_read_with_package(path, given)]
-    name, read = readers[suffix]
+    readers: dict[str, Callable[[Path], Log]] = {"px4": _ulog, "ardupilot": _dataflash, "mavlink": _tlog}
+    name = LOGS[suffix]
     base = built_in_map(name)
-    return [(read(path), given.over(base) if given else base)]
+    return [(readers[name](path), given.over(base) if given else base)]
 
 
 def _read_with_package(path: Path, given: Map | None) -> tuple[Log, Map]:
@@ -132,7 +126,7 @@ def _read_with_package(path: Path, given: Map | None) -> tuple[Log, Map]:
     packages = entry_points(group=ENTRY_POINTS)
     found = next((p for p in packages if p.name == path.suffix.lower().removeprefix(".")), None)
     if found is None:
-        known = (*_TABLES, *_LOGS, *(f".{p.name}" for p in packages))
+        known = (*TABLES, *LOGS, *(f".{p.name}" for p in packages))
         raise ImportDataError(f"{path}: files of this kind are not known; give {', '.join(known)}")
     try:
         log, base = found.load()(path)
