@@ -158,6 +158,10 @@ class Syncer:
                 job.over.set()
 
     def _confirm(self, segment: Segment, *, finished: bool) -> None:
+        if segment.failure is not None:
+            # The system forgets pages whose writing failed: the next sync of the same file succeeds without them.
+            self._failed(segment, segment.failure, finished)
+            return
         started = self._clock.monotonic_ns()
         total = segment.flushed  # before the sync: what is written while it runs may not be covered
         if self._sync:
