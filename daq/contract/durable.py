@@ -64,10 +64,17 @@ def replacing(path: Path, *, keep_ending: bool = False) -> Iterator[Path]:
     sync_directory(path.parent)
 
 
-def write_text(path: Path, text: str) -> None:
-    """Write a text file whole or not at all; through a link (/dev/stdout), or into a pipe or device, as it comes."""
+@contextmanager
+def whole(path: Path, *, keep_ending: bool = False) -> Iterator[Path]:
+    """Where to write a file that is to be whole or not at all; links (/dev/stdout), pipes and devices take it as it comes."""
     if path.is_symlink() or (path.exists() and not path.is_file()):
-        path.write_text(text, encoding="utf-8")
+        yield path
         return
-    with replacing(path) as new:
+    with replacing(path, keep_ending=keep_ending) as new:
+        yield new
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file, as `whole` says."""
+    with whole(path) as new:
         new.write_text(text, encoding="utf-8")

@@ -18,7 +18,7 @@ from daq.contract.channels import COLUMN_BY_NAME
 from groundstation.export import joint_state as js
 from groundstation.export.timescale import stamps_ns
 from groundstation.flight import Array, Flight
-from groundstation.flight.flight import Encoded, open_flight_writer
+from groundstation.flight.writing import Encoded, open_flight_writer
 
 _EARTH_RADIUS_M = 6371008.8  # mean radius; over a flight's extent the flat map is right to a few parts in a thousand
 

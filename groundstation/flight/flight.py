@@ -6,11 +6,7 @@ NaN means "not measured". Time is checked on reading: unsorted rows are sorted, 
 gaps split the flight into segments, each of it said in `notes`.
 """
 
-import csv
-import hashlib
-import json
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -20,15 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.contract.channels import COLUMN_BY_NAME
-from daq.contract.input_files import check_file
-from daq.contract.plain_words import listed, one_line, plain_name
-from daq.contract.recordings.claims import json_object, mapping
-from groundstation.flight.credible_columns import credible_values, field_names, plain_names
-from groundstation.flight.csv_columns import read_csv
+from daq.contract.plain_words import plain_name
 from groundstation.flight.errors import FlightError, MissingColumnError
-from groundstation.flight.notes import Note, NoteKind, as_note, from_meta, once, to_meta, unknown_columns
-from groundstation.flight.parquet_columns import read_parquet
-from groundstation.flight.utc import offset_in, stamps
+from groundstation.flight.notes import Note, NoteKind, as_note, once
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -42,18 +32,10 @@ GAP_FACTOR = 4.5
 LATEST = 9e9
 """Latest time [s] of a sample, either way: what 64 bits of nanoseconds hold, 285 years."""
 
-FLIGHT_TOPIC = "/flight"
-FLIGHT_SCHEMA = "sideslip.FlightSample"
-METADATA_NAME = "sideslip.flight"
-
-
 AIRCRAFT_FILE = "aircraft_file"
 """Key of a provenance's detail under which the text of the aircraft's file travels with the flight."""
 RECONSTRUCTED = "reconstructed"
 """Key of a provenance's detail: which columns were not measured but found from the others, from what, how sure."""
-
-
-FOREIGN = "if another program wrote the file, convert it with 'sideslip import'"
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,6 +144,8 @@ class Flight:
 
     def save(self, path: str | Path) -> Path:
         """Write .mcap, .csv or .parquet; `read_flight` gives the same arrays."""
+        from groundstation.flight.writing import write_flight
+
         write_flight(self, path)
         return Path(path)
 
@@ -267,255 +251,3 @@ def _split(time: Array, labels: NDArray[np.int64], gap_factor: float) -> tuple[N
         notes = [*notes[:5], f"{len(notes) - 5} more gaps"]
     edge = gap | (np.diff(labels) != 0)
     return np.concatenate([[0], np.cumsum(edge)]).astype(np.int64), notes
-
-
-# ------------------------------------------------------------------------------------------------ reading and writing
-
-
-def read_flight(path: str | Path, *, gap_factor: float = GAP_FACTOR) -> Flight:
-    """Read a flight from .mcap, .csv or .parquet.
-
-    Unknown columns are kept and named in a note. Raises FlightError with one sentence for anything unusable.
-    """
-    path = Path(path)
-    readers = {".mcap": _read_mcap, ".csv": _read_csv, ".parquet": _read_parquet}
-    if path.suffix.lower() not in readers:
-        raise FlightError(
-            f"{path}: not a flight file; give .mcap, .csv or .parquet, or convert it with 'sideslip import'"
-        )
-    check_file(path, error=FlightError)
-    columns, provenance, notes = readers[path.suffix.lower()](path)
-    if "time" not in columns:
-        raise FlightError(f"{path}: no column 'time' [s]; found {listed(columns) or 'nothing'}; {FOREIGN}")
-    time = columns.pop("time")
-    segment = columns.pop("segment", None)
-    if segment is not None and not (np.all(np.isfinite(segment)) and np.all(segment == np.round(segment))):
-        raise FlightError(
-            f"{path}: column segment has empty cells or fractions; give an integer in each row or leave the column out"
-        )
-    if segment is not None and np.any(np.abs(segment) > 2**31):
-        raise FlightError(f"{path}: column segment holds {np.max(np.abs(segment)):g}; number segments from 0")
-    columns = plain_names(columns)
-    columns, beyond = credible_values(columns)
-    notes += beyond
-    unknown = [c for c in columns if c not in COLUMN_BY_NAME]
-    if unknown:
-        notes.append(unknown_columns({c: c for c in unknown}))
-    provenance = replace(provenance, path=str(path), sha256=hashlib.sha256(path.read_bytes()).hexdigest())
-    return Flight.build(
-        path.stem, time, columns, segment=segment, provenance=provenance, notes=notes, gap_factor=gap_factor
-    )
-
-
-def write_flight(flight: Flight, path: str | Path) -> None:
-    """Write a flight as .mcap, .csv or .parquet, by suffix; reading it back gives the same arrays."""
-    path = Path(path)
-    writers = {".mcap": _write_mcap, ".csv": _write_csv, ".parquet": _write_parquet}
-    if path.suffix.lower() not in writers:
-        raise FlightError(f"{path}: cannot write this kind of file; name it .mcap, .csv or .parquet")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        writers[path.suffix.lower()](flight, path)
-    except OSError as error:
-        raise FlightError(f"{path}: cannot be written ({error.strerror or error}); choose another place") from error
-
-
-_Read = tuple[dict[str, Array], Provenance, list[Note | str]]
-
-
-def _read_csv(path: Path) -> _Read:
-    try:
-        return read_csv(path, FlightError), Provenance(), []
-    except FlightError as error:
-        raise FlightError(f"{error}; {FOREIGN}") from error
-
-
-def _write_csv(flight: Flight, path: Path) -> None:
-    names = ["time", *flight.columns, "segment"]
-    table = [flight.time, *flight.columns.values(), flight.segment]
-    with path.open("w", newline="", encoding="utf-8") as handle:
-        writer = csv.writer(handle)
-        writer.writerow(names)
-        for row in zip(*(c.tolist() for c in table), strict=True):
-            writer.writerow(["" if v != v else v for v in row])
-
-
-def _read_parquet(path: Path) -> _Read:
-    found = read_parquet(path, FlightError)
-    notes: list[Note | str] = [
-        f"column {plain_name(name)} is not numeric: left out" for name in (*found.words, *found.dates)
-    ]
-    if len(notes) > 30:
-        notes = [*notes[:30], f"{len(notes) - 30} more columns are not numeric: left out"]
-    meta = found.footer.get(METADATA_NAME.encode())
-    about = json_object(meta) if meta else {}
-    if meta and not about:
-        notes.append("what the file says of its origin cannot be read: taken as not known")
-    return found.numeric, _provenance_from(about) if about else Provenance(), notes
-
-
-def _write_parquet(flight: Flight, path: Path) -> None:
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    table = pa.table({"time": flight.time, **dict(flight.columns), "segment": flight.segment})
-    pq.write_table(table.replace_schema_metadata({METADATA_NAME: json.dumps(_provenance_to(flight))}), path)
-
-
-def _provenance_to(flight: Flight) -> dict[str, Any]:
-    p = flight.provenance
-    return {
-        "source": p.source,
-        "aircraft": p.aircraft,
-        "software": p.software,
-        "calibration": dict(p.calibration),
-        "detail": dict(p.detail),
-        "derived_from": {"path": p.path, "sha256": p.sha256},
-        "name": flight.name,
-        **to_meta(flight.notes),
-    }
-
-
-def _provenance_from(meta: Mapping[str, Any]) -> Provenance:
-    return Provenance(
-        source=one_line(str(meta.get("source", "imported")), 40),
-        aircraft=plain_name(str(meta.get("aircraft", ""))),
-        software=plain_name(str(meta.get("software", ""))),
-        calibration={k: str(v) for k, v in mapping(meta.get("calibration")).items()},
-        detail={**mapping(meta.get("detail")), "derived_from": mapping(meta.get("derived_from"))},
-    )
-
-
-def _message_class(names: Sequence[str]) -> tuple[Any, bytes]:
-    """Protobuf class with one optional double per column, and its serialised descriptor set."""
-    from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
-
-    kind = descriptor_pb2.FieldDescriptorProto
-    file = descriptor_pb2.FileDescriptorProto(name="sideslip/flight.proto", package="sideslip", syntax="proto3")
-    message = file.message_type.add(name=FLIGHT_SCHEMA.split(".")[1])
-    for i, name in enumerate(names):
-        message.field.add(
-            name=name,
-            number=i + 1,
-            type=kind.TYPE_DOUBLE,
-            label=kind.LABEL_OPTIONAL,
-            proto3_optional=True,
-            oneof_index=i,
-        )
-        message.oneof_decl.add(name=f"_{name}")
-    pool = descriptor_pool.DescriptorPool()
-    pool.Add(file)  # type: ignore[no-untyped-call]
-    cls = message_factory.GetMessageClass(pool.FindMessageTypeByName(FLIGHT_SCHEMA))
-    return cls, descriptor_pb2.FileDescriptorSet(file=[file]).SerializeToString()
-
-
-def _write_mcap(flight: Flight, path: Path) -> None:
-    with open_flight_writer(flight, path, stamps(flight.time, offset_in(flight.provenance.detail))):
-        pass
-
-
-@contextmanager
-def open_flight_writer(
-    flight: Flight, path: Path, stamps: NDArray[np.int64]
-) -> Iterator[Callable[[str, int, Any], None]]:
-    """Write a flight's own messages, then give a function that adds (topic, stamp [ns], protobuf message) of other kinds.
-
-    stamps: (N,) log times of the samples [ns]. Raises FlightError for a column name that cannot be a field.
-    """
-    from mcap.writer import CompressionType, Writer
-
-    names = field_names(["time", *flight.columns, "segment"])
-    cls, schema = _message_class(names)
-    table = np.column_stack([flight.time, *flight.columns.values(), flight.segment])
-    with path.open("wb") as handle:
-        writer = Writer(handle, compression=CompressionType.ZSTD)
-        writer.start(profile="sideslip", library=f"sideslip {flight.provenance.software}".strip())
-        text = json.dumps(_provenance_to(flight))
-        writer.add_metadata(METADATA_NAME, {"json": text, "sha256": _digest(text, names, table)})
-        schema_id = writer.register_schema(FLIGHT_SCHEMA, "protobuf", schema)
-        channel = writer.register_channel(FLIGHT_TOPIC, "protobuf", schema_id)
-        for i, row in enumerate(table.tolist()):
-            data = cls(**{n: v for n, v in zip(names, row, strict=True) if v == v}).SerializeToString()
-            stamp = max(0, int(stamps[i]))
-            writer.add_message(channel, stamp, data, stamp, i)
-        yield _Adder(writer)
-        writer.finish()
-
-
-@dataclass(frozen=True, slots=True)
-class Encoded:
-    """A message that is no protobuf one: its bytes, and what an MCAP channel says of them."""
-
-    data: bytes
-    schema: str
-    schema_encoding: str
-    definition: str
-    encoding: str
-
-
-class _Adder:
-    """Messages of other schemas beside a flight's own; schemas and channels are registered when first used."""
-
-    def __init__(self, writer: Any) -> None:
-        self._writer = writer
-        self._channels: dict[str, int] = {}
-
-    def __call__(self, topic: str, stamp: int, message: Any) -> None:
-        if isinstance(message, Encoded):
-            self._add_encoded(topic, stamp, message)
-            return
-        if topic not in self._channels:
-            from mcap_protobuf.schema import build_file_descriptor_set
-
-            described = build_file_descriptor_set(type(message)).SerializeToString()
-            schema = self._writer.register_schema(message.DESCRIPTOR.full_name, "protobuf", described)
-            self._channels[topic] = self._writer.register_channel(topic, "protobuf", schema)
-        self._writer.add_message(self._channels[topic], stamp, message.SerializeToString(), stamp)
-
-    def _add_encoded(self, topic: str, stamp: int, message: Encoded) -> None:
-        if topic not in self._channels:
-            found = (message.schema, message.schema_encoding, message.definition.encode())
-            schema = self._writer.register_schema(*found)
-            self._channels[topic] = self._writer.register_channel(topic, message.encoding, schema)
-        self._writer.add_message(self._channels[topic], stamp, message.data, stamp)
-
-
-def _read_mcap(path: Path) -> _Read:
-    from daq.contract.recordings.flight_rows import described, flight_rows
-    from daq.contract.recordings.reading import read_parts
-    from daq.contract.recordings.recording import RecordingError
-
-    try:
-        flights = read_parts(path)
-    except RecordingError as error:
-        raise FlightError(f"{error}; damaged, or no flight at all") from error
-    flight = flights[0]
-    if any(s.entries for s in flights) or (
-        all(s.sound for s in flights) and not any(FLIGHT_TOPIC in s.kept for s in flights)
-    ):
-        raise FlightError(
-            f"{path}: no calibrated flight in this file; a raw recording must pass 'sideslip calibrate' first"
-        )
-    for damage in (d for s in flights for d in s.damages):
-        raise FlightError(
-            f"{path}: damaged or not an MCAP file (byte {damage.at_byte}: {damage.what}); "
-            "try 'sideslip recover' on the raw recording"
-        )
-    if len(flights) > 1:
-        raise FlightError(f"{path}: {len(flights)} flights one behind the other in one file; calibrate each by itself")
-    table = flight_rows(flight)
-    meta, text, stated = described(flight)
-    if stated != _digest(text, table.names, table.values):
-        raise FlightError(
-            f"{path}: damaged: the values are not those that were written; calibrate the raw recording again"
-        )
-    columns = {n: table.values[:, i] for i, n in enumerate(table.names)}
-    return columns, _provenance_from(meta), [*from_meta(meta)]
-
-
-def _digest(provenance: str, names: Sequence[str], table: Array) -> str:
-    """SHA-256 over provenance, names and values: MCAP's checksums cover neither schemas nor metadata."""
-    digest = hashlib.sha256(json.dumps([provenance, *names]).encode())
-    for rows in np.array_split(table, max(1, table.size // 1_000_000)):  # no copy of the whole table
-        digest.update(np.ascontiguousarray(np.where(np.isnan(rows), np.nan, rows), "<f8").tobytes())
-    return digest.hexdigest()

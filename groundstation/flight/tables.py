@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 
 
 class FlightView(Protocol):
-    """What tables and pictures need of a flight."""
+    """What tables, pictures and writers need of a flight."""
 
     @property
     def name(self) -> str: ...

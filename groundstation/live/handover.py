@@ -6,7 +6,6 @@ from pathlib import Path
 
 from numpy.linalg import LinAlgError
 
-from daq.contract.durable import replacing
 from daq.contract.errors import UserError
 from daq.contract.outputs import write_json
 from daq.contract.recordings.recording import RecordingError
@@ -77,8 +76,7 @@ def hand_over(
     detail = {**flight.provenance.detail, "manoeuvres": listed, "origin": origin}
     flight = replace(flight, name=name, provenance=replace(flight.provenance, detail=detail))
     path = folder / f"{name}.mcap"
-    with replacing(path, keep_ending=True) as new:
-        write_flight(flight, new)
+    write_flight(flight, path)
     manoeuvres_path = _write_manoeuvres(flight, manoeuvres, folder / f"{name}_manoeuvres.mcap")
     handed = Handover(path, manoeuvres_path, flight, manoeuvres, findings, origin)
     summary = {"flight": str(path), "origin": origin, "manoeuvres": listed, "quality": [f.to_json() for f in findings]}
@@ -89,6 +87,5 @@ def hand_over(
 def _write_manoeuvres(flight: Flight, manoeuvres: Sequence[Manoeuvre], path: Path) -> Path | None:
     if not manoeuvres:
         return None
-    with replacing(path, keep_ending=True) as new:
-        write_flight(cut(flight, manoeuvres, path.stem), new)
+    write_flight(cut(flight, manoeuvres, path.stem), path)
     return path

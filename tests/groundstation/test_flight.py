@@ -158,3 +158,31 @@ class TestForOtherLibraries:
         with pytest.raises(FlightError, match="2 columns"):
             recorded.plot("beta", "V", ax=axes[0])
         plt.close("all")
+
+
+@pytest.mark.parametrize("ending", ["mcap", "csv", "parquet"])
+def test_a_flight_that_cannot_be_written_leaves_the_old_one(
+    ending: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = Flight.build("x", np.arange(5) * 0.05, {"p": np.arange(5.0)})
+    path = tmp_path / f"x.{ending}"
+    write_flight(made, path)
+    old = path.read_bytes()
+
+    def fail(descriptor: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("daq.contract.durable.os.fsync", fail)
+    with pytest.raises(FlightError, match="No space left"):
+        write_flight(made.with_columns(q=np.ones(5)), path)
+    assert path.read_bytes() == old
+    assert [f.name for f in tmp_path.iterdir()] == [path.name]
+
+
+def test_a_flight_goes_through_a_link(tmp_path: Path) -> None:
+    made = Flight.build("x", np.arange(5) * 0.05, {"p": np.arange(5.0)})
+    (tmp_path / "real.csv").write_text("")
+    (tmp_path / "link.csv").symlink_to(tmp_path / "real.csv")
+    write_flight(made, tmp_path / "link.csv")
+    assert (tmp_path / "link.csv").is_symlink()
+    assert read_flight(tmp_path / "real.csv")["p"][3] == 3.0

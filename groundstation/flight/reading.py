@@ -1,0 +1,124 @@
+"""Flights from files: MCAP, CSV and Parquet, within bounds, with a note for whatever was not as it should be."""
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from daq.contract.channels import COLUMN_BY_NAME
+from daq.contract.input_files import check_file
+from daq.contract.plain_words import listed, one_line, plain_name
+from daq.contract.recordings.claims import json_object, mapping
+from groundstation.flight.credible_columns import credible_values, plain_names
+from groundstation.flight.csv_columns import read_csv
+from groundstation.flight.errors import FlightError
+from groundstation.flight.flight import GAP_FACTOR, Array, Flight, Provenance
+from groundstation.flight.notes import Note, from_meta, unknown_columns
+from groundstation.flight.parquet_columns import read_parquet
+from groundstation.flight.writing import FLIGHT_TOPIC, METADATA_NAME, value_digest
+
+FOREIGN = "if another program wrote the file, convert it with 'sideslip import'"
+
+_Read = tuple[dict[str, Array], Provenance, list[Note | str]]
+
+
+def read_flight(path: str | Path, *, gap_factor: float = GAP_FACTOR) -> Flight:
+    """Read a flight from .mcap, .csv or .parquet.
+
+    Unknown columns are kept and named in a note. Raises FlightError with one sentence for anything unusable.
+    """
+    path = Path(path)
+    readers = {".mcap": _read_mcap, ".csv": _read_csv, ".parquet": _read_parquet}
+    if path.suffix.lower() not in readers:
+        raise FlightError(
+            f"{path}: not a flight file; give .mcap, .csv or .parquet, or convert it with 'sideslip import'"
+        )
+    check_file(path, error=FlightError)
+    columns, provenance, notes = readers[path.suffix.lower()](path)
+    if "time" not in columns:
+        raise FlightError(f"{path}: no column 'time' [s]; found {listed(columns) or 'nothing'}; {FOREIGN}")
+    time = columns.pop("time")
+    segment = columns.pop("segment", None)
+    if segment is not None and not (np.all(np.isfinite(segment)) and np.all(segment == np.round(segment))):
+        raise FlightError(
+            f"{path}: column segment has empty cells or fractions; give an integer in each row or leave the column out"
+        )
+    if segment is not None and np.any(np.abs(segment) > 2**31):
+        raise FlightError(f"{path}: column segment holds {np.max(np.abs(segment)):g}; number segments from 0")
+    columns = plain_names(columns)
+    columns, beyond = credible_values(columns)
+    notes += beyond
+    unknown = [c for c in columns if c not in COLUMN_BY_NAME]
+    if unknown:
+        notes.append(unknown_columns({c: c for c in unknown}))
+    provenance = replace(provenance, path=str(path), sha256=hashlib.sha256(path.read_bytes()).hexdigest())
+    return Flight.build(
+        path.stem, time, columns, segment=segment, provenance=provenance, notes=notes, gap_factor=gap_factor
+    )
+
+
+def _read_csv(path: Path) -> _Read:
+    try:
+        return read_csv(path, FlightError), Provenance(), []
+    except FlightError as error:
+        raise FlightError(f"{error}; {FOREIGN}") from error
+
+
+def _read_parquet(path: Path) -> _Read:
+    found = read_parquet(path, FlightError)
+    notes: list[Note | str] = [
+        f"column {plain_name(name)} is not numeric: left out" for name in (*found.words, *found.dates)
+    ]
+    if len(notes) > 30:
+        notes = [*notes[:30], f"{len(notes) - 30} more columns are not numeric: left out"]
+    meta = found.footer.get(METADATA_NAME.encode())
+    about = json_object(meta) if meta else {}
+    if meta and not about:
+        notes.append("what the file says of its origin cannot be read: taken as not known")
+    return found.numeric, _provenance_from(about) if about else Provenance(), notes
+
+
+def _provenance_from(meta: Mapping[str, Any]) -> Provenance:
+    return Provenance(
+        source=one_line(str(meta.get("source", "imported")), 40),
+        aircraft=plain_name(str(meta.get("aircraft", ""))),
+        software=plain_name(str(meta.get("software", ""))),
+        calibration={k: str(v) for k, v in mapping(meta.get("calibration")).items()},
+        detail={**mapping(meta.get("detail")), "derived_from": mapping(meta.get("derived_from"))},
+    )
+
+
+def _read_mcap(path: Path) -> _Read:
+    from daq.contract.recordings.flight_rows import described, flight_rows
+    from daq.contract.recordings.reading import read_parts
+    from daq.contract.recordings.recording import RecordingError
+
+    try:
+        flights = read_parts(path)
+    except RecordingError as error:
+        raise FlightError(f"{error}; damaged, or no flight at all") from error
+    flight = flights[0]
+    if any(s.entries for s in flights) or (
+        all(s.sound for s in flights) and not any(FLIGHT_TOPIC in s.kept for s in flights)
+    ):
+        raise FlightError(
+            f"{path}: no calibrated flight in this file; a raw recording must pass 'sideslip calibrate' first"
+        )
+    for damage in (d for s in flights for d in s.damages):
+        raise FlightError(
+            f"{path}: damaged or not an MCAP file (byte {damage.at_byte}: {damage.what}); "
+            "try 'sideslip recover' on the raw recording"
+        )
+    if len(flights) > 1:
+        raise FlightError(f"{path}: {len(flights)} flights one behind the other in one file; calibrate each by itself")
+    table = flight_rows(flight)
+    meta, text, stated = described(flight)
+    if stated != value_digest(text, table.names, table.values):
+        raise FlightError(
+            f"{path}: damaged: the values are not those that were written; calibrate the raw recording again"
+        )
+    columns = {n: table.values[:, i] for i, n in enumerate(table.names)}
+    return columns, _provenance_from(meta), [*from_meta(meta)]
