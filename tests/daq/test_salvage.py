@@ -17,27 +17,13 @@ from daq.contract.recordings.accounting import recover, verify
 from daq.contract.recordings.reading import read_recording, read_segment
 from daq.contract.recordings.recording import RecordingError
 from daq.contract.scan import encode_scan
-from tests.daq.synthetic import PER_CHUNK, SCANS, make_scan, write_recording
+from tests.daq.synthetic import PER_CHUNK, SCANS, make_scan
 
 
 @cache
 def encoded() -> dict[int, bytes]:
     """The scans as they were written."""
     return {n: encode_scan(make_scan(n)) for n in range(SCANS)}
-
-
-@pytest.fixture(scope="module", params=[False, True], ids=["plain", "zstd"])
-def original(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> bytes:
-    path = tmp_path_factory.mktemp("original") / "s1_000.mcap"
-    write_recording(path, compress=request.param)
-    return path.read_bytes()
-
-
-@pytest.fixture(scope="module")
-def plain(tmp_path_factory: pytest.TempPathFactory) -> bytes:
-    path = tmp_path_factory.mktemp("plain") / "s1_000.mcap"
-    write_recording(path)
-    return path.read_bytes()
 
 
 def truncate(data: bytes, rng: random.Random) -> bytes:

@@ -14,19 +14,12 @@ from estimation.gap.likelihood.whitening import Linear, NoisePart, Shapes, Sourc
 from estimation.gap.records.flight_records import Record, with_own_noise
 from estimation.gap.records.nuisance import with_nuisance
 from estimation.gap.records.sample_faults import sample_notes
-from estimation.models.base import Model, Parameter, ParameterRole, Signal
+from estimation.models.base import Parameter, ParameterRole
 from estimation.models.load import load_model
 from groundstation.flight import Flight
+from tests.estimation.gap.roll import ROLL
 
 STEP = 0.05
-ROLL = Model(
-    name="roll",
-    states=(Signal("p", "rad/s"),),
-    inputs=(Signal("delta_a", "rad", control=True),),
-    outputs=(Signal("p", "rad/s"),),
-    parameters=(Parameter("L_p", start=-6.0), Parameter("L_a", start=40.0)),
-    equations=("p_dot = L_p*p + L_a*delta_a",),
-)
 
 
 # ------------------------------------------------------------------------------------------------ sample faults

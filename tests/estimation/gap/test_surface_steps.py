@@ -19,19 +19,12 @@ from estimation.gap.likelihood.surface_steps import (
 )
 from estimation.gap.likelihood.whitening import Linear, NoiseModel, Shapes, linear_motion, shapes_of, whitener
 from estimation.gap.records.flight_records import prepare_flights
-from estimation.models.base import Model, Parameter, Signal
+from estimation.models.base import Parameter, Signal
 from groundstation.flight import Flight
+from tests.estimation.gap.roll import ROLL
 
 DT = 0.05
 N = 200
-ROLL = Model(
-    name="roll",
-    states=(Signal("p", "rad/s"),),
-    inputs=(Signal("delta_a", "rad", control=True),),
-    outputs=(Signal("p", "rad/s"),),
-    parameters=(Parameter("L_p", start=-6.0), Parameter("L_a", start=40.0)),
-    equations=("p_dot = L_p*p + L_a*delta_a",),
-)
 
 
 def _segment() -> Segment:
