@@ -13,6 +13,8 @@ from daq.actuation.actuation import Actuation, Devices
 from daq.actuation.heartbeat import Heartbeat, HeartbeatError
 from daq.actuation.servos import plan_of
 from daq.clock import Clock
+from daq.companion.config import IdentificationConfig
+from daq.companion.process import Companion
 from daq.config import LoggerConfig, read_aircraft, read_calibration
 from daq.contract.channels import CHANNELS
 from daq.contract.manoeuvre import load_manoeuvre
@@ -179,7 +181,16 @@ def assemble(
         logger.connect(link, link.uplink)
         if actuation is not None:
             actuation.link_s = link.uplink.silence_s
+    if config.identification is not None:
+        logger.listen(_companion(config, config.identification, logger, link))
     return Assembly(logger, sampler, recorder, link, first, actuation)
+
+
+def _companion(config: LoggerConfig, wanted: IdentificationConfig, logger: Logger, link: RadioLink | None) -> Companion:
+    """The process that identifies on board; its numbers go into the recording and down the link."""
+    show = (lambda name, value: None) if link is None else link.downlink.messages.set_named
+    aircraft = config.aircraft.file or config.aircraft.name
+    return Companion(wanted, aircraft, str(config.calibration), logger.say, show)
 
 
 def _actuation(config: LoggerConfig, edge: Edge) -> Actuation | None:

@@ -11,6 +11,7 @@ from typing import Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from daq.actuation.config import LEAST_RATE_HZ, SequencerConfig
+from daq.companion.config import IdentificationConfig
 from daq.contract.errors import UserError
 from daq.contract.input_files import parse_toml, read_text
 from daq.recorder.config import RecorderConfig
@@ -84,6 +85,7 @@ class LoggerConfig(Section):
     sensors: SensorsConfig
     downlink: DownlinkConfig | None = None
     sequencer: SequencerConfig | None = None
+    identification: IdentificationConfig | None = None
     preflight: PreflightConfig = PreflightConfig()
     calibration: Path | None = None
 
@@ -97,6 +99,15 @@ class LoggerConfig(Section):
     def _sequencer_is_served(self) -> "LoggerConfig":
         if self.sequencer is not None:
             check_sequencer(self.sequencer, self.sensors, self.scan.rate_hz)
+        return self
+
+    @model_validator(mode="after")
+    def _identification_has_what_it_needs(self) -> "LoggerConfig":
+        if self.identification is not None:
+            if self.calibration is None:
+                raise ValueError("identification needs calibrated scans; set the key calibration")
+            if not (self.aircraft.name or self.aircraft.file):
+                raise ValueError("identification needs the aircraft; set aircraft.name or aircraft.file")
         return self
 
     @property

@@ -19,6 +19,7 @@ from daq.acquisition.health import HealthSummary, as_message, repetitions
 from daq.acquisition.sampler import EventMark, UnfinishedScan
 from daq.actuation.actuation import Actuation
 from daq.clock import NS, Clock
+from daq.contract.control import Control, Weigh
 from daq.contract.recordings.messages import Event, LogLevel, SequencerFrame, Statistics
 from daq.contract.scan import Scan, SensorState
 from daq.recorder.recorder import Recorder
@@ -81,32 +82,19 @@ class Downlink(Protocol):
         ...
 
 
-class Control(Protocol):
-    """What a command from the ground may do to the logger. Everything returns at once."""
+class Listener(Protocol):
+    """What looks at scans beside the recording. Nothing here waits, or raises."""
 
-    @property
-    def recording(self) -> bool:
-        """Whether a recording is under way."""
+    def start(self, details: Mapping[str, str]) -> None:
+        """Begin, once the sensors are set up; details: what is needed to use the counts."""
         ...
 
-    def start_recording(self) -> bool:
-        """Begin a new recording; False when one is under way or none can be made."""
+    def scans(self, scans: Iterable[Scan]) -> None:
+        """Scans in order, after recorder and radio have them."""
         ...
 
-    def stop_recording(self) -> bool:
-        """End the recording; False when none is under way."""
-        ...
-
-    def mark_event(self, text: str, origin: str) -> Event:
-        """Record an event marker at the present scan."""
-        ...
-
-    def ask_sequencer(self, digest: int | None) -> str:
-        """Start the manoeuvre whose digest begins with these 24 bits, or (None) stop; why not, empty when it is taken."""
-        ...
-
-    def say(self, level: LogLevel, name: str, text: str) -> None:
-        """A line for the recording's log, the journal and, from warnings up, the ground."""
+    def close(self) -> None:
+        """The loop has ended; the recording is still open."""
         ...
 
 
@@ -182,6 +170,7 @@ class Logger:
         self._newest: UnfinishedScan | None = None
         self._link_fault = ""
         self._actuator: Actuation | None = None
+        self._listener: Listener | None = None
         self._closers: list[threading.Thread] = []
         self._last_books: Statistics | None = None
         self._ended = 0  # recordings given up for closing
@@ -198,6 +187,10 @@ class Logger:
             raise ValueError("controls cannot wait for several scans to be finished together")
         self._actuator = actuator
 
+    def listen(self, listener: Listener) -> None:
+        """Give the logger somebody who looks at scans, before it runs."""
+        self._listener = listener
+
     # ------------------------------------------------------------------------------------------ the loop
 
     def run(self, stop: Callable[[], bool]) -> Statistics:
@@ -211,6 +204,8 @@ class Logger:
         finally:
             if self._actuator is not None:
                 self._actuator.close()
+            if self._listener is not None:
+                self._listener.close()
             books = self._end()
         return books
 
@@ -240,6 +235,8 @@ class Logger:
 
     def _begin(self) -> None:
         summary = self._sampler.start()
+        if self._listener is not None:
+            self._listener.start(self._sampler.metadata())
         if self._recorder is not None:
             self._start(self._recorder)
         for line in self._opening:
@@ -279,6 +276,8 @@ class Logger:
         if self._health_due:
             self._report(self._clock.monotonic_ns())
         self._serve_link(scans)
+        if self._listener is not None:
+            self._listener.scans(scans)
 
     def _note_timing(self, deadline: int, started: int, ended: int) -> None:
         timing = self.timing
@@ -384,6 +383,11 @@ class Logger:
     def ask_sequencer(self, digest: int | None) -> str:
         """Pass the ground's wish on, to start the manoeuvre of this digest or (None) to stop; why not, empty when taken."""
         return "there is no sequencer on board" if self._actuator is None else self._actuator.ask(digest)
+
+    @property
+    def weigh(self) -> Weigh | None:
+        """What weighs a manoeuvre that comes up the link; None without a sequencer."""
+        return None if self._actuator is None else self._actuator.weigh
 
     def record_sequencer(self, frame: SequencerFrame, *, send: bool) -> bool:
         """Record a frame of the sequencer, False when it cannot be, and with `send` tell the ground."""

@@ -7,6 +7,7 @@ to the ground. The logger calls `frame` after each scan; commands from the groun
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Protocol
 
 from daq.actuation.config import SequencerConfig
@@ -16,8 +17,9 @@ from daq.actuation.part import Part
 from daq.actuation.pca9685 import Pca9685
 from daq.actuation.pilot_inputs import US_PER_COUNT, PilotInputs, PilotSignals
 from daq.actuation.sequencer import Frame, Seen, Sequencer
-from daq.actuation.servos import Plan, servos_of
+from daq.actuation.servos import Plan, plan_of, servos_of
 from daq.clock import NS, Clock
+from daq.contract.manoeuvre import Manoeuvre
 from daq.contract.recordings.messages import Event, LogLevel, SequencerFrame
 from daq.contract.scan import Scan, SensorState
 from daq.contract.sequencing import Reason, State
@@ -111,7 +113,7 @@ class Actuation:
     ) -> None:
         limits = config.limits
         clock = devices.clock
-        self._devices = devices
+        self._config, self._devices = config, devices
         self._outputs = tuple(config.output.values())
         self._motion = MotionReader(config, sensors)
         self._pilot = PilotInputs(
@@ -140,6 +142,11 @@ class Actuation:
     def ask(self, digest: int | None) -> str:
         """A wish from the ground: start the manoeuvre with this digest (its first 24 bits), or None: stop. Why not, or empty."""
         return self.sequencer.ask_stop() if digest is None else self.sequencer.ask_start(digest)
+
+    def weigh(self, manoeuvre: Manoeuvre) -> Callable[[], str]:
+        """Weigh a manoeuvre against this aircraft's limits, in any thread. What is returned puts it in place, between two
+        frames, and says why not, empty when it is taken. Raises ManoeuvreError."""
+        return partial(self.sequencer.take, plan_of(manoeuvre, self._config))
 
     def frame(self, scan: Scan, reporter: Reporter) -> None:
         """One frame, after the scan it goes by."""

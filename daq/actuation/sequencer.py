@@ -152,6 +152,16 @@ class Sequencer:
         self._wish = Wish.STOP
         return ""
 
+    def take(self, plan: Plan) -> str:
+        """Another manoeuvre to fly; why not, empty when it is taken. The pilot arms what he has been told of, so his switch is at
+        off meanwhile."""
+        if self.state not in (State.IDLE, State.RELEASED):
+            return f"sequencer is {self.state.words}"
+        if self._positions and self._positions[-1] in (Switch.ARM, Switch.GO):
+            return "the pilot's switch is not at off"
+        self.plan = plan
+        return ""
+
     # ---------------------------------------------------------------------------------------- a frame
 
     def step(self, seen: Seen) -> Frame:

@@ -3,6 +3,7 @@ the direction of reading, and then says something else than it is. Such characte
 
 import unicodedata
 from collections.abc import Iterable
+from difflib import get_close_matches
 from typing import Any, TextIO
 
 LONGEST_NAME = 120
@@ -10,6 +11,12 @@ LONGEST_NAME = 120
 _LONGEST_BYTES = 200  # a file system allows 255 in a file name, of which 55 are left to what is appended
 
 _KEPT = frozenset("\n\t")
+
+
+def meant(word: str, known: Iterable[str]) -> str:
+    """What somebody may have meant by a name that is not among those known, to end a sentence with; "" where nothing is alike."""
+    alike = get_close_matches(word.lower(), list(known), n=1)
+    return f"; did you mean {alike[0]}?" if alike else ""
 
 
 def visible(text: str) -> str:
@@ -45,6 +52,11 @@ class VisibleStream:
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
+
+    @property
+    def bare(self) -> TextIO:
+        """The stream itself, for who draws on the terminal and makes strangers' words visible before."""
+        return self._stream
 
     def write(self, text: str) -> int:
         """Write the text with `visible`."""

@@ -54,6 +54,16 @@ class OrderedEstimator:
         if self._rework is None or at < self._rework.at:
             self._go_back(sample.time)
 
+    def revise(self, sample: Sample) -> None:
+        """One sample, in place of that of the same time if there is one: a late scan changes what its neighbours measured."""
+        at = bisect_left(self._times, sample.time)
+        if at == len(self._times) or self._times[at] != sample.time:
+            self.add(sample)
+        elif self._samples[at] != sample and (sample.credible or self._samples[at].credible):
+            self._samples[at] = sample
+            if self._rework is None or at < self._rework.at:
+                self._go_back(sample.time)
+
     @property
     def behind(self) -> int:
         """Samples still to be gone through before late ones are in the numbers; 0 when all is in order."""
@@ -76,6 +86,11 @@ class OrderedEstimator:
     def estimates(self) -> LiveEstimates:
         """As far as worked in."""
         return self._estimator.estimates()
+
+    @property
+    def estimator(self) -> LiveEstimator:
+        """The estimator that holds what is worked in; another one after late samples were."""
+        return self._estimator
 
     def _go_back(self, time: float) -> None:
         """Begin to work in what came late at `time` from the last copy before it."""

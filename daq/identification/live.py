@@ -19,9 +19,10 @@ Array = NDArray[np.float64]
 USEFUL = 0.3  # a bound wider than this part of what is believed tells nothing new
 BEYOND_DOUBT = 0.2  # but five bounds from zero is told, however small it was believed to be
 BLOCK = 30.0  # s in which constants are taken to stay the same
-GAP = 1.0  # s without a whole scan after which the simulated motion begins anew
+GAP = 1.0  # s without a whole scan after which a new stretch begins
 SLOWEST = 3.0  # m/s; below, non-dimensional rates mean nothing
 MOVE_IT = "move it on purpose (doublet or 3-2-1-1)"
+NONE_MOVED = "no control has moved yet"
 LEARN = 1.0  # s between two lookings at what the instruments are simulated with
 
 
@@ -52,6 +53,22 @@ class LiveEstimates:
     rows: int
     derivatives: Mapping[str, LiveDerivative]
     still: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class EquationInformation:
+    """One equation. columns: as in `COLUMNS`; normal: (n, n) sum of products of its columns over the rows [Pa2 s2];
+    covariance: (n, n) the honest one."""
+
+    columns: tuple[int, ...]
+    normal: Array
+    covariance: Array
+
+    @property
+    def noise(self) -> float:
+        """Variance of white noise of a row [Pa2 s2] that would explain the bounds: mean over the columns, in logarithms."""
+        ratio = np.diag(self.covariance) / np.diag(np.linalg.inv(self.normal))
+        return float(np.exp(np.mean(np.log(ratio))))
 
 
 class LiveEstimator:
@@ -88,8 +105,8 @@ class LiveEstimator:
         if not sample.credible or sample.V < SLOWEST or sample.time <= self._last:
             self.skipped += 1
             return
-        if sample.time - self._last > GAP:
-            self._interrupt()
+        if sample.time - self._last > GAP and math.isfinite(self._last):
+            self.restart()
         self._last = sample.time
         self._take(sample)
         if sample.time >= self._learn_at:
@@ -131,6 +148,17 @@ class LiveEstimator:
         """Number of the present stretch: how often `restart` was called."""
         return len(self._levels) - 1
 
+    def information(self) -> dict[str, "EquationInformation"]:
+        """What was flown so far tells of each equation that can be solved."""
+        sums = self._sums()
+        found = {}
+        for coefficient, solution in self.solutions().items():
+            if solution is not None:
+                pick = list(solution.columns)
+                normal = sums.instruments[0][np.ix_(pick, pick)]
+                found[coefficient] = EquationInformation(solution.columns, normal, solution.covariance)
+        return found
+
     def solutions(self) -> dict[str, Solution | None]:
         """Each equation as far as the scans so far tell it."""
         sums = self._sums()
@@ -142,6 +170,8 @@ class LiveEstimator:
         open_level = [*self._levels[:-1], self._levels[-1] + self._block.sums.cross[0]]
         level = np.sum(open_level[stretches], axis=0)
         for coefficient, solution in solutions.items():
+            if len(self.still) == len(CONTROLS):  # what moves it then is gusts, which no column stands for
+                solution = None
             found.update({d.name: d for d in self._described(coefficient, solution, level)})
         return LiveEstimates(self._last, sums.span, sums.rows, found, self.still)
 
@@ -175,7 +205,10 @@ class LiveEstimator:
     def _untold(self, coefficient: str, term: str) -> LiveDerivative:
         """No number; where a control rests, the control is named."""
         resting = term in self._controls and not self._controls[term].moved
-        why = f"{CONTROLS[term]} has not moved: {MOVE_IT}" if resting else "not enough flown yet"
+        none = len(self.still) == len(CONTROLS)
+        why = (
+            f"{CONTROLS[term]} has not moved: {MOVE_IT}" if resting else NONE_MOVED if none else "not enough flown yet"
+        )
         return LiveDerivative(f"{coefficient}_{term}", math.nan, math.inf, math.inf, why)
 
     def _judged(self, name: str, value: float, bound: float, white: float) -> LiveDerivative:

@@ -23,7 +23,7 @@ from daq.recorder.config import RecorderConfig
 from daq.recorder.log_time import SessionTime
 from daq.recorder.segment import Segment, Syncer
 from daq.recorder.segment_files import SegmentFiles
-from daq.recorder.slot_counts import Books
+from daq.recorder.slot_counts import SlotCounts
 from daq.recorder.storage import RealStorage, Storage
 from daq.recorder.timing import Histogram, LoopTiming
 
@@ -61,7 +61,7 @@ class Recorder:
         self._lock = threading.RLock()
         self._news = threading.Condition(self._lock)
         self._inbox: deque[Scan | Message] = deque()
-        self._books = Books()
+        self._books = SlotCounts()
         self._pending: deque[Entry] = deque()  # encoded, in order, not yet in a file
         self._returned: deque[Entry] = deque()  # were in a file that failed after it was closed
         self._time = SessionTime(clock)

@@ -7,7 +7,7 @@ from daq.contract.ranges import ranges
 
 
 @dataclass(slots=True)
-class Books:
+class SlotCounts:
     """Counts of scan slots; written, dropped, lost, missed and pending add up to all of them.
 
     absent: (first, last) numbers of the slots that were dropped, lost or missed.

@@ -98,6 +98,31 @@ class RealFile:
         os.close(self._descriptor)
 
 
+def in_memory(directory: Path, mounts: Path = Path("/proc/self/mountinfo")) -> bool:
+    """Whether what is written there goes with the power: a tmpfs, or one laid over a system that is never written.
+
+    That is where recordings go when their card is not mounted. False where the system does not say.
+    """
+    existing = next(p for p in (directory, *directory.parents) if p.exists())
+    try:
+        kinds = dict(_mount(line) for line in mounts.read_text(encoding="utf-8").splitlines())
+        kind, options = kinds.get(existing.stat().st_dev, ("", ""))
+        if kind == "overlay":
+            upper = next((o.partition("=")[2] for o in options.split(",") if o.startswith("upperdir=")), "")
+            kind, _ = kinds.get(Path(upper).stat().st_dev, ("", "")) if upper else ("", "")
+    except (OSError, ValueError):
+        return False
+    return kind == "tmpfs"
+
+
+def _mount(line: str) -> tuple[int, tuple[str, str]]:
+    """Device number -> type and options of a line of mountinfo, proc(5)."""
+    place, _, system = line.partition(" - ")
+    major, minor = place.split()[2].split(":")
+    kind, _, options = system.split(" ", 2)
+    return os.makedev(int(major), int(minor)), (kind, options)
+
+
 class RealStorage:
     """The file system of the machine."""
 

@@ -5,18 +5,24 @@ Everything behind it sees `daq.sensors.bus.I2cBus` and `daq.sensors.bus.SerialPo
 
 import errno
 import fcntl
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from daq.clock import Clock
 from daq.contract.errors import UserError
 from daq.sensors.bus import I2cBus, SerialPort
 from daq.sensors.config import SensorsConfig
 
+if TYPE_CHECKING:
+    from smbus2 import SMBus
+
 I2C_TIMEOUT = 0x0702  # linux/i2c-dev.h, unit 10 ms
 I2C_RETRIES = 0x0701
 REOPEN_AFTER_NS = 1_000_000_000
+LOOK_AFTER_NS = 200_000_000  # between two looks at whether a bus that fails is still there
 
 
 class HardwareError(UserError):
@@ -46,7 +52,7 @@ def open_hardware(config: SensorsConfig, clock: Clock) -> Hardware:
     """
     capture_serial = config.capture is not None and config.capture.driver == "mavlink_servo"
     chips = [g for g in config.fitted if g not in ("attitude", "gnss") and not (g == "capture" and capture_serial)]
-    bus = open_bus(config) if chips else None
+    bus = open_bus(config, clock) if chips else None
     gnss = autopilot = None
     if config.gnss is not None:
         gnss = ReopeningPort(config.gnss.device, config.gnss.baud, clock)
@@ -56,20 +62,15 @@ def open_hardware(config: SensorsConfig, clock: Clock) -> Hardware:
     return Hardware(bus, gnss, autopilot, SysfsPulse(Path(pps), clock) if pps else None)
 
 
-def open_bus(config: SensorsConfig) -> I2cBus:
-    """The I2C adapter, with its time-out shortened so that a held bus costs one scan little."""
-    from smbus2 import SMBus
-
+def open_bus(config: SensorsConfig, clock: Clock) -> "ReopeningBus":
+    """The I2C adapter of the configuration. Raises HardwareError naming the device and what to do."""
     device = config.bus.device
     try:
-        bus = SMBus(device)
-        fcntl.ioctl(bus.fd, I2C_TIMEOUT, config.bus.timeout_ms // 10)
-        fcntl.ioctl(bus.fd, I2C_RETRIES, 0)
+        return ReopeningBus(device, config.bus.timeout_ms, clock)
     except OSError as error:
         raise HardwareError(
             f"{device}: {_advice(error, 'enable I2C (raspi-config, or dtparam=i2c_arm=on)')}"
         ) from error
-    return bus
 
 
 def _advice(error: OSError, when_missing: str) -> str:
@@ -80,6 +81,99 @@ def _advice(error: OSError, when_missing: str) -> str:
     if error.errno == errno.EBUSY:
         return "busy; stop the other program that uses it"
     return f"cannot be opened ({error.strerror or error})"
+
+
+class ReopeningBus:
+    """An I2C adapter that comes back after its plug was pulled, whatever number it then has.
+
+    As long as anybody holds a file of an adapter that is gone, the kernel keeps its number, and its USB hub sees nothing
+    new. So after an error the name is looked at: where it leads elsewhere, or nowhere, the file is closed and the name is
+    tried again once a second. `device` should be a name that udev keeps. Time-outs are shortened so that a held bus costs
+    one scan little. Raises OSError.
+    """
+
+    def __init__(self, device: str, timeout_ms: int, clock: Clock) -> None:
+        self._device = device
+        self._timeout = timeout_ms // 10
+        self._clock = clock
+        self._retry_ns = self._look_ns = 0
+        self._bus: SMBus | None = self._open()
+
+    def read_byte_data(self, i2c_addr: int, register: int, /) -> int:
+        try:
+            return int(self._usable().read_byte_data(i2c_addr, register))
+        except OSError:
+            self._look()
+            raise
+
+    def write_byte_data(self, i2c_addr: int, register: int, value: int, /) -> None:
+        try:
+            self._usable().write_byte_data(i2c_addr, register, value)
+        except OSError:
+            self._look()
+            raise
+
+    def read_i2c_block_data(self, i2c_addr: int, register: int, length: int, /) -> list[int]:
+        try:
+            return list(self._usable().read_i2c_block_data(i2c_addr, register, length))
+        except OSError:
+            self._look()
+            raise
+
+    def write_i2c_block_data(self, i2c_addr: int, register: int, data: Sequence[int], /) -> None:
+        try:
+            self._usable().write_i2c_block_data(i2c_addr, register, data)
+        except OSError:
+            self._look()
+            raise
+
+    def i2c_rdwr(self, *i2c_msgs: Any) -> None:
+        try:
+            self._usable().i2c_rdwr(*i2c_msgs)
+        except OSError:
+            self._look()
+            raise
+
+    def close(self) -> None:
+        if self._bus is not None:
+            self._bus.close()
+            self._bus = None
+
+    def _open(self) -> "SMBus":
+        from smbus2 import SMBus
+
+        bus = SMBus(self._device)
+        try:
+            fcntl.ioctl(bus.fd, I2C_TIMEOUT, self._timeout)
+            fcntl.ioctl(bus.fd, I2C_RETRIES, 0)
+        except OSError:
+            bus.close()
+            raise
+        return bus
+
+    def _usable(self) -> "SMBus":
+        if self._bus is None:
+            now = self._clock.monotonic_ns()
+            if now < self._retry_ns:
+                raise OSError(errno.ENODEV, f"{self._device} is gone")
+            self._retry_ns = now + REOPEN_AFTER_NS
+            self._bus = self._open()
+        return self._bus
+
+    def _look(self) -> None:
+        """After an error: let go of an adapter that is no longer there. Not at every error: a chip may be missing for hours."""
+        now = self._clock.monotonic_ns()
+        if self._bus is None or now < self._look_ns:
+            return
+        self._look_ns = now + LOOK_AFTER_NS
+        held = os.fstat(self._bus.fd)
+        try:
+            named = Path(self._device).stat()
+            there = (held.st_dev, held.st_ino) == (named.st_dev, named.st_ino)
+        except OSError:
+            there = False
+        if not there:
+            self.close()
 
 
 class ReopeningPort:

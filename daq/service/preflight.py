@@ -19,7 +19,7 @@ from daq.clock import NS, Clock
 from daq.config import LoggerConfig
 from daq.contract.scan import Scan, SensorState
 from daq.logger import SensorSource
-from daq.recorder.storage import Storage
+from daq.recorder.storage import Storage, in_memory
 
 _PROBE_BYTES = 64 * 1024
 _PROBE_WRITES = 8
@@ -190,7 +190,11 @@ def _card_checks(config: LoggerConfig, clock: Clock, storage: Storage) -> Iterab
             text += f" (at least {config.preflight.free_space_mb:g} MB wanted)"
         if not fast:
             text += f" (at most {config.preflight.write_latency_ms:g} ms wanted)"
-        verdict = Verdict.GO if enough and fast else Verdict.NO_GO if i == 0 and not enough else Verdict.CAUTION
+        lasting = not in_memory(directory)
+        if not lasting:
+            text += "; it lies in memory and goes with the power: is the card mounted?"
+        bad = Verdict.NO_GO if i == 0 and not (enough and lasting) else Verdict.CAUTION
+        verdict = Verdict.GO if enough and fast and lasting else bad
         yield Check(name, verdict, text)
 
 

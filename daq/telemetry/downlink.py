@@ -19,7 +19,7 @@ from daq.contract.recordings.messages import Event, SequencerFrame
 from daq.contract.scan import Scan
 from daq.telemetry.config import MIN_RATE_HZ, DownlinkConfig, max_rate
 from daq.telemetry.flight_state import flight_evidence
-from daq.telemetry.send_queue import Item, Outbox, item
+from daq.telemetry.send_queue import Item, SendQueue, item
 from daq.telemetry.standard_messages import StandardMessages, heartbeat
 from daq.transport.mavlink_codec import FrameEncoder
 from daq.transport.ports import BytePort
@@ -92,7 +92,7 @@ class Downlink:
         self.recording: Callable[[], bool] = lambda: self.status().recording
         self.messages = StandardMessages(config, lambda: self.recording(), facts)
         encoder = FrameEncoder(config.system_id, config.component_id, signer)
-        self.outbox = Outbox(port, encoder, config.budget_bytes_per_s, config.scan_queue)
+        self.send_queue = SendQueue(port, encoder, config.budget_bytes_per_s, config.scan_queue)
         self._wanted_rate = config.rate_hz
         self._factor = 1.0
         self._adapted_ns = 0
@@ -180,7 +180,7 @@ class Downlink:
         number = scan.number
         items.append(Item(SCAN_FAST_ID, fast, lambda: self._settle(number, True), lambda: self._settle(number, False)))
         self._open.append(number)
-        self.outbox.put_scan(items)
+        self.send_queue.put_scan(items)
 
     def _settle(self, number: int, sent: bool) -> None:
         self._open.remove(number)
@@ -194,7 +194,7 @@ class Downlink:
 
     def _report_maps(self, block: int) -> None:
         for i in range(max(0, block - _MAP_REPEATS), block):
-            self.outbox.put_low(self.sent_map(i))
+            self.send_queue.put_low(self.sent_map(i))
 
     def sent_map(self, block: int) -> Item:
         """The SENT_MAP message of a block of scan numbers."""
@@ -216,31 +216,31 @@ class Downlink:
         if self._next_heartbeat is None or now_ns >= self._next_heartbeat:
             late = self._next_heartbeat is None or now_ns - self._next_heartbeat > NS
             self._next_heartbeat = (now_ns if late else self._next_heartbeat or now_ns) + NS
-            self.outbox.put_urgent(heartbeat(self.recording()))
+            self.send_queue.put_urgent(heartbeat(self.recording()))
         if self._factor < 1.0:
             self._recover(now_ns)
         if self._scans_come:
             self._scans_come, self._pauses_told, self._pause_ns = False, 0, now_ns
         elif self._pauses_told < _MAP_REPEATS and self.recent:
             self._report_pause(now_ns)
-        if now_ns >= self._timers.soonest and not self.outbox.has_low:
+        if now_ns >= self._timers.soonest and not self.send_queue.has_low:
             self._queue_due(now_ns)
-        self.outbox.service(now_ns)
+        self.send_queue.service(now_ns)
 
     def _report_pause(self, now_ns: int) -> None:
         """When scans stop coming, say a few times what was sent, so that the ground's books close."""
         if now_ns >= self._pause_ns + (_PAUSE_NS << self._pauses_told):
             self._pauses_told += 1
             block = self._last // BLOCK
-            self.outbox.put_low(self.sent_map(block))
+            self.send_queue.put_low(self.sent_map(block))
             self._report_maps(block)
-            self.outbox.put_low(self.statistics())
+            self.send_queue.put_low(self.statistics())
 
     def _queue_due(self, now_ns: int) -> None:
         name = self._timers.due(now_ns, self._factor)
         made = self._build(name) if name else None
         if made is not None:
-            self.outbox.put_low(made)
+            self.send_queue.put_low(made)
 
     def _build(self, name: str) -> Item | None:
         match name:
@@ -253,7 +253,7 @@ class Downlink:
 
     def statistics(self) -> Item:
         """The LINK_STATISTICS message of now."""
-        box = self.outbox
+        box = self.send_queue
         return item(
             "LINK_STATISTICS",
             bytes_sent=box.bytes_sent,
@@ -296,11 +296,11 @@ class Downlink:
             self._text_id = self._text_id % 65535 + 1
         for i, piece in enumerate(pieces):
             number = self._text_id if len(pieces) > 1 else 0
-            self.outbox.put_urgent(item("STATUSTEXT", severity=severity, text=piece, id=number, chunk_seq=i))
+            self.send_queue.put_urgent(item("STATUSTEXT", severity=severity, text=piece, id=number, chunk_seq=i))
 
     def event(self, event: Event) -> None:
         """Tell the ground of a recorded event."""
-        self.outbox.put_urgent(
+        self.send_queue.put_urgent(
             item(
                 "SCAN_EVENT",
                 time_monotonic_ns=event.time_monotonic_ns,
@@ -313,7 +313,7 @@ class Downlink:
 
     def sequencer(self, frame: SequencerFrame) -> None:
         """Tell the ground what the sequencer is doing."""
-        self.outbox.put_urgent(
+        self.send_queue.put_urgent(
             item(
                 "SEQUENCER_STATUS",
                 time_monotonic_ns=frame.time_monotonic_ns,
@@ -348,7 +348,7 @@ class Downlink:
     def _set_factor(self, factor: float) -> None:
         least = MIN_RATE_HZ / self._wanted_rate
         self._factor = min(1.0, max(least, factor))
-        self.outbox.budget = self.config.budget_bytes_per_s * self._factor
+        self.send_queue.budget = self.config.budget_bytes_per_s * self._factor
 
 
 class _Turns:

@@ -85,6 +85,7 @@ class _NoLogger:
     """Stands for a logger that has ended: commands to it fail or do nothing."""
 
     recording = False
+    weigh = None
 
     def start_recording(self) -> bool:
         return False

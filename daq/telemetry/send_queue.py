@@ -41,7 +41,7 @@ def item(name: str, /, **values: object) -> Item:
     return Item(made.msg_id, made.pack(values))
 
 
-class Outbox:
+class SendQueue:
     """Sends through a port that never waits, within a byte budget.
 
     Six classes: urgent (heartbeat, texts, events) regardless of the budget; answers (acknowledgements) within their share

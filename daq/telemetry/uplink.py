@@ -13,18 +13,19 @@ from collections import OrderedDict, deque
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future
 from statistics import fmean
-from typing import Any, Protocol
+from typing import Any
 
 from daq.clock import NS, Clock
+from daq.contract.control import Control
 from daq.contract.link import commands as c
 from daq.contract.link.scan_map import BLOCK
 from daq.contract.link.wire import SCAN_FAST_ID
-from daq.contract.recordings.messages import Event
 from daq.telemetry import gcs_replies
 from daq.telemetry.backfill import BackfillServer
 from daq.telemetry.downlink import Downlink
 from daq.telemetry.flight_state import flight_evidence
 from daq.telemetry.log_server import LogServer
+from daq.telemetry.manoeuvre_inbox import ManoeuvreInbox
 from daq.telemetry.refusals import REPORT_NS, Refusals
 from daq.telemetry.send_queue import Item, item
 from daq.telemetry.standard_messages import autopilot_version
@@ -55,31 +56,6 @@ _BUSY = "too much is under way"
 _ASKING_NOBODY = ("COMMAND_LONG", "PARAM_REQUEST_LIST", "FILE_TRANSFER_PROTOCOL", "LOG_REQUEST_LIST")
 _INTRODUCE_NS = 5 * NS
 _UNLIMITED = ("HEARTBEAT", "RADIO_STATUS")  # not answered, and cheap
-
-
-class LoggerControl(Protocol):
-    """What commands can do to the logger; calls return at once."""
-
-    def start_recording(self) -> bool:
-        """Begin to record; False when it does already or cannot."""
-        ...
-
-    def stop_recording(self) -> bool:
-        """End the recording; False when there is none."""
-        ...
-
-    @property
-    def recording(self) -> bool:
-        """Whether a recording is under way."""
-        ...
-
-    def mark_event(self, text: str, origin: str) -> Event:
-        """Record an event at the present scan."""
-        ...
-
-    def ask_sequencer(self, digest: int | None) -> str:
-        """Start the manoeuvre whose digest begins with these 24 bits, or (None) stop; why not, empty when it is taken."""
-        ...
 
 
 class Uplink:
@@ -121,7 +97,8 @@ class Uplink:
         self._saver: Future[None] | None = None
         self._heard_ns: int | None = None  # when a frame of the ground was last taken
         self._worker = Worker("uplink-signing")
-        downlink.outbox.bulk = self._next_bulk
+        self._manoeuvres = ManoeuvreInbox(downlink.text)
+        downlink.send_queue.bulk = self._next_bulk
         self._handlers: Mapping[str, Callable[[Fields, int], bool]] = {
             "RADIO_STATUS": self._on_radio_status,
             "TIMESYNC": self._on_timesync,
@@ -143,7 +120,7 @@ class Uplink:
                 return made
         return None
 
-    def service(self, now_ns: int, control: LoggerControl) -> None:
+    def service(self, now_ns: int, control: Control) -> None:
         """Act on what has arrived, as far as this turn goes."""
         until_ns = self._clock.monotonic_ns() + self._turn_ns
         for _, frame in zip(range(FRAMES), self._arriving(until_ns), strict=False):
@@ -154,6 +131,7 @@ class Uplink:
             self._dropped_asked_ns = now_ns
             self._note_dropped()
         self._refusals.tell(now_ns)
+        self._answer(self._manoeuvres.service(control))
         if self._signer is not None and self._signer.needs_saving():
             self._save_signing(self._signer)
 
@@ -192,6 +170,7 @@ class Uplink:
                 _LOG.error("signing timestamps not saved: %s", error)
         for server in self._servers:
             server.close()
+        self._manoeuvres.close()
 
     def _save_signing(self, signer: Signer) -> None:
         """Save signing timestamps in a thread, for the card may be slow, one save at a time."""
@@ -203,7 +182,7 @@ class Uplink:
                 _LOG.error("signing timestamps not saved: %s", error)
         self._saver = self._worker.submit(signer.save)
 
-    def _take(self, frame: Frame, now_ns: int, control: LoggerControl) -> None:
+    def _take(self, frame: Frame, now_ns: int, control: Control) -> None:
         if frame.system == self._downlink.config.system_id and frame.component == self._downlink.config.component_id:
             return  # our own words come back: an echoing line
         if self._signer is not None and frame.msg_id != RADIO_STATUS_ID:
@@ -226,15 +205,30 @@ class Uplink:
         if frame.name == "COMMAND_LONG":
             self._command(frame, fields, now_ns, control)
             return
+        if frame.name == "MANOEUVRE_DATA":
+            self._manoeuvre(frame, fields, control)
+            return
         if frame.name in gcs_replies.REQUESTS:
             made = gcs_replies.answers(frame.name, fields, sender, self._about)
-            taken = [self._downlink.outbox.put_asked(reply) for reply in made]
+            taken = [self._downlink.send_queue.put_asked(reply) for reply in made]
             if not all(taken):
                 self._refuse(frame, _BUSY)
             return
         handler = self._handlers.get(frame.name)
         if handler is not None and not handler(fields, now_ns):
             self._refuse(frame, _BUSY)
+
+    def _manoeuvre(self, frame: Frame, fields: Fields, control: Control) -> None:
+        """A fragment of a manoeuvre: what moves the controls comes in frames that a key has proven, or not at all."""
+        if self._signer is None:
+            self._refuse(frame, "this link has no key; set downlink.key_file")
+            return
+        answer = self._manoeuvres.take(fields, control)
+        if answer is None or not self._answer(answer):
+            self._refuse(frame, "not a fragment" if answer is None else _BUSY)
+
+    def _answer(self, answer: Item | None) -> bool:
+        return answer is None or self._downlink.send_queue.put_asked(answer)
 
     def _about(self) -> gcs_replies.Aircraft:
         return gcs_replies.Aircraft(self._downlink.config.rate_hz, self._downlink.messages.supply_voltage is not None)
@@ -249,7 +243,7 @@ class Uplink:
             self._introduced_ns = now_ns
             made = self._downlink.messages.make("HIGH_LATENCY2")
             if made is not None:
-                self._downlink.outbox.put_asked(made)
+                self._downlink.send_queue.put_asked(made)
 
     def _refuse_unproven(self, frame: Frame, verdict: Verdict) -> None:
         if frame.name in _HARMLESS and verdict is Verdict.UNSIGNED:
@@ -272,12 +266,12 @@ class Uplink:
         if fields["tc1"] != 0:
             return True
         now = self._clock.monotonic_ns()
-        return self._downlink.outbox.put_answer(item("TIMESYNC", tc1=now, ts1=fields["ts1"]))
+        return self._downlink.send_queue.put_answer(item("TIMESYNC", tc1=now, ts1=fields["ts1"]))
 
     def _on_sent_map_request(self, fields: Fields, now_ns: int) -> bool:
         if fields["boot"] != self._downlink.boot:
             return True
-        return self._downlink.outbox.put_asked(self._downlink.sent_map(fields["first_number"] // BLOCK))
+        return self._downlink.send_queue.put_asked(self._downlink.sent_map(fields["first_number"] // BLOCK))
 
     def _on_backfill_request(self, fields: Fields, now_ns: int) -> bool:
         if self._backfill is None or fields["boot"] != self._downlink.boot:
@@ -287,8 +281,8 @@ class Uplink:
     def _on_backfill_summary_request(self, fields: Fields, now_ns: int) -> bool:
         if self._backfill is None or fields["boot"] not in (0, self._downlink.boot):
             return True
-        outbox = self._downlink.outbox
-        return outbox.put_asked(self._backfill.summary(fields["through_number"])) and outbox.put_asked(
+        send_queue = self._downlink.send_queue
+        return send_queue.put_asked(self._backfill.summary(fields["through_number"])) and send_queue.put_asked(
             self._downlink.statistics()
         )
 
@@ -313,7 +307,7 @@ class Uplink:
 
     # ----------------------------------------------------------------------------------------- commands
 
-    def _command(self, frame: Frame, fields: Fields, now_ns: int, control: LoggerControl) -> None:
+    def _command(self, frame: Frame, fields: Fields, now_ns: int, control: Control) -> None:
         command = int(fields["command"])
         parameters = tuple(float(fields[f"param{i}"]) for i in range(1, 8))
         if command in gcs_replies.TELLING:
@@ -343,7 +337,7 @@ class Uplink:
             target_system=frame.system,
             target_component=frame.component,
         )
-        if not self._downlink.outbox.put_answer(ack):
+        if not self._downlink.send_queue.put_answer(ack):
             self._refuse(frame, _BUSY)
 
     def _tell(self, command: int, parameter: float) -> int:
@@ -355,13 +349,11 @@ class Uplink:
             return c.UNSUPPORTED
         else:
             made = self._downlink.messages.make(name)
-        if made is None or not self._downlink.outbox.put_asked(made):
+        if made is None or not self._downlink.send_queue.put_asked(made):
             return c.TEMPORARILY_REJECTED
         return c.ACCEPTED
 
-    def _obey(
-        self, frame: Frame, command: int, parameters: tuple[float, ...], now_ns: int, control: LoggerControl
-    ) -> int:
+    def _obey(self, frame: Frame, command: int, parameters: tuple[float, ...], now_ns: int, control: Control) -> int:
         match command:
             case c.LOGGING_START | c.LOGGING_STOP | c.EVENT_MARK:
                 why = self._change_recording(command, parameters, now_ns, control)
@@ -378,9 +370,7 @@ class Uplink:
             case _:
                 return c.UNSUPPORTED
 
-    def _change_recording(
-        self, command: int, parameters: tuple[float, ...], now_ns: int, control: LoggerControl
-    ) -> str:
+    def _change_recording(self, command: int, parameters: tuple[float, ...], now_ns: int, control: Control) -> str:
         """Begin, end or mark the recording; why not, where the budget speaks against it."""
         why = ""
         if command == c.EVENT_MARK:
@@ -397,7 +387,7 @@ class Uplink:
                 self._budget.started(now_ns)
         return why
 
-    def _sequence(self, frame: Frame, parameters: tuple[float, ...], control: LoggerControl) -> int:
+    def _sequence(self, frame: Frame, parameters: tuple[float, ...], control: Control) -> int:
         """Start or stop the sequencer. To start moves the controls: only a frame that a key has proven may."""
         if parameters[0] not in (0.0, 1.0) or any(parameters[2:]) or not 0.0 <= parameters[1] < 2**24:
             return c.UNSUPPORTED
@@ -421,7 +411,7 @@ class Uplink:
             return c.DENIED
         return c.ACCEPTED
 
-    def _zero_pitot(self, parameters: tuple[float, ...], now_ns: int, control: LoggerControl) -> int:
+    def _zero_pitot(self, parameters: tuple[float, ...], now_ns: int, control: Control) -> int:
         others = [p for i, p in enumerate(parameters[:6]) if i != c.AIRSPEED_PARAMETER - 1]
         if parameters[c.AIRSPEED_PARAMETER - 1] != c.AIRSPEED_CALIBRATION or any(others):
             return c.UNSUPPORTED

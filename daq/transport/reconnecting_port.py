@@ -31,7 +31,7 @@ class ClosingPort(BytePort, Protocol):
         ...
 
 
-class LastingPort:
+class ReconnectingPort:
     """A port that is opened again, with growing pauses, whenever it is lost.
 
     open_again: makes a new port or raises OSError or PortError; called in a thread. port: the port as first opened; None
@@ -164,7 +164,7 @@ def open_lasting(text: str, open_serial: Callable[[str, int], SerialPort]) -> By
             return open_serial(spec.address, spec.number)
 
         try:
-            return LastingPort(again, again())
+            return ReconnectingPort(again, again())
         except (OSError, ValueError) as error:
             raise PortError(
                 f"serial port {spec.address} cannot be opened ({error}); check the name, or who uses it"
@@ -175,8 +175,8 @@ def open_lasting(text: str, open_serial: Callable[[str, int], SerialPort]) -> By
             return TcpClientPort(spec.address, spec.number)
 
         try:
-            return LastingPort(connect, connect())
+            return ReconnectingPort(connect, connect())
         except OSError as error:
             if error.errno in _NOBODY_THERE or isinstance(error, TimeoutError):
-                return LastingPort(connect, None, why=error.strerror or "no answer")
+                return ReconnectingPort(connect, None, why=error.strerror or "no answer")
     return open_socket_port(spec)

@@ -13,8 +13,8 @@ from daq.contract.scan import Scan, SensorState
 from daq.sensors.config import SensorsConfig, cdfp_sensors
 from firmware_sim.hardware.bus import BusModel
 from firmware_sim.hardware.faults import FaultSet, parse_faults
-from firmware_sim.hardware.instruments import TruthSource
-from firmware_sim.hardware.sensor_models import SensorModels
+from firmware_sim.hardware.sensing.instruments import TruthSource
+from firmware_sim.hardware.sensing.sensor_models import SensorModels
 from firmware_sim.hardware.serial import SimulatedSerial
 from firmware_sim.runs.flight import Aircraft, build_aircraft
 from firmware_sim.world.scenario import load_scenario

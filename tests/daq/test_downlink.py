@@ -84,7 +84,7 @@ def test_default_fits_a_signed_error_corrected_radio(worst: bool) -> None:
     found = Counter(f.name for f in frames(wire))
     assert len(wire.data) <= 60 * 1636 + 600
     assert found["SCAN_FAST"] >= 60 * 11.5 - 1
-    assert downlink.outbox.scans_dropped == 0
+    assert downlink.send_queue.scans_dropped == 0
     assert found["HEARTBEAT"] == 60
     for name, rate_hz in (("ATTITUDE", 0.4), ("GLOBAL_POSITION_INT", 0.4), ("GPS_RAW_INT", 0.2)):
         assert found[name] >= 0.9 * 60 * rate_hz - 1, found
@@ -108,7 +108,7 @@ def test_all_standard_messages_together_leave_scans_their_rate_and_none_starves(
     found = Counter(f.name for f in frames(wire))
     assert len(wire.data) <= 120 * 1636 + 600
     assert found["SCAN_FAST"] >= 120 * rate - 1
-    assert downlink.outbox.scans_dropped == 0
+    assert downlink.send_queue.scans_dropped == 0
     assert found["HEARTBEAT"] == 120
     c = downlink.config
     often = {"VFR_HUD": c.display_rate_hz, "AOA_SSA": c.display_rate_hz, "GLOBAL_POSITION_INT": c.display_rate_hz}
@@ -156,7 +156,7 @@ def test_heartbeat_goes_on_through_a_port_that_hardly_takes_anything() -> None:
     found = Counter(f.name for f in frames(wire))
     # 7 bytes a scan are 140 bytes/s: a heartbeat of 21 bytes every second fits, most scans do not.
     assert found["HEARTBEAT"] >= 25
-    assert downlink.outbox.scans_dropped > 200
+    assert downlink.send_queue.scans_dropped > 200
     assert len(downlink.sent) == found["SCAN_FAST"]
 
 

@@ -25,7 +25,7 @@ from daq.telemetry import backfill
 from daq.telemetry.config import DownlinkConfig, LinkLimits
 from daq.telemetry.link import RadioLink, radio_link
 from daq.telemetry.refusals import Refusals
-from daq.telemetry.send_queue import Outbox, item
+from daq.telemetry.send_queue import SendQueue, item
 from daq.telemetry.uplink import FRAMES, READ_BYTES, TURN_NS, Uplink
 from daq.telemetry.uplink_limits import Bucket, CommandBudget, SenderLimits
 from daq.transport.mavlink_codec import Frame, FrameDecoder, FrameEncoder, frames_of, message_types
@@ -498,15 +498,15 @@ def test_no_field_of_any_message_raises(seed: int, tmp_path: Path) -> None:
 @pytest.mark.parametrize("scans", [0, 2])
 def test_what_is_asked_for_and_bulk_do_not_keep_each_other_waiting(scans: int) -> None:
     port = HostilePort(iter([]))
-    outbox = Outbox(port, FrameEncoder(1, 1), 2000.0, 4)
+    send_queue = SendQueue(port, FrameEncoder(1, 1), 2000.0, 4)
     bulk = iter(range(10**6))
-    outbox.bulk = lambda: item("LOG_DATA", ofs=next(bulk), count=90, data=bytes([1] * 90))
+    send_queue.bulk = lambda: item("LOG_DATA", ofs=next(bulk), count=90, data=bytes([1] * 90))
     for turn in range(600):
         for i in range(8):
-            outbox.put_asked(item("SENT_MAP", first_number=8 * turn + i, sent=bytes([1] * 64)))
+            send_queue.put_asked(item("SENT_MAP", first_number=8 * turn + i, sent=bytes([1] * 64)))
         for _ in range(scans):
-            outbox.put_scan([item("STATUSTEXT", severity=6, text="x" * 50)])
-        outbox.service(turn * NS // 10)
+            send_queue.put_scan([item("STATUSTEXT", severity=6, text="x" * 50)])
+        send_queue.service(turn * NS // 10)
     sizes = {"SENT_MAP": 0, "LOG_DATA": 0, "STATUSTEXT": 0}
     for frame in frames_of(FrameDecoder().feed(bytes(port.sent))):
         sizes[frame.name] += len(frame.raw)
@@ -517,8 +517,8 @@ def test_what_is_asked_for_and_bulk_do_not_keep_each_other_waiting(scans: int) -
 
 
 def test_equal_answers_are_sent_once_and_too_many_are_not_kept() -> None:
-    outbox = Outbox(HostilePort(iter([])), FrameEncoder(1, 1), 2000.0, 4)
+    send_queue = SendQueue(HostilePort(iter([])), FrameEncoder(1, 1), 2000.0, 4)
     ack = item("COMMAND_ACK", command=1, result=1)
-    assert all(outbox.put_answer(ack) for _ in range(1000))
-    taken = [outbox.put_answer(item("COMMAND_ACK", command=n, result=1)) for n in range(2, 100)]
+    assert all(send_queue.put_answer(ack) for _ in range(1000))
+    taken = [send_queue.put_answer(item("COMMAND_ACK", command=n, result=1)) for n in range(2, 100)]
     assert taken == [True] * 15 + [False] * 83

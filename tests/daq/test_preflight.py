@@ -1,6 +1,7 @@
 """The go/no-go table on made-up sensors, cards, clocks and radios, and on the simulated aircraft."""
 
 import errno
+import os
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -15,7 +16,7 @@ from daq.clock import NS, SimulatedClock
 from daq.config import LoggerConfig, PreflightConfig
 from daq.contract.scan import GroupStatus, Scan, SensorState
 from daq.recorder.config import RecorderConfig
-from daq.recorder.storage import RealStorage
+from daq.recorder.storage import RealStorage, in_memory
 from daq.sensors.config import ImuConfig, SensorsConfig
 from daq.service.preflight import Preflight, RadioReport, Verdict, run_preflight
 from daq.service.radio_probe import listen
@@ -27,6 +28,12 @@ from firmware_sim.world.scenario import load_scenario
 from tests.daq.synthetic import START_UTC_NS, FaultyStorage
 
 GOOD_RADIO = RadioReport(-60, -100, -65, -100, 95)
+
+
+@pytest.fixture(autouse=True)
+def _lasting(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Wherever this machine keeps its temporary files."""
+    monkeypatch.setattr("daq.service.preflight.in_memory", lambda directory: False)
 
 
 class Sensors:
@@ -135,6 +142,33 @@ def test_card_space_speed_and_faults(tmp_path: Path) -> None:
     result = table(tmp_path, storage=FaultyStorage(broken))
     assert verdict(result, "card") is Verdict.NO_GO
     assert "Read-only file system" in result.text()
+
+
+def test_recordings_that_would_go_with_the_power(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("daq.service.preflight.in_memory", lambda directory: True)
+    result = table(tmp_path)
+    assert verdict(result, "card") is Verdict.NO_GO
+    assert "goes with the power: is the card mounted?" in result.text()
+
+
+@pytest.mark.parametrize(
+    ("kind", "upper", "expected"),
+    [
+        ("tmpfs tmpfs rw", "", True),
+        ("ext4 /dev/sda1 rw", "", False),
+        ("overlay overlayroot rw,lowerdir=/ro,upperdir={0}", "tmpfs tmpfs rw", True),  # overlayroot
+        ("overlay overlay rw,lowerdir=/ro,upperdir={0}", "ext4 /dev/sda1 rw", False),  # a container on a disk
+        ("overlay overlay rw,lowerdir=/ro,upperdir=/not/seen/from/here", "", False),
+    ],
+)
+def test_memory_is_told_from_a_card_by_the_mounts(kind: str, upper: str, expected: bool, tmp_path: Path) -> None:
+    mounts, here, other = tmp_path / "mountinfo", tmp_path.stat().st_dev, Path("/proc").stat().st_dev
+    lines = [f"36 35 {os.major(here)}:{os.minor(here)} / {tmp_path} rw,noatime shared:1 - {kind.format('/proc')}"]
+    if upper:
+        lines.append(f"37 35 {os.major(other)}:{os.minor(other)} / /proc rw - {upper}")
+    mounts.write_text("\n".join(lines))
+    assert in_memory(tmp_path / "not made yet", mounts) is expected
+    assert not in_memory(tmp_path, tmp_path / "no such file")
 
 
 def test_radio_silence_and_margin(tmp_path: Path) -> None:

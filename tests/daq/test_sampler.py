@@ -12,8 +12,8 @@ from daq.contract.channels import CHANNELS, GROUP_NAMES, channels_of
 from daq.contract.scan import SensorState, decode_scan, encode_scan
 from daq.sensors.config import AnalogConfig, ImuConfig, SensorsConfig, ThrustConfig, cdfp_sensors
 from firmware_sim.hardware.bus import BusModel
-from firmware_sim.hardware.instruments import AT
-from firmware_sim.hardware.truth_log import TruthLog
+from firmware_sim.hardware.sensing.instruments import AT
+from firmware_sim.hardware.sensing.truth_log import TruthLog
 from firmware_sim.world.scenario import load_scenario
 from firmware_sim.world.truth import Truth
 from firmware_sim.world.world import World

@@ -1,6 +1,8 @@
 """The edge: what opens hardware, what must never see it, and how a laboratory adds a sensor."""
 
 import ast
+import errno
+import fcntl
 import os
 import pty
 import subprocess
@@ -16,7 +18,7 @@ from daq.acquisition.sampler import Sampler
 from daq.clock import RealClock, SimulatedClock
 from daq.sensors.bus import I2cBus, SerialPort
 from daq.sensors.config import BusConfig, GnssConfig, SensorsConfig, cdfp_sensors
-from daq.sensors.open import HardwareError, ReopeningPort, SysfsPulse, open_hardware
+from daq.sensors.open import HardwareError, ReopeningBus, ReopeningPort, SysfsPulse, open_hardware
 from daq.sensors.registry import DriverConfigError
 from tests.daq.fakes import FakeBus
 
@@ -163,6 +165,75 @@ def test_serial_port_comes_back_after_its_plug_was_pulled(tmp_path: Path) -> Non
     port.close()
     os.close(near)
     os.close(far)
+
+
+class Adapter:
+    """Stands for `smbus2.SMBus` on a file: answers with what is in it; one that was pulled answers EIO, as i2c-tiny-usb does."""
+
+    pulled: frozenset[str] = frozenset()
+    closed: tuple[str, ...] = ()
+
+    def __init__(self, device: str) -> None:
+        self.fd = os.open(device, os.O_RDONLY)
+        self.where = str(Path(device).resolve())
+
+    def read_byte_data(self, i2c_addr: int, register: int, /) -> int:
+        if self.where in Adapter.pulled:
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+        return os.pread(self.fd, 1, register)[0]
+
+    def close(self) -> None:
+        Adapter.closed += (Path(self.where).name,)
+        os.close(self.fd)
+
+
+@pytest.fixture
+def adapters(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with two adapters, 5 and 7, and the name that leads to the first."""
+    (tmp_path / "i2c-5").write_bytes(b"\x05")
+    (tmp_path / "i2c-7").write_bytes(b"\x07")
+    (tmp_path / "sensors").symlink_to("i2c-5")
+    monkeypatch.setattr("smbus2.SMBus", Adapter)
+    monkeypatch.setattr(fcntl, "ioctl", lambda *_: 0)
+    monkeypatch.setattr(Adapter, "pulled", frozenset())
+    monkeypatch.setattr(Adapter, "closed", ())
+    return tmp_path
+
+
+def test_bus_that_was_pulled_is_let_go_and_found_under_another_number(
+    adapters: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock = SimulatedClock()
+    bus = ReopeningBus(str(adapters / "sensors"), 10, clock)
+    assert isinstance(bus, I2cBus)
+    assert bus.read_byte_data(0x68, 0) == 5
+    monkeypatch.setattr(Adapter, "pulled", frozenset({str(adapters / "i2c-5")}))
+    (adapters / "sensors").unlink()
+    with pytest.raises(OSError, match="Input/output"):
+        bus.read_byte_data(0x68, 0)
+    assert Adapter.closed == ("i2c-5",)  # at once: the kernel's hub waits for it
+    with pytest.raises(FileNotFoundError):
+        bus.read_byte_data(0x68, 0)
+    (adapters / "sensors").symlink_to("i2c-7")
+    with pytest.raises(OSError, match="is gone"):
+        bus.read_byte_data(0x68, 0)  # not tried more often than once a second
+    clock.sleep_until(1_500_000_000)
+    assert bus.read_byte_data(0x68, 0) == 7
+    bus.close()
+
+
+def test_bus_that_is_there_is_kept_however_often_a_chip_fails(adapters: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = SimulatedClock()
+    bus = ReopeningBus(str(adapters / "sensors"), 10, clock)
+    monkeypatch.setattr(Adapter, "pulled", frozenset({str(adapters / "i2c-5")}))
+    for _ in range(50):
+        clock.advance(100_000_000)
+        with pytest.raises(OSError, match="Input/output"):
+            bus.read_byte_data(0x68, 0)
+    assert Adapter.closed == ()
+    monkeypatch.setattr(Adapter, "pulled", frozenset())
+    assert bus.read_byte_data(0x68, 0) == 5
+    bus.close()
 
 
 def test_pulse_stamps_are_carried_to_the_monotonic_clock(tmp_path: Path) -> None:

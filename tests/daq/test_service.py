@@ -183,6 +183,9 @@ def test_unit_file_fits_the_service() -> None:
     assert float(service["WatchdogSec"]) > 2
     assert float(service["TimeoutStopSec"]) > 60, "longer than the recorder tries at the end"
     assert parser["Install"]["WantedBy"] == "multi-user.target"
+    requiring = {"StateDirectory", "LogsDirectory", "WorkingDirectory", "CacheDirectory"}
+    assert not requiring & set(service), "each requires the card's mount: without a card nothing would start"
+    assert "var-lib-sideslip.mount" in parser["Unit"]["Wants"]
 
 
 @pytest.mark.parametrize(

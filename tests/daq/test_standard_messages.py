@@ -15,7 +15,7 @@ from daq.telemetry.display import WindMean, calibrated_airspeed, standard_densit
 from daq.telemetry.standard_messages import StandardMessages, autopilot_version, heartbeat, sys_status
 from daq.transport.mavlink_codec import message_types
 from firmware_sim.hardware.registers.bmp390 import calibration_bytes
-from groundstation.calibration import air_data
+from groundstation.calibration.conversions import air_data
 from tests.link_rig import random_scan
 
 DISPLAY = DisplayConfig(

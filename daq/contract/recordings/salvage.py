@@ -236,10 +236,10 @@ class Walk:
         data = bytes(body[22:])
         topic = self._part.topics.get(channel)
         if topic is None or topic in SCHEMA_OF_TOPIC:
-            sealed_as = [t for t in ([topic] if topic else SCHEMA_OF_TOPIC) if seal_holds(SCHEMA_OF_TOPIC[t], data)]
-            if not sealed_as:
+            possible = [topic] if topic else SCHEMA_OF_TOPIC
+            topic = next((t for t in possible if seal_holds(SCHEMA_OF_TOPIC[t], data)), None)
+            if topic is None:
                 raise Bad("a message in it fails its checksum or belongs to a channel that was not declared")
-            topic = sealed_as[0]
         return Entry(topic, log_time, publish_time, sequence, data)
 
     def _declare(self, record: Record) -> None:

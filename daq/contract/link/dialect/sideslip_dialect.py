@@ -416,6 +416,8 @@ MAVLINK_MSG_ID_BACKFILL_REQUEST = 44110
 MAVLINK_MSG_ID_BACKFILL_DATA = 44111
 MAVLINK_MSG_ID_BACKFILL_SUMMARY_REQUEST = 44112
 MAVLINK_MSG_ID_BACKFILL_SUMMARY = 44113
+MAVLINK_MSG_ID_MANOEUVRE_DATA = 44114
+MAVLINK_MSG_ID_MANOEUVRE_STATUS = 44115
 
 
 class MAVLink_heartbeat_message(MAVLink_message):
@@ -3021,6 +3023,92 @@ class MAVLink_backfill_summary_message(MAVLink_message):
 setattr(MAVLink_backfill_summary_message, "name", mavlink_msg_deprecated_name_property())
 
 
+class MAVLink_manoeuvre_data_message(MAVLink_message):
+    """
+    A fragment of a manoeuvre for the onboard sequencer, packed as
+    daq.contract.link.manoeuvre_wire says. Signed links only.
+    """
+
+    id = MAVLINK_MSG_ID_MANOEUVRE_DATA
+    msgname = "MANOEUVRE_DATA"
+    fieldnames = ["checksum", "fragment", "fragments", "length", "target_system", "target_component", "data"]
+    ordered_fieldnames = ["checksum", "fragment", "fragments", "length", "target_system", "target_component", "data"]
+    fieldtypes = ["uint32_t", "uint8_t", "uint8_t", "uint8_t", "uint8_t", "uint8_t", "uint8_t"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {}
+    fieldunits_by_name: Dict[str, str] = {"length": "bytes"}
+    native_format = bytearray(b"<IBBBBBB")
+    orders = [0, 1, 2, 3, 4, 5, 6]
+    lengths = [1, 1, 1, 1, 1, 1, 190]
+    array_lengths = [0, 0, 0, 0, 0, 0, 190]
+    crc_extra = 62
+    unpacker = struct.Struct("<IBBBBB190B")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, checksum: int, fragment: int, fragments: int, length: int, target_system: int, target_component: int, data: Sequence[int]):
+        MAVLink_message.__init__(self, MAVLink_manoeuvre_data_message.id, MAVLink_manoeuvre_data_message.msgname)
+        self._fieldnames = MAVLink_manoeuvre_data_message.fieldnames
+        self._instance_field = MAVLink_manoeuvre_data_message.instance_field
+        self._instance_offset = MAVLink_manoeuvre_data_message.instance_offset
+        self.checksum = checksum
+        self.fragment = fragment
+        self.fragments = fragments
+        self.length = length
+        self.target_system = target_system
+        self.target_component = target_component
+        self.data = data
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.checksum, self.fragment, self.fragments, self.length, self.target_system, self.target_component, self.data[0], self.data[1], self.data[2], self.data[3], self.data[4], self.data[5], self.data[6], self.data[7], self.data[8], self.data[9], self.data[10], self.data[11], self.data[12], self.data[13], self.data[14], self.data[15], self.data[16], self.data[17], self.data[18], self.data[19], self.data[20], self.data[21], self.data[22], self.data[23], self.data[24], self.data[25], self.data[26], self.data[27], self.data[28], self.data[29], self.data[30], self.data[31], self.data[32], self.data[33], self.data[34], self.data[35], self.data[36], self.data[37], self.data[38], self.data[39], self.data[40], self.data[41], self.data[42], self.data[43], self.data[44], self.data[45], self.data[46], self.data[47], self.data[48], self.data[49], self.data[50], self.data[51], self.data[52], self.data[53], self.data[54], self.data[55], self.data[56], self.data[57], self.data[58], self.data[59], self.data[60], self.data[61], self.data[62], self.data[63], self.data[64], self.data[65], self.data[66], self.data[67], self.data[68], self.data[69], self.data[70], self.data[71], self.data[72], self.data[73], self.data[74], self.data[75], self.data[76], self.data[77], self.data[78], self.data[79], self.data[80], self.data[81], self.data[82], self.data[83], self.data[84], self.data[85], self.data[86], self.data[87], self.data[88], self.data[89], self.data[90], self.data[91], self.data[92], self.data[93], self.data[94], self.data[95], self.data[96], self.data[97], self.data[98], self.data[99], self.data[100], self.data[101], self.data[102], self.data[103], self.data[104], self.data[105], self.data[106], self.data[107], self.data[108], self.data[109], self.data[110], self.data[111], self.data[112], self.data[113], self.data[114], self.data[115], self.data[116], self.data[117], self.data[118], self.data[119], self.data[120], self.data[121], self.data[122], self.data[123], self.data[124], self.data[125], self.data[126], self.data[127], self.data[128], self.data[129], self.data[130], self.data[131], self.data[132], self.data[133], self.data[134], self.data[135], self.data[136], self.data[137], self.data[138], self.data[139], self.data[140], self.data[141], self.data[142], self.data[143], self.data[144], self.data[145], self.data[146], self.data[147], self.data[148], self.data[149], self.data[150], self.data[151], self.data[152], self.data[153], self.data[154], self.data[155], self.data[156], self.data[157], self.data[158], self.data[159], self.data[160], self.data[161], self.data[162], self.data[163], self.data[164], self.data[165], self.data[166], self.data[167], self.data[168], self.data[169], self.data[170], self.data[171], self.data[172], self.data[173], self.data[174], self.data[175], self.data[176], self.data[177], self.data[178], self.data[179], self.data[180], self.data[181], self.data[182], self.data[183], self.data[184], self.data[185], self.data[186], self.data[187], self.data[188], self.data[189]), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_manoeuvre_data_message, "name", mavlink_msg_deprecated_name_property())
+
+
+class MAVLink_manoeuvre_status_message(MAVLink_message):
+    """
+    What became of a manoeuvre that is being sent: the answer to each
+    MANOEUVRE_DATA that proved itself.
+    """
+
+    id = MAVLINK_MSG_ID_MANOEUVRE_STATUS
+    msgname = "MANOEUVRE_STATUS"
+    fieldnames = ["held", "checksum", "result"]
+    ordered_fieldnames = ["held", "checksum", "result"]
+    fieldtypes = ["uint64_t", "uint32_t", "uint8_t"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {}
+    fieldunits_by_name: Dict[str, str] = {}
+    native_format = bytearray(b"<QIB")
+    orders = [0, 1, 2]
+    lengths = [1, 1, 1]
+    array_lengths = [0, 0, 0]
+    crc_extra = 168
+    unpacker = struct.Struct("<QIB")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, held: int, checksum: int, result: int):
+        MAVLink_message.__init__(self, MAVLink_manoeuvre_status_message.id, MAVLink_manoeuvre_status_message.msgname)
+        self._fieldnames = MAVLink_manoeuvre_status_message.fieldnames
+        self._instance_field = MAVLink_manoeuvre_status_message.instance_field
+        self._instance_offset = MAVLink_manoeuvre_status_message.instance_offset
+        self.held = held
+        self.checksum = checksum
+        self.result = result
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.held, self.checksum, self.result), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_manoeuvre_status_message, "name", mavlink_msg_deprecated_name_property())
+
+
 mavlink_map: Dict[int, Type[MAVLink_message]] = {
     MAVLINK_MSG_ID_HEARTBEAT: MAVLink_heartbeat_message,
     MAVLINK_MSG_ID_SYS_STATUS: MAVLink_sys_status_message,
@@ -3077,6 +3165,8 @@ mavlink_map: Dict[int, Type[MAVLink_message]] = {
     MAVLINK_MSG_ID_BACKFILL_DATA: MAVLink_backfill_data_message,
     MAVLINK_MSG_ID_BACKFILL_SUMMARY_REQUEST: MAVLink_backfill_summary_request_message,
     MAVLINK_MSG_ID_BACKFILL_SUMMARY: MAVLink_backfill_summary_message,
+    MAVLINK_MSG_ID_MANOEUVRE_DATA: MAVLink_manoeuvre_data_message,
+    MAVLINK_MSG_ID_MANOEUVRE_STATUS: MAVLink_manoeuvre_status_message,
 }
 
 
@@ -5472,6 +5562,62 @@ class MAVLink(object):
 
         """
         self.send(self.backfill_summary_encode(first_number, last_number, count, boot, sha256), force_mavlink1=force_mavlink1)
+
+    def manoeuvre_data_encode(self, checksum: int, fragment: int, fragments: int, length: int, target_system: int, target_component: int, data: Sequence[int]) -> MAVLink_manoeuvre_data_message:
+        """
+        A fragment of a manoeuvre for the onboard sequencer, packed as
+        daq.contract.link.manoeuvre_wire says. Signed links only.
+
+        checksum                  : CRC-32 of all fragments together: which manoeuvre it is. (type:uint32_t)
+        fragment                  : Number of this fragment, from 0. (type:uint8_t)
+        fragments                 : Fragments of the manoeuvre, at most 64. (type:uint8_t)
+        length                    : Bytes of data used; all of them in every fragment but the last. [bytes] (type:uint8_t)
+        target_system             : System ID. (type:uint8_t)
+        target_component          : Component ID. (type:uint8_t)
+        data                      : Part of the packed manoeuvre. (type:uint8_t)
+
+        """
+        return MAVLink_manoeuvre_data_message(checksum, fragment, fragments, length, target_system, target_component, data)
+
+    def manoeuvre_data_send(self, checksum: int, fragment: int, fragments: int, length: int, target_system: int, target_component: int, data: Sequence[int], force_mavlink1: bool = False) -> None:
+        """
+        A fragment of a manoeuvre for the onboard sequencer, packed as
+        daq.contract.link.manoeuvre_wire says. Signed links only.
+
+        checksum                  : CRC-32 of all fragments together: which manoeuvre it is. (type:uint32_t)
+        fragment                  : Number of this fragment, from 0. (type:uint8_t)
+        fragments                 : Fragments of the manoeuvre, at most 64. (type:uint8_t)
+        length                    : Bytes of data used; all of them in every fragment but the last. [bytes] (type:uint8_t)
+        target_system             : System ID. (type:uint8_t)
+        target_component          : Component ID. (type:uint8_t)
+        data                      : Part of the packed manoeuvre. (type:uint8_t)
+
+        """
+        self.send(self.manoeuvre_data_encode(checksum, fragment, fragments, length, target_system, target_component, data), force_mavlink1=force_mavlink1)
+
+    def manoeuvre_status_encode(self, held: int, checksum: int, result: int) -> MAVLink_manoeuvre_status_message:
+        """
+        What became of a manoeuvre that is being sent: the answer to each
+        MANOEUVRE_DATA that proved itself.
+
+        held                      : Which of the fragments are on board; lowest bit: the first. (type:uint64_t)
+        checksum                  : CRC-32 that the fragments came with. (type:uint32_t)
+        result                    : 0 more is wanted, 1 being checked, 2 taken by the sequencer, 3 refused (a STATUSTEXT says why). (type:uint8_t)
+
+        """
+        return MAVLink_manoeuvre_status_message(held, checksum, result)
+
+    def manoeuvre_status_send(self, held: int, checksum: int, result: int, force_mavlink1: bool = False) -> None:
+        """
+        What became of a manoeuvre that is being sent: the answer to each
+        MANOEUVRE_DATA that proved itself.
+
+        held                      : Which of the fragments are on board; lowest bit: the first. (type:uint64_t)
+        checksum                  : CRC-32 that the fragments came with. (type:uint32_t)
+        result                    : 0 more is wanted, 1 being checked, 2 taken by the sequencer, 3 refused (a STATUSTEXT says why). (type:uint8_t)
+
+        """
+        self.send(self.manoeuvre_status_encode(held, checksum, result), force_mavlink1=force_mavlink1)
 
 
 # Other standard messages: id -> (CRC_EXTRA, payload length)

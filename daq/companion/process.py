@@ -1,0 +1,158 @@
+"""The companion as the logger's loop sees it: scans in, answers out, nothing waits, and its end is said once."""
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
+
+from daq.companion.config import IdentificationConfig
+from daq.companion.wire import LONGEST_LINE, Answer, Setup, frame, read_answer, setup_frame
+from daq.contract.recordings.messages import LogLevel
+from daq.contract.scan import Scan, encode_scan
+
+NAME = "identification"
+BACKLOG = 1 << 20  # bytes that wait for the pipe: two minutes at 20 Hz, while the process starts or swaps
+END_S = 3.0  # it is given so long to answer for the last time
+
+Say = Callable[[LogLevel, str, str], None]
+Show = Callable[[str, float], None]
+
+
+class Companion:
+    """One process. aircraft, calibration: as `Setup` has them. say: a line for recording and journal; show: a value for
+    the ground."""
+
+    def __init__(self, config: IdentificationConfig, aircraft: str, calibration: str, say: Say, show: Show) -> None:
+        self._config, self._aircraft, self._calibration = config, aircraft, calibration
+        self._say, self._show = say, show
+        self._process: subprocess.Popen[bytes] | None = None
+        self._waiting = bytearray()
+        self._heard = b""
+        self._broken = ""
+        self.dropped = 0
+
+    def start(self, details: Mapping[str, str]) -> None:
+        """Begin; a process that cannot be had is said, and that is all. details: facts of the sensors."""
+        command = list(self._config.command) or [sys.executable, "-m", "sideslip.onboard"]
+        environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+        try:
+            process = subprocess.Popen(
+                command,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                bufsize=0,
+                env=environment,
+                start_new_session=True,  # Ctrl-C is for the logger, which then ends it
+            )
+        except OSError as error:
+            self._say(LogLevel.WARNING, NAME, f"{command[0]} cannot be started ({error.strerror}); recording goes on")
+            return
+        self._process = process
+        _ordinary(process.pid, self._config.niceness)
+        for pipe in (process.stdin, process.stdout):
+            assert pipe is not None
+            os.set_blocking(pipe.fileno(), False)
+        self._waiting += setup_frame(Setup(self._aircraft, self._calibration, dict(details), self._config.every_s))
+
+    def scans(self, scans: Iterable[Scan]) -> None:
+        """Scans in order; then what has been answered."""
+        if self._process is None:
+            return
+        for scan in scans:
+            data = frame(encode_scan(scan))
+            if len(self._waiting) + len(data) > BACKLOG:
+                self.dropped += 1
+                if self.dropped == 1:
+                    self._say(LogLevel.WARNING, NAME, "cannot keep up: scans are left out of it; recording goes on")
+            else:
+                self._waiting += data
+        try:
+            self._write()
+        except OSError as error:
+            self._broken = error.strerror or str(error)
+        self._listen()
+
+    def close(self) -> None:
+        """Let it answer for the last time, then end it."""
+        process, self._process = self._process, None
+        if process is None:
+            return
+        assert process.stdin is not None
+        os.set_blocking(process.stdin.fileno(), True)
+        try:
+            rest, _ = process.communicate(bytes(self._waiting), timeout=END_S)
+            self._take(rest or b"")
+        except (subprocess.TimeoutExpired, OSError):
+            self._say(LogLevel.WARNING, NAME, "has not finished in time; its last numbers are those before")
+        finally:
+            _ended(process)
+
+    def _write(self) -> None:
+        assert self._process is not None
+        assert self._process.stdin is not None
+        while self._waiting:
+            try:
+                written = os.write(self._process.stdin.fileno(), self._waiting)
+            except BlockingIOError:
+                return
+            del self._waiting[:written]
+
+    def _listen(self) -> None:
+        """Take what it has answered; also the last words of one that has ended."""
+        assert self._process is not None
+        assert self._process.stdout is not None
+        try:
+            data = os.read(self._process.stdout.fileno(), LONGEST_LINE)
+        except BlockingIOError:
+            data = None
+        except OSError as error:
+            self._broken, data = error.strerror or str(error), b""
+        if data:
+            self._take(data)
+        elif data is not None or self._broken:
+            process, self._process = self._process, None
+            status = _ended(process)
+            why = self._broken or "it has ended"
+            self._say(LogLevel.WARNING, NAME, f"is lost ({why}, exit status {status}); recording goes on")
+
+    def _take(self, data: bytes) -> None:
+        *lines, rest = (self._heard + data).split(b"\n")
+        self._heard = rest[-LONGEST_LINE:]
+        for line in lines:
+            answer = read_answer(line)
+            if answer is not None:
+                self._tell(answer)
+
+    def _tell(self, answer: Answer) -> None:
+        if answer.trouble:
+            self._say(LogLevel.WARNING, NAME, f"{answer.trouble}; recording goes on")
+            process, self._process = self._process, None
+            if process is not None:
+                _ended(process)
+            return
+        if answer.values:
+            self._say(LogLevel.INFO, NAME, answer.record)
+        for name, (estimate, bound) in answer.values.items():
+            self._show(name, estimate)
+            self._show(f"{name}.s", bound)
+
+
+def _ended(process: "subprocess.Popen[bytes]") -> int:
+    """Its exit status, once it is ended and its pipes are closed."""
+    process.kill()
+    status = process.wait()
+    for pipe in (process.stdin, process.stdout):
+        if pipe is not None:
+            with suppress(OSError):  # what was still to be written has nobody to go to
+                pipe.close()
+    return status
+
+
+def _ordinary(pid: int, niceness: int) -> None:
+    """Neither the logger's real-time priority nor a place before it; where the system refuses, it is as it is."""
+    try:
+        os.sched_setscheduler(pid, os.SCHED_OTHER, os.sched_param(0))
+        os.setpriority(os.PRIO_PROCESS, pid, niceness)
+    except (OSError, AttributeError):
+        return

@@ -1,0 +1,92 @@
+"""What logger and companion say to each other: frames of bytes one way, lines of JSON the other.
+
+A frame is its length (4 bytes, big-endian) and that many bytes: first a `Setup` as JSON, then encoded scans. A line is an answer.
+"""
+
+import json
+import math
+import re
+import struct
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import BinaryIO
+
+LENGTH = struct.Struct(">I")
+LONGEST_FRAME = 1 << 20
+LONGEST_LINE = 1 << 14
+MOST_VALUES = 64
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_.]{0,9}")  # what NAMED_VALUE_FLOAT has room for
+
+
+@dataclass(frozen=True)
+class Setup:
+    """aircraft: its name, or the path of its file. calibration: directory. details: facts of the sensors. every_s: of flight
+    between two answers."""
+
+    aircraft: str
+    calibration: str
+    details: Mapping[str, str]
+    every_s: float
+
+
+@dataclass(frozen=True)
+class Answer:
+    """values: derivative -> estimate and bound, those that can be told. words: one line for a person. trouble: why there is
+    no more."""
+
+    time: float = math.nan
+    values: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    words: str = ""
+    trouble: str = ""
+
+    def line(self) -> bytes:
+        """As the companion writes it."""
+        return json.dumps({**asdict(self), "time": self.time if math.isfinite(self.time) else None}).encode() + b"\n"
+
+    @property
+    def record(self) -> str:
+        """As the recording keeps it: JSON of time and values."""
+        return json.dumps({"time": self.time, "values": {n: list(v) for n, v in self.values.items()}})
+
+
+def frame(data: bytes) -> bytes:
+    """Bytes with their length before them."""
+    return LENGTH.pack(len(data)) + data
+
+
+def setup_frame(setup: Setup) -> bytes:
+    """The first frame."""
+    return frame(json.dumps(asdict(setup)).encode())
+
+
+def read_frame(stream: BinaryIO) -> bytes | None:
+    """The next frame of a blocking stream; None at its end."""
+    head = stream.read(LENGTH.size)
+    if len(head) < LENGTH.size:
+        return None
+    (length,) = LENGTH.unpack(head)
+    data = stream.read(length) if length <= LONGEST_FRAME else b""
+    return data if len(data) == length else None
+
+
+def read_setup(data: bytes) -> Setup:
+    """The setup of the first frame."""
+    return Setup(**json.loads(data))
+
+
+def read_answer(line: bytes) -> Answer | None:
+    """An answer, of what it holds only what can be shown; None for a line that is none."""
+    try:
+        found = json.loads(line)
+        values = found["values"]
+        told = {
+            str(name): (float(pair[0]), float(pair[1]))
+            for name, pair in list(values.items())[:MOST_VALUES]
+            if _NAME.fullmatch(name) and len(pair) == 2
+        }
+        time = math.nan if found["time"] is None else float(found["time"])
+        words, trouble = str(found["words"]), str(found["trouble"])
+    except (ValueError, KeyError, TypeError, AttributeError, IndexError, RecursionError, OverflowError):
+        return None
+    sound = {n: v for n, v in told.items() if all(map(math.isfinite, v))}
+    return Answer(time, sound, words[:500], trouble[:500])

@@ -1,0 +1,150 @@
+"""What the last seconds say for each effect, with what the model itself may be wrong by taken out.
+
+Whitened innovations are w = sum over effects of size * signature + noise. Sums over a sliding window: b = signatures' w,
+C = signatures' signatures, energy w'w. Sizes of what the model has (derivatives, constants) have priors: a model is never
+exact, and a change is what goes beyond that.
+"""
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.identification.monitor.bank import CHANNELS, Effect
+
+Array = NDArray[np.float64]
+
+PIECE_S = 0.5  # s of scans summed before they enter the window: how finely its edges, and an onset, are known
+WINDOW_S = 10.0  # s of watched flight
+ENERGY_S = 5.0  # s over which a channel's energy is looked at
+SETTLED_S = 15.0  # s of watched flight before those, which tell what the energy usually is
+TELLING = 0.2  # share of the evidence from which a channel is named
+TINY = 1e-12
+
+
+@dataclass
+class Piece:
+    """Sums over half a second. time: of its first scan [s]; b: (flights, effects); C: (flights, effects, effects);
+    energy: (flights, 5) by channel; scans: how many; shares: (5, effects, flights) of b by channel."""
+
+    time: float
+    b: Array
+    C: Array
+    energy: Array
+    scans: int
+    shares: Array
+
+
+@dataclass(frozen=True)
+class Score:
+    """(flights, effects) z: how far each effect is from nothing, in standard deviations.
+    unnamed: (flights, 5) energy of each channel against what it was before; NaN before that is known."""
+
+    z: Array
+    unnamed: Array
+
+
+class Evidence:
+    """Sliding window over whitened innovations and signatures of several flights at once."""
+
+    def __init__(self, effects: Sequence[Effect]) -> None:
+        self._prior = np.array([e.prior / e.step for e in effects])
+        self._pieces: deque[Piece] = deque()
+        self._open: Piece | None = None
+        self._usual: Array | None = None  # sums of energy before the window
+        self._usual_scans = 0
+
+    def add(self, time: float, white: Array, signatures: Array) -> bool:
+        """One scan: (5, flights) and (5, effects, flights); True when half a second is complete."""
+        shares = white[:, None, :] * signatures
+        b = shares.sum(axis=0).T
+        C = np.einsum("cef,cgf->feg", signatures, signatures)
+        energy = (white**2).T
+        if self._open is None:
+            self._open = Piece(time, b, C, energy, 1, shares)
+            return False
+        p = self._open
+        p.b = p.b + b
+        p.shares = p.shares + shares
+        p.C += C
+        p.energy = p.energy + energy
+        p.scans += 1
+        if time - p.time < PIECE_S - 0.026:  # half a scan, so that pieces do not drift by one
+            return False
+        self._pieces.append(p)
+        self._open = None
+        if len(self._pieces) > round(WINDOW_S / PIECE_S):
+            old = self._pieces.popleft()
+            self._usual = old.energy if self._usual is None else self._usual + old.energy
+            self._usual_scans += old.scans
+        return True
+
+    @property
+    def seconds(self) -> float:
+        """Watched time in the window."""
+        return PIECE_S * len(self._pieces)
+
+    def forget(self) -> None:
+        """Begin anew; what energy is usual is kept."""
+        self._pieces.clear()
+        self._open = None
+
+    def score(self) -> Score:
+        """Of the window as it is."""
+        b = np.sum([p.b for p in self._pieces], axis=0)
+        C = np.sum([p.C for p in self._pieces], axis=0)
+        total = np.sum([p.energy for p in self._pieces], axis=(0, 2))
+        scans = sum(p.scans for p in self._pieces)
+        z, explained = self._scores(b, C)
+        left = np.maximum(total - explained, 0.0) / (5.0 * max(scans, 1))
+        return Score(z / np.sqrt(np.maximum(left, 1.0))[:, None], self._energies())
+
+    def _scores(self, b: Array, C: Array) -> tuple[Array, Array]:
+        """z of each effect, and the energy that the best of them explains with the model's own errors."""
+        base = np.flatnonzero(self._prior > 0.0)
+        other = np.flatnonzero(self._prior == 0.0)
+        variance = self._prior[base] ** 2
+        posterior = np.linalg.inv(C[:, base[:, None], base] + np.diag(1.0 / variance))
+        mean = np.einsum("fij,fj->fi", posterior, b[:, base])
+        z = np.zeros_like(b)
+        own = np.diagonal(posterior, axis1=1, axis2=2)
+        # the posterior mean of what is drawn from the prior has variance prior - posterior
+        z[:, base] = mean / np.sqrt(np.maximum(variance - own, TINY * variance))
+        across = C[:, other[:, None], base]
+        rest = b[:, other] - np.einsum("foi,fi->fo", across, mean)
+        spread = np.diagonal(C[:, other[:, None], other], axis1=1, axis2=2) - np.einsum(
+            "foi,fij,foj->fo", across, posterior, across
+        )
+        z[:, other] = rest / np.sqrt(np.maximum(spread, TINY))
+        usual = np.einsum("fi,fi->f", b[:, base], mean)
+        return z, np.asarray(usual + np.max(z**2, axis=1))
+
+    def _energies(self) -> Array:
+        last = list(self._pieces)[-round(ENERGY_S / PIECE_S) :]
+        before = list(self._pieces)[: -round(ENERGY_S / PIECE_S)]
+        energy = np.sum([p.energy for p in last], axis=0) / sum(p.scans for p in last)
+        scans = self._usual_scans + sum(p.scans for p in before)
+        sums = [p.energy for p in before] + ([] if self._usual is None else [self._usual])
+        pieces = len(before) + self._usual_scans / max(last[0].scans, 1)
+        if pieces * PIECE_S < SETTLED_S or not sums:
+            return np.full_like(energy, np.nan)
+        return np.asarray(energy / np.maximum(np.sum(sums, axis=0) / scans, 1.0))
+
+    def channels(self, flight: int, effect: int) -> tuple[str, ...]:
+        """Channels whose errors show an effect, the most telling first: those with at least a fifth of it."""
+        shares = np.sum([p.shares[:, effect, flight] for p in self._pieces], axis=0)
+        total = float(shares.sum())
+        parts = shares / total if total else shares
+        return tuple(CHANNELS[i] for i in np.argsort(-parts) if parts[i] >= TELLING)
+
+    def onset(self, flight: int, effect: int) -> tuple[float, float]:
+        """Since when the effect is there [s], as far as the window tells, and its size since then [steps]: the begin that
+        makes it most likely."""
+        best, since, size, b, c = -1.0, self._pieces[-1].time, 0.0, 0.0, TINY
+        for piece in reversed(self._pieces):
+            b, c = b + piece.b[flight, effect], c + piece.C[flight, effect, effect]
+            if b * b / c > best:
+                best, since, size = b * b / c, piece.time, b / c
+        return since, size

@@ -1,0 +1,157 @@
+"""The gap monitor of one flight: samples in, alarms out."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from daq.identification.airframe import Airframe, Sample
+from daq.identification.live import GAP
+from daq.identification.monitor.bank import CHANNELS, EQUATION_OF_CHANNEL, Effect
+from daq.identification.monitor.evidence import Evidence
+from daq.identification.monitor.innovations import PredictorBank, Scan
+from daq.identification.monitor.motion import Inputs
+from daq.identification.monitor.threshold import BEGIN_S, Calibration
+
+LEADING = 0.8  # of the largest score: effects that are named beside the first
+MOST_NAMED = 4
+QUIET_S = 10.0  # s of watched flight below the threshold after which an alarm is over, and another may be told
+HOUR_S = 3600.0
+
+
+@dataclass(frozen=True)
+class Name:
+    """An effect that may be there: its size now, in its unit, and its score."""
+
+    effect: str
+    title: str
+    size: float
+    unit: str
+    score: float
+
+
+@dataclass(frozen=True)
+class Alarm:
+    """The model no longer describes the aircraft. time: when it was noticed; since: when it began, by the window [s].
+
+    equation: where (CY, Cl, Cn, kinematics, actuator, sensor); channels: whose prediction errors show it; leading: what it
+    may be, most likely first, empty where only the size of the errors tells. score, threshold: in the same units.
+    """
+
+    time: float
+    since: float
+    equation: str
+    channels: tuple[str, ...]
+    score: float
+    threshold: float
+    leading: tuple[Name, ...]
+
+
+@dataclass(frozen=True)
+class Watch:
+    """The monitor now. watched: seconds of manoeuvring so far; score: the largest of both in units of its threshold."""
+
+    time: float
+    watched: float
+    score: float
+    alarm: Alarm | None
+
+
+class GapMonitor:
+    """Takes samples of manoeuvring flight in order of time (`stretches` says which). `alarms`: all so far, in order."""
+
+    def __init__(
+        self, airframe: Airframe, values: Mapping[str, float], effects: Sequence[Effect], calibration: Calibration
+    ) -> None:
+        self._effects = tuple(effects)
+        self._calibration = calibration
+        self._bank = PredictorBank(airframe, values, effects)
+        self._evidence = Evidence(effects)
+        self._past: list[tuple[np.ndarray, np.ndarray]] = []
+        self._last = -math.inf
+        self._in_stretch = 0.0
+        self._quiet = math.inf
+        self._standing: Alarm | None = None
+        self.watched = 0.0
+        self.alarms: list[Alarm] = []
+
+    def add(self, sample: Sample) -> Watch | None:
+        """One sample; what is known every half second, None in between."""
+        if not sample.credible or sample.time <= self._last:
+            return None
+        gap = sample.time - self._last
+        if gap > GAP:
+            self._bank.restart()
+            self._past.clear()
+        else:
+            self.watched += gap
+        self._last = sample.time
+        found = self._bank.innovations(_scan_of(sample))
+        if found is None:
+            return None
+        self._past = [*self._past, found][-3:]
+        if len(self._past) < 3:
+            return None
+        white, signatures = (self._calibration.whitening.applied(*(f[i] for f in reversed(self._past))) for i in (0, 1))
+        if not self._evidence.add(sample.time, white, signatures):
+            return None
+        return self._judge(sample.time)
+
+    def _judge(self, time: float) -> Watch:
+        if self.watched < BEGIN_S:
+            return Watch(time, self.watched, 0.0, None)
+        score, c = self._evidence.score(), self._calibration
+        named = c.effects.of(score.z)[0]
+        with np.errstate(invalid="ignore"):
+            energy = np.nan_to_num(c.channels.of(np.log(score.unnamed))[0], nan=-math.inf)
+        level = max(float(np.abs(named).max()) / c.named, float(energy.max()) / c.unnamed)
+        if level < 1.0:
+            self._quiet += 0.5
+            if self._quiet >= QUIET_S:
+                self._standing = None
+            return Watch(time, self.watched, level, self._standing)
+        self._quiet = 0.0
+        alarm = self._alarm(time, named, energy)
+        if self._standing is None:
+            self.alarms.append(alarm)
+        self._standing = alarm
+        return Watch(time, self.watched, level, alarm)
+
+    def _alarm(self, time: float, named: np.ndarray, energy: np.ndarray) -> Alarm:
+        c = self._calibration
+        order = np.argsort(-np.abs(named))
+        best = int(order[0])
+        if abs(named[best]) < c.named:
+            channel = CHANNELS[int(np.argmax(energy))]
+            return Alarm(time, time, EQUATION_OF_CHANNEL[channel], (channel,), float(energy.max()), c.unnamed, ())
+        leading = tuple(
+            self._name(int(k), float(named[k]))
+            for k in order[:MOST_NAMED]
+            if abs(named[k]) >= LEADING * abs(named[best])
+        )
+        return Alarm(
+            time,
+            self._evidence.onset(0, best)[0],
+            self._effects[best].equation,
+            self._evidence.channels(0, best),
+            float(abs(named[best])),
+            c.named,
+            leading,
+        )
+
+    def _name(self, k: int, standardised: float) -> Name:
+        effect = self._effects[k]
+        _, size = self._evidence.onset(0, k)
+        return Name(effect.name, effect.title, size * effect.step, effect.unit, abs(standardised))
+
+    @property
+    def hours(self) -> float:
+        """Hours of manoeuvring that were watched."""
+        return self.watched / HOUR_S
+
+
+def _scan_of(s: Sample) -> Scan:
+    measured = np.array([[s.beta], [s.p], [s.r], [s.phi], [s.ay]])
+    inputs = Inputs(*(np.array([v]) for v in (s.q, s.theta, s.alpha, s.V, s.rho, s.delta_a, s.delta_r)))
+    return Scan(s.time, measured, inputs)

@@ -1,0 +1,130 @@
+"""From simulated flights of the model to whitening and thresholds: so many false alarms an hour of manoeuvring."""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.identification.airframe import Airframe
+from daq.identification.monitor.bank import Effect
+from daq.identification.monitor.evidence import Evidence, Score
+from daq.identification.monitor.innovations import PredictorBank, Scan
+from daq.identification.monitor.nulls import Conditions, fly
+from daq.identification.monitor.whitening import Whitening, fitted
+
+Array = NDArray[np.float64]
+
+FLIGHT_S = 90.0  # s of manoeuvring of a simulated flight
+BEGIN_S = 3.0  # s in which window and predictor fill
+AT_ONCE = 100  # flights side by side: more no longer fit the caches
+EULER = 0.5772156649015329
+HOUR_S = 3600.0
+FAR, FAR_NORMAL = 0.999, 3.2905  # a share of all values, and how far out that of a normal variable lies
+
+
+@dataclass(frozen=True)
+class Scale:
+    """What is usual of a statistic on simulated flights: its mean, and its 99.9 % point in units of a normal one's."""
+
+    mean: Array
+    width: Array
+
+    def of(self, values: Array) -> Array:
+        """In units of what is usual, signs kept."""
+        return np.asarray((values - self.mean) / self.width)
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """What the monitor needs. effects, channels: what is usual of each; named, unnamed: thresholds of the largest of either;
+    rate: false alarms an hour of both together that they were set for; hours: of simulated manoeuvring behind them."""
+
+    whitening: Whitening
+    effects: Scale
+    channels: Scale
+    named: float
+    unnamed: float
+    rate: float
+    hours: float
+
+
+def calibrated(
+    airframe: Airframe,
+    values: Mapping[str, float],
+    effects: Sequence[Effect],
+    conditions: Conditions,
+    *,
+    rng: np.random.Generator,
+    hours: float = 2.5,
+    rate: float = 1.0,
+) -> Calibration:
+    """Simulate so many hours of manoeuvring; half of the allowed false alarms to each statistic."""
+    batches = max(1, round(hours * HOUR_S / FLIGHT_S / AT_ONCE))
+    flown = [fly(airframe, values, effects, conditions, rng, AT_ONCE, FLIGHT_S) for _ in range(batches)]
+    whitening = fitted(_innovations(airframe, values, scans) for scans in flown)
+    z, energy = (
+        np.concatenate(v, axis=1)
+        for v in zip(*(_histories(airframe, values, effects, whitening, scans) for scans in flown), strict=True)
+    )
+    seen, loud = _usual(z), _usual(energy)
+    seconds = FLIGHT_S - BEGIN_S
+    named = exceeded(np.abs(seen.of(z)).max(axis=(0, 2)), seconds, rate / 2.0)
+    unnamed = exceeded(np.nanmax(loud.of(energy), axis=(0, 2)), seconds, rate / 2.0)
+    return Calibration(whitening, seen, loud, named, unnamed, rate, z.shape[1] * seconds / HOUR_S)
+
+
+def _usual(values: Array) -> Scale:
+    """values: (times, flights, kinds)."""
+    mean = np.nanmean(values, axis=(0, 1))
+    far = np.nanquantile(np.abs(values - mean), FAR, axis=(0, 1))
+    return Scale(mean, far / FAR_NORMAL)
+
+
+def _histories(
+    airframe: Airframe,
+    values: Mapping[str, float],
+    effects: Sequence[Effect],
+    whitening: Whitening,
+    scans: Sequence[Scan],
+) -> tuple[Array, Array]:
+    """(times, flights, effects) and (times, flights, 5) of both statistics, once the window has filled."""
+    found = [s for t, s in scores(airframe, values, effects, whitening, scans) if t - scans[0].time >= BEGIN_S]
+    return np.stack([s.z for s in found]), np.stack([np.log(s.unnamed) for s in found])
+
+
+def _innovations(airframe: Airframe, values: Mapping[str, float], scans: Sequence[Scan]) -> Array:
+    """(scans, 5, flights) of the model alone."""
+    bank = PredictorBank(airframe, values, ())
+    found = [bank.innovations(scan) for scan in scans]
+    return np.stack([f[0] for f in found[20:] if f is not None])  # the first second still shows where it began
+
+
+def scores(
+    airframe: Airframe,
+    values: Mapping[str, float],
+    effects: Sequence[Effect],
+    whitening: Whitening,
+    scans: Sequence[Scan],
+) -> Iterator[tuple[float, Score]]:
+    """Time and score at each half second of several flights side by side."""
+    bank, evidence = PredictorBank(airframe, values, effects), Evidence(effects)
+    past: list[tuple[Array, Array]] = []
+    for scan in scans:
+        found = bank.innovations(scan)
+        if found is None:
+            continue
+        past = [*past, found][-3:]
+        if len(past) == 3:
+            white, signatures = (whitening.applied(*(f[i] for f in reversed(past))) for i in (0, 1))
+            if evidence.add(scan.time, white, signatures):
+                yield scan.time, evidence.score()
+
+
+def exceeded(largest: Array, seconds: float, per_hour: float) -> float:
+    """Level that the maximum over `seconds` passes so seldom that it is `per_hour` times an hour: Gumbel, by moments."""
+    beta = float(np.std(largest)) * math.sqrt(6.0) / math.pi
+    mode = float(np.mean(largest)) - EULER * beta
+    chance = 1.0 - math.exp(-per_hour * seconds / HOUR_S)
+    return mode - beta * math.log(-math.log(1.0 - chance))

@@ -1,0 +1,222 @@
+"""The gap monitor: its parts against closed forms and other implementations, and the whole on flights it has not seen."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.stats import gumbel_r
+
+from daq.identification.airframe import DERIVATIVES, Airframe, Sample
+from daq.identification.monitor import threshold
+from daq.identification.monitor.bank import CHANNELS, Effect, bank
+from daq.identification.monitor.evidence import PIECE_S, Evidence
+from daq.identification.monitor.innovations import PredictorBank, Scan
+from daq.identification.monitor.monitor import GapMonitor
+from daq.identification.monitor.motion import Inputs, LateralMotion
+from daq.identification.monitor.nulls import Conditions, fly
+from daq.identification.monitor.threshold import Calibration, calibrated, exceeded
+from daq.identification.monitor.whitening import fitted
+from daq.identification.simulated_motion import Drive, Motion, SimulatedMotion
+from tests.studies.live_statistics import Case, airframe_for
+
+Array = NDArray[np.float64]
+QUIET = Conditions(beta=0.0, p=0.0, r=0.0, phi=0.0, ay=0.0, surface=0.0, V=0.0, gust=0.0)
+
+
+@pytest.fixture(scope="module")
+def airframe() -> Airframe:
+    return airframe_for(Case("second", 0.1, False))
+
+
+@pytest.fixture(scope="module")
+def values(airframe: Airframe) -> dict[str, float]:
+    return {n: airframe.believed(n) for n in DERIVATIVES}
+
+
+@pytest.fixture(scope="module")
+def effects(airframe: Airframe, values: dict[str, float]) -> tuple[Effect, ...]:
+    return bank(airframe, values, {})
+
+
+@pytest.fixture(scope="module")
+def calibration(airframe: Airframe, values: dict[str, float], effects: tuple[Effect, ...]) -> Calibration:
+    """From fewer flights than anybody would trust."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(threshold, "AT_ONCE", 24)
+        patch.setattr(threshold, "FLIGHT_S", 60.0)
+        return calibrated(airframe, values, effects, Conditions(), rng=np.random.default_rng(4), hours=0.4)
+
+
+def samples(scans: list[Scan], flight: int) -> list[Sample]:
+    """One flight of several, as the monitor takes it."""
+    found = []
+    for s in scans:
+        beta, p, r, phi, ay = s.measured[:, flight]
+        q, theta, alpha, V, rho, delta_a, delta_r = (float(v[flight]) for v in s.inputs)
+        found.append(Sample(s.time + 1.0, beta, p, q, r, phi, theta, alpha, V, ay, delta_a, delta_r, rho))
+    return found
+
+
+def test_motion_of_many_is_that_of_one(airframe: Airframe, values: dict[str, float]) -> None:
+    rng = np.random.default_rng(1)
+    alone = SimulatedMotion(airframe)
+    alone.values = values
+    many = LateralMotion(airframe, {n: np.full((1, 1), v) for n, v in values.items()})
+    for _ in range(20):
+        x, u = rng.uniform(-0.2, 0.2, 4), rng.uniform(0.05, 0.2, 7)
+        u[3:5] = 17.0, 1.2
+        inputs = Inputs(*(np.array([v]) for v in u))
+        one = np.array(alone._rates(Motion(*x), Drive(*u)))
+        np.testing.assert_allclose(many.rates(x[:, None, None], inputs)[:, 0, 0], one, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["Cn_da", "Cl_da", "Cl_p", "Cn_beta", "CY_beta", "Cl_0", "beta_bias"])
+def test_an_effect_leaves_its_signature(
+    name: str, airframe: Airframe, values: dict[str, float], effects: tuple[Effect, ...]
+) -> None:
+    """Without noise, surfaces on straight lines: what the model gets wrong of an aircraft with the effect is the signature."""
+    k = [e.name for e in effects].index(name)
+    truth = {n: np.array([[v]]) for n, v in values.items()} | {"Cn_da": np.zeros((1, 1))}
+    if name in truth:
+        truth[name] = truth[name] + effects[k].step
+    motion, rng = LateralMotion(airframe, truth), np.random.default_rng(2)
+    x, u = np.zeros((4, 1, 1)), Inputs(*(np.array([v]) for v in (0.0, 0.08, 0.08, 16.0, 1.2, 0.0, 0.0)))
+    predictors, wrong, signature = PredictorBank(airframe, values, effects), [], []
+    bias = effects[k].step if name == "beta_bias" else 0.0
+    for i in range(200):
+        measured = np.concatenate([x[:, 0], motion.side_force(x, u)[0][None]])
+        measured[0] += bias
+        found = predictors.innovations(Scan(0.05 * i, measured, u))
+        if found is not None:
+            wrong.append(found[0])
+            signature.append(found[1][:, k])
+        after = u._replace(delta_a=rng.uniform(-0.1, 0.1, 1), delta_r=rng.uniform(-0.05, 0.05, 1))
+        x, u = motion.advance(x, u, after, 0.05), after
+    assert np.abs(wrong).max() > 1e-4
+    # begun at a measurement that is off by a drawn-in bias, the model needs a second to forget it
+    np.testing.assert_allclose(np.array(wrong)[40:], np.array(signature)[40:], atol=1e-7 + 1e-3 * np.abs(wrong).max())
+
+
+def test_whitening_finds_the_autoregression_it_is_shown() -> None:
+    rng = np.random.default_rng(3)
+    first, second = np.diag([0.6, 0.2, -0.3, 0.1, 0.0]), np.diag([-0.2, 0.1, 0.0, 0.3, 0.0])
+    first[0, 1] = 0.3
+    root = np.tril(rng.uniform(0.2, 1.0, (5, 5)))
+    e = np.zeros((4000, 5, 4))
+    for t in range(2, len(e)):
+        e[t] = first @ e[t - 1] + second @ e[t - 2] + root @ rng.standard_normal((5, 4))
+    found = fitted([e[:2000], e[2000:]])
+    np.testing.assert_allclose(found.first, first, atol=0.1)
+    np.testing.assert_allclose(found.second, second, atol=0.1)
+    white = np.stack([found.applied(e[t], e[t - 1], e[t - 2]) for t in range(2, 4000)])
+    np.testing.assert_allclose(np.einsum("tif,tjf->ij", white, white) / white[:, 0].size, np.eye(5), atol=0.05)
+
+
+def test_scores_are_those_of_a_regression_with_priors() -> None:
+    """Against generalised least squares with covariance I + G P G', written out."""
+    rng = np.random.default_rng(5)
+    effects = (
+        Effect("a", "", "Cl", 1.0, "1", 0.3), Effect("b", "", "Cl", 2.0, "1", 0.5), Effect("c", "", "Cn", 1.0, "1"),
+    )  # fmt: skip
+    evidence, W, G = Evidence(effects), [], []
+    for k in range(40):
+        white, signatures = rng.standard_normal((5, 1)), rng.standard_normal((5, 3, 1)) * 0.3
+        evidence.add(0.05 * k, white, signatures)
+        W.append(white[:, 0])
+        G.append(signatures[:, :, 0])
+    kept = sum(p.scans for p in evidence._pieces)
+    w, g = np.concatenate(W[:kept]), np.concatenate(G[:kept])
+    prior = np.array([0.3, 0.25])
+    score = evidence.score()
+    scale = np.sqrt(max((w @ w - _explained(w, g, prior)) / w.size, 1.0))
+    cov = np.eye(w.size) + g[:, :2] @ np.diag(prior**2) @ g[:, :2].T
+    inverse = np.linalg.inv(cov)
+    c = g[:, 2]
+    assert score.z[0, 2] * scale == pytest.approx(c @ inverse @ w / math.sqrt(c @ inverse @ c))
+    for k in (0, 1):  # the posterior mean in units of its own spread, were the prior all there is
+        mean = prior[k] ** 2 * g[:, k] @ inverse @ w
+        spread = math.sqrt(prior[k] ** 4 * g[:, k] @ inverse @ g[:, k])
+        assert score.z[0, k] * scale == pytest.approx(mean / spread)
+
+
+def _explained(w: Array, g: Array, prior: Array) -> float:
+    C = g[:, :2].T @ g[:, :2] + np.diag(1.0 / prior**2)
+    b = g[:, :2].T @ w
+    usual = float(b @ np.linalg.solve(C, b))
+    cov = np.linalg.inv(np.eye(w.size) + g[:, :2] @ np.diag(prior**2) @ g[:, :2].T)
+    z = [g[:, 2] @ cov @ w / math.sqrt(g[:, 2] @ cov @ g[:, 2])]
+    z += [g[:, k] @ cov @ w / math.sqrt(g[:, k] @ cov @ g[:, k]) for k in (0, 1)]
+    return usual + max(v**2 for v in z)
+
+
+def test_threshold_is_passed_as_seldom_as_asked() -> None:
+    rng = np.random.default_rng(6)
+    largest = gumbel_r.rvs(loc=3.0, scale=0.5, size=20000, random_state=rng)
+    level = exceeded(largest, 90.0, 0.5)
+    assert gumbel_r.sf(level, 3.0, 0.5) == pytest.approx(1.0 - math.exp(-0.5 * 90.0 / 3600.0), rel=0.1)
+
+
+def test_right_effect_is_named_and_dated(
+    airframe: Airframe, values: dict[str, float], effects: tuple[Effect, ...], calibration: Calibration
+) -> None:
+    """Adverse yaw that sets in at 20 s: noticed in most of a few flights, after it began, by its name."""
+    done: list[bool] = []
+
+    def change(time: float, truth: dict[str, Array]) -> None:
+        if time >= 20.0 and not done:
+            truth["Cn_da"] = truth["Cn_da"] - 0.012
+            done.append(True)
+
+    calm = replace(Conditions(), gust_spread=(1.0, 1.0))
+    scans = fly(airframe, values, effects, calm, np.random.default_rng(8), 6, 50.0, change)
+    found = []
+    for flight in range(6):
+        monitor = GapMonitor(airframe, values, effects, calibration)
+        for sample in samples(scans, flight):
+            monitor.add(sample)
+        found += [a for a in monitor.alarms if a.time > 21.0][:1]
+    assert len(found) >= 5
+    assert sum(a.leading[0].effect == "Cn_da" for a in found if a.leading) >= 4
+    named = [a for a in found if a.leading and a.leading[0].effect == "Cn_da"]
+    assert all(a.equation == "Cn" and a.channels[0] in ("r", "beta") for a in named)
+    assert all(10.0 < a.since <= a.time for a in named)
+    assert np.median([a.leading[0].size for a in named]) == pytest.approx(-0.012, rel=0.5)
+    assert np.median([a.time for a in found]) < 31.0
+
+
+def test_flights_with_nothing_wrong_are_quiet_and_gaps_are_not_watched(
+    airframe: Airframe, values: dict[str, float], effects: tuple[Effect, ...], calibration: Calibration
+) -> None:
+    calm = replace(Conditions(), gust_spread=(1.0, 1.0))
+    scans = fly(airframe, values, effects, calm, np.random.default_rng(9), 6, 50.0)
+    alarms, watched = 0, []
+    for flight in range(6):
+        monitor = GapMonitor(airframe, values, effects, calibration)
+        for sample in samples(scans, flight):
+            if not 20.0 < sample.time < 30.0:
+                monitor.add(sample)
+        alarms += len(monitor.alarms)
+        watched.append(monitor.watched)
+    assert alarms <= 1
+    np.testing.assert_allclose(watched, 40.0, atol=0.2)
+
+
+def test_errors_that_grow_without_a_name_are_told_by_channel(
+    airframe: Airframe, values: dict[str, float], effects: tuple[Effect, ...], calibration: Calibration
+) -> None:
+    """The bank angle becomes four times as noisy: no effect of the bank does that."""
+    calm = replace(Conditions(), gust_spread=(1.0, 1.0))
+    scans = fly(airframe, values, effects, calm, np.random.default_rng(10), 1, 60.0)
+    rng = np.random.default_rng(11)
+    monitor = GapMonitor(airframe, values, effects, calibration)
+    for s in samples(scans, 0):
+        worse = math.radians(1.2) * rng.standard_normal() if s.time > 30.0 else 0.0
+        monitor.add(s._replace(phi=s.phi + worse))
+    after = [a for a in monitor.alarms if a.time > 30.0]
+    assert after
+    assert after[0].time < 37.0
+    assert "phi" in after[0].channels
+    assert CHANNELS.index("phi") == 3
+    assert PIECE_S == 0.5
