@@ -6,8 +6,8 @@ microseconds. The bytes leave at the speed of the line.
 
 import struct
 
-from firmware_sim.hardware.instruments import Instruments
 from firmware_sim.hardware.radio import MAGIC_V2, x25
+from firmware_sim.hardware.sensing.instruments import Instruments
 
 HEARTBEAT_ID, HEARTBEAT_CRC = 0, 50
 SERVO_ID, SERVO_CRC = 36, 222

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from firmware_sim.hardware.bus import Chip
 from firmware_sim.hardware.cockpit import Cockpit
 from firmware_sim.hardware.faults import ADDRESSES, FaultSet
-from firmware_sim.hardware.instruments import Instruments
 from firmware_sim.hardware.registers.ads1115 import Ads1115
 from firmware_sim.hardware.registers.ak09916 import Ak09916
 from firmware_sim.hardware.registers.bmp390 import Bmp390
@@ -20,8 +19,9 @@ from firmware_sim.hardware.registers.icm20948 import Icm20948
 from firmware_sim.hardware.registers.ms4525do import Ms4525do
 from firmware_sim.hardware.registers.nau7802 import Nau7802
 from firmware_sim.hardware.registers.pca9685 import ALLCALL_ADDRESS, AllCall
-from firmware_sim.hardware.sensor_models import NAU7802_GAIN, SensorModels
-from firmware_sim.hardware.signals import AT
+from firmware_sim.hardware.sensing.instruments import Instruments
+from firmware_sim.hardware.sensing.sensor_models import NAU7802_GAIN, SensorModels
+from firmware_sim.hardware.sensing.signals import AT
 
 ADC_WIRING: dict[str, tuple[str, str, str, str]] = {
     "analog_a": ("alpha_vane", "beta_vane", "elevon_left_pot", "elevon_right_pot"),

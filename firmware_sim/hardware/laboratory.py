@@ -10,7 +10,7 @@ from importlib.metadata import entry_points
 from daq.sensors.config import ExtraConfig
 from firmware_sim.errors import ScenarioError
 from firmware_sim.hardware.bus import Chip
-from firmware_sim.hardware.instruments import Instruments
+from firmware_sim.hardware.sensing.instruments import Instruments
 
 ENTRY_POINTS = "sideslip.chips"
 

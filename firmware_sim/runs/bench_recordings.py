@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 from firmware_sim.errors import ScenarioError
-from firmware_sim.hardware.sensor_models import SensorModels
-from firmware_sim.hardware.units import individual
+from firmware_sim.hardware.sensing.sensor_models import SensorModels
+from firmware_sim.hardware.sensing.units import individual
 from firmware_sim.physics.atmosphere import GRAVITY, Site, air_at
 from firmware_sim.physics.effects.base import Sensed
 from firmware_sim.runs.flight import FlightFiles, prepare_flight

@@ -24,21 +24,21 @@ from daq.sensors.bus import SerialPort
 from daq.sensors.config import ExtraConfig
 from estimation.aircraft import built_in_aircraft, load_aircraft
 from firmware_sim.errors import ScenarioError
-from firmware_sim.hardware.aircraft_instruments import calibration_of, placed
 from firmware_sim.hardware.autopilot import Autopilot
 from firmware_sim.hardware.board import Board, build_board
 from firmware_sim.hardware.bus import SimulatedBus
 from firmware_sim.hardware.card import SimulatedCard
 from firmware_sim.hardware.cockpit import Cockpit, parse_cockpit
 from firmware_sim.hardware.faults import ADDRESSES, ONLY_WITH_SEQUENCER, Events, FaultSet, PowerTaker, parse_faults
-from firmware_sim.hardware.gnss import GnssReceiver
-from firmware_sim.hardware.instruments import Instruments, TruthSource
 from firmware_sim.hardware.laboratory import laboratory_chips
 from firmware_sim.hardware.multiplexer import Monostable
 from firmware_sim.hardware.radio import RadioLink, parse_radio
-from firmware_sim.hardware.sensor_models import SensorModels, merged, parse_sensors
+from firmware_sim.hardware.sensing.aircraft_instruments import calibration_of, placed
+from firmware_sim.hardware.sensing.gnss import GnssReceiver
+from firmware_sim.hardware.sensing.instruments import Instruments, TruthSource
+from firmware_sim.hardware.sensing.sensor_models import SensorModels, merged, parse_sensors
+from firmware_sim.hardware.sensing.truth_log import TruthFile
 from firmware_sim.hardware.serial import PseudoTerminal, SimulatedSerial
-from firmware_sim.hardware.truth_log import TruthFile
 from firmware_sim.toml_text import toml_text
 from firmware_sim.world.scenario import Scenario
 from firmware_sim.world.world import World

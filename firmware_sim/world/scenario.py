@@ -12,7 +12,7 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from daq.contract.input_files import read_toml
-from daq.contract.plain_words import file_name
+from daq.contract.plain_words import file_name, meant
 from estimation.aircraft import load_aircraft
 from firmware_sim.errors import ScenarioError
 from firmware_sim.physics.aerodynamics import simulation_of
@@ -228,10 +228,9 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
             return rich.model_copy(update={"name": text})
         path = Path(text)
     if not path.is_file():
-        known = ", ".join(sorted(p.stem for p in BUILT_IN_FOLDER.glob("*.toml")))
-        raise ScenarioError(
-            f"scenario {text!r}: no such file and no built-in of that name (built in: {known}, hidden_NAME)"
-        )
+        known = sorted(p.stem for p in BUILT_IN_FOLDER.glob("*.toml"))
+        likely = meant(text, known) or f" (built in: {', '.join(known)}, hidden_NAME)"
+        raise ScenarioError(f"scenario {text!r}: no such file and no built-in of that name{likely}")
     data = read_toml(path, "file", ScenarioError)
     data.setdefault("name", path.stem)
     return scenario_from(data, str(path))

@@ -8,7 +8,7 @@ from daq.clock import SimulatedClock
 from daq.contract.scan import Scan, SensorState
 from daq.sensors.config import SensorsConfig, cdfp_sensors
 from firmware_sim.hardware.faults import FaultSet, parse_faults
-from firmware_sim.hardware.sensor_models import SensorModels
+from firmware_sim.hardware.sensing.sensor_models import SensorModels
 from firmware_sim.hardware.serial import SimulatedSerial
 from firmware_sim.runs.flight import START_UTC_NS, Aircraft, build_aircraft
 from tests.firmware_sim.hardware import Still

@@ -8,7 +8,7 @@ import pytest
 from daq.contract.channels import channels_of
 from daq.contract.scan import SensorState
 from firmware_sim.hardware.bus import BusModel
-from firmware_sim.hardware.sensor_models import SensorModels
+from firmware_sim.hardware.sensing.sensor_models import SensorModels
 from tests.firmware_sim.hardware import truth_at_rest
 from tests.firmware_sim.scans import ON_BUS, all_well, between, standing, states
 

@@ -12,8 +12,8 @@ from daq.contract.recordings.accounting import verify
 from daq.contract.recordings.reading import Recording, read_recording
 from daq.contract.scan import SensorState
 from firmware_sim.errors import ScenarioError
-from firmware_sim.hardware.sensor_models import SensorModels
-from firmware_sim.hardware.truth_log import TruthFile, TruthLog
+from firmware_sim.hardware.sensing.sensor_models import SensorModels
+from firmware_sim.hardware.sensing.truth_log import TruthFile, TruthLog
 from firmware_sim.runs.bench_recordings import Bench, BenchRig, Pose, bench_truth
 from firmware_sim.runs.flight import START_UTC_NS, FlightFiles, prepare_flight
 from firmware_sim.world.scenario import Scenario, load_scenario, scenario_from

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from firmware_sim.hardware.faults import Kind, parse_faults
 from firmware_sim.hardware.radio import parse_radio
-from firmware_sim.hardware.sensor_models import parse_sensors
+from firmware_sim.hardware.sensing.sensor_models import parse_sensors
 from firmware_sim.toml_text import toml_text
 from firmware_sim.world.scenario import built_in_scenarios, load_scenario
 

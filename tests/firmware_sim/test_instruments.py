@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from firmware_sim.errors import ScenarioError
-from firmware_sim.hardware.calibration_truth import calibration_truth
-from firmware_sim.hardware.instruments import GRID_S, HISTORY_S, Instruments, _VaneDynamics
-from firmware_sim.hardware.sensor_models import SensorModels, parse_sensors
-from firmware_sim.hardware.signals import AT
-from firmware_sim.hardware.units import individual
+from firmware_sim.hardware.sensing.calibration_truth import calibration_truth
+from firmware_sim.hardware.sensing.instruments import GRID_S, HISTORY_S, Instruments, _VaneDynamics
+from firmware_sim.hardware.sensing.sensor_models import SensorModels, parse_sensors
+from firmware_sim.hardware.sensing.signals import AT
+from firmware_sim.hardware.sensing.units import individual
 from tests.firmware_sim.hardware import Still, truth_at_rest
 
 NO_TURN_ON = {"imu": {"accel": {"turn_on": 0.0}, "gyro": {"turn_on": 0.0}}}

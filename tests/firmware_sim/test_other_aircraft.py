@@ -8,8 +8,8 @@ import pytest
 from estimation.aircraft import Aircraft, load_aircraft
 from estimation.errors import AircraftError
 from firmware_sim.errors import ScenarioError
-from firmware_sim.hardware.aircraft_instruments import calibration_of, placed
-from firmware_sim.hardware.sensor_models import SensorModels, parse_sensors
+from firmware_sim.hardware.sensing.aircraft_instruments import calibration_of, placed
+from firmware_sim.hardware.sensing.sensor_models import SensorModels, parse_sensors
 from firmware_sim.physics.aerodynamics import LATERAL, true_derivatives
 from firmware_sim.physics.atmosphere import Site
 from firmware_sim.physics.maths import FLOATS

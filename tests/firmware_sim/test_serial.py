@@ -7,10 +7,10 @@ import serial
 from pymavlink.dialects.v20 import common
 
 from firmware_sim.hardware.autopilot import Autopilot
-from firmware_sim.hardware.gnss import BAUD, GnssReceiver
-from firmware_sim.hardware.instruments import Instruments
 from firmware_sim.hardware.registers import ublox
-from firmware_sim.hardware.sensor_models import SensorModels
+from firmware_sim.hardware.sensing.gnss import BAUD, GnssReceiver
+from firmware_sim.hardware.sensing.instruments import Instruments
+from firmware_sim.hardware.sensing.sensor_models import SensorModels
 from firmware_sim.hardware.serial import BUFFER_BYTES, PseudoTerminal, SimulatedSerial
 from tests.firmware_sim.hardware import CountingClock, Still, truth_at_rest
 

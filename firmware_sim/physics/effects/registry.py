@@ -6,17 +6,25 @@ from firmware_sim.errors import ScenarioError
 from firmware_sim.physics.effects import (
     actuator,
     aerodynamic,
+    cross_axis,
+    elevator,
     environment,
     inertial,
+    longitudinal,
+    longitudinal_sensor,
     propulsion,
     sensor,
+    sudden,
     uncatalogued,
     unsteady,
 )
 from firmware_sim.physics.effects.base import Effect
 from firmware_sim.physics.maths import Value
 
-_MODULES = (aerodynamic, unsteady, inertial, propulsion, actuator, sensor, environment, uncatalogued)
+_MODULES = (
+    aerodynamic, unsteady, inertial, propulsion, actuator, sensor, environment,
+    longitudinal, elevator, longitudinal_sensor, cross_axis, uncatalogued, sudden,
+)  # fmt: skip
 
 EFFECTS: Mapping[str, type[Effect]] = {
     effect.name: effect

@@ -10,17 +10,40 @@ import numpy as np
 
 from firmware_sim.physics.effects.actuator import History
 from firmware_sim.physics.effects.base import Effect, Sensed
-from firmware_sim.physics.maths import State
+from firmware_sim.physics.maths import State, Value
 
 if TYPE_CHECKING:
     from firmware_sim.physics.motion import Motion
 
 
-class _SensorEffect(Effect):
+class SensorEffect(Effect):
+    """An instrument that shows something else than the motion."""
+
     group = "sensor"
 
 
-class VaneScale(_SensorEffect):
+class LaggedSensor(SensorEffect):
+    """An instrument that follows the motion with a first-order lag of `size` s. channel: of `Sensed`."""
+
+    states = 1
+    channel: ClassVar[str]
+
+    def truth(self, m: "Motion") -> Value:
+        """What it follows."""
+        value: Value = getattr(m, self.channel)
+        return value
+
+    def start(self, m: "Motion", x: State) -> None:
+        x[self.at] = self.truth(m)
+
+    def derivatives(self, m: "Motion", x: State, dx: State) -> None:
+        dx[self.at] = (self.truth(m) - x[self.at]) / self.xp.maximum(self.size, 1e-3)
+
+    def sense(self, s: Sensed, m: "Motion", x: State) -> None:
+        setattr(s, self.channel, getattr(s, self.channel) + (x[self.at] - self.truth(m)))
+
+
+class VaneScale(SensorEffect):
     """The sideslip vane reads too much by a fraction, the linkage's or the sidewash's."""
 
     name, title, unit, typical = "beta_scale", "sideslip vane scale", "1", 0.08
@@ -29,7 +52,7 @@ class VaneScale(_SensorEffect):
         s.beta = s.beta * (1.0 + self.size)
 
 
-class VaneBias(_SensorEffect):
+class VaneBias(SensorEffect):
     """The sideslip vane is turned on its mount."""
 
     name, title, unit, typical = "beta_bias", "sideslip vane bias", "rad", 0.006
@@ -39,23 +62,14 @@ class VaneBias(_SensorEffect):
         s.beta = s.beta + self.size
 
 
-class VaneLag(_SensorEffect):
+class VaneLag(LaggedSensor):
     """A heavy or damped vane: first-order lag of `size` s."""
 
     name, title, unit, typical = "beta_lag", "sideslip vane lags", "s", 0.08
-    states = 1
-
-    def start(self, m: "Motion", x: State) -> None:
-        x[self.at] = m.beta
-
-    def derivatives(self, m: "Motion", x: State, dx: State) -> None:
-        dx[self.at] = (m.beta - x[self.at]) / self.xp.maximum(self.size, 1e-3)
-
-    def sense(self, s: Sensed, m: "Motion", x: State) -> None:
-        s.beta = s.beta + (x[self.at] - m.beta)
+    channel = "beta"
 
 
-class VanePosition(_SensorEffect):
+class VanePosition(SensorEffect):
     """The vanes stand `size` m ahead of where they are believed to be: yaw and pitch rates add to the local flow."""
 
     name, title, unit, typical = "vane_position", "vanes ahead of their place", "m", 0.35
@@ -65,7 +79,7 @@ class VanePosition(_SensorEffect):
         s.alpha = s.alpha - self.size * m.q / m.V
 
 
-class AccelerometerAboveCg(_SensorEffect):
+class AccelerometerAboveCg(SensorEffect):
     """The accelerometer sits `size` m below the CG (+z), uncorrected: it feels rolling and pitching accelerations."""
 
     name, title, unit, typical = "imu_lever_arm", "accelerometer away from the CG", "m", 0.08
@@ -77,7 +91,7 @@ class AccelerometerAboveCg(_SensorEffect):
         s.az = s.az - (m.p * m.p + m.q * m.q) * z
 
 
-class GyroMisalignment(_SensorEffect):
+class GyroMisalignment(SensorEffect):
     """The gyro is turned about the pitch axis by `size` rad: it mixes roll and yaw rate."""
 
     name, title, unit, typical = "gyro_misalignment", "gyro turned in its mount", "rad", 0.03
@@ -87,7 +101,7 @@ class GyroMisalignment(_SensorEffect):
         s.p, s.r = c * s.p - n * s.r, c * s.r + n * s.p
 
 
-class GyroScale(_SensorEffect):
+class GyroScale(SensorEffect):
     """The roll gyro reads too much by a fraction."""
 
     name, title, unit, typical = "gyro_scale", "roll gyro scale", "1", 0.03
@@ -96,7 +110,7 @@ class GyroScale(_SensorEffect):
         s.p = s.p * (1.0 + self.size)
 
 
-class AttitudeLag(_SensorEffect):
+class AttitudeLag(SensorEffect):
     """The attitude filter follows bank and pitch with a first-order lag of `size` s."""
 
     name, title, unit, typical = "attitude_lag", "attitude lags", "s", 0.10
@@ -120,7 +134,7 @@ class AttitudeLag(_SensorEffect):
         s.theta = s.theta + (x[self.at + 1] - theta)
 
 
-class AirspeedScale(_SensorEffect):
+class AirspeedScale(SensorEffect):
     """The pitot tube stands in disturbed air: speed too high by a fraction."""
 
     name, title, unit, typical = "airspeed_scale", "airspeed scale", "1", 0.05
@@ -129,7 +143,7 @@ class AirspeedScale(_SensorEffect):
         s.V = s.V * (1.0 + self.size)
 
 
-class InertialUnitLate(_SensorEffect):
+class InertialUnitLate(SensorEffect):
     """Rates and accelerations come `size` s late: buffered somewhere before they are stamped."""
 
     name, title, unit, typical = "time_skew", "inertial channels late", "s", 0.07

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_sim.hardware.instruments import GRID_S, HISTORY_S, TruthSource
+from firmware_sim.hardware.sensing.instruments import GRID_S, HISTORY_S, TruthSource
 from firmware_sim.world.truth import TRUTH_COLUMNS, Truth
 
 _TIME = TRUTH_COLUMNS.index("time")

@@ -9,7 +9,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_sim.hardware.sensor_models import (
+from firmware_sim.hardware.sensing.sensor_models import (
     Matrix,
     PotentiometerModel,
     SensorModels,

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_sim.hardware.registers.chip import Inputs
-from firmware_sim.hardware.sensor_models import NAU7802_GAIN, SensorModels, TriadModel, VaneModel
-from firmware_sim.hardware.signals import AT, SIGNALS
-from firmware_sim.hardware.units import individual
+from firmware_sim.hardware.sensing.sensor_models import NAU7802_GAIN, SensorModels, TriadModel, VaneModel
+from firmware_sim.hardware.sensing.signals import AT, SIGNALS
+from firmware_sim.hardware.sensing.units import individual
 from firmware_sim.world.truth import Truth
 
 Array = NDArray[np.float64]

@@ -8,8 +8,8 @@ the speed of the line.
 import math
 from collections.abc import Callable
 
-from firmware_sim.hardware.instruments import Instruments
 from firmware_sim.hardware.registers.ublox import Fix, Ublox
+from firmware_sim.hardware.sensing.instruments import Instruments
 
 BAUD = 115_200
 _SECOND_NS = 1_000_000_000

@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 
 from firmware_sim.errors import ScenarioError
 from firmware_sim.hardware.bus import BusModel
-from firmware_sim.hardware.signals import SIGNALS
+from firmware_sim.hardware.sensing.signals import SIGNALS
 
 Vector = tuple[float, float, float]
 Matrix = tuple[Vector, Vector, Vector]

@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from firmware_sim.hardware.instruments import REFERENCE_TEMPERATURE
 from firmware_sim.hardware.registers.bmp390 import calibration_bytes
 from firmware_sim.hardware.registers.ms4525do import PA_PER_PSI
-from firmware_sim.hardware.sensor_models import PotentiometerModel, SensorModels, TriadModel, VaneModel
-from firmware_sim.hardware.units import individual
+from firmware_sim.hardware.sensing.instruments import REFERENCE_TEMPERATURE
+from firmware_sim.hardware.sensing.sensor_models import PotentiometerModel, SensorModels, TriadModel, VaneModel
+from firmware_sim.hardware.sensing.units import individual
 from firmware_sim.world.truth import PULSE_CENTRE_US, PULSE_PER_RAD_US
 
 PA_PER_COUNT = 2.0 * PA_PER_PSI / (0.8 * 16383.0)

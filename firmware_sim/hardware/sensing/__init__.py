@@ -1,0 +1,1 @@
+"""What each instrument sees of the simulated aircraft, before its chip puts it into registers."""
