@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from daq.contract.channel_rows import RAW_LIMITS
 from daq.contract.channels import CHANNEL_BY_NAME, COLUMNS
 from daq.contract.scan import Scan
-from groundstation.calibration import air_data, curves, inertial
 from groundstation.calibration.account import account
 from groundstation.calibration.align import COMPLETE, completeness, hold, to_scan_time, undo_lag
 from groundstation.calibration.columns import GNSS, Columns
-from groundstation.calibration.direct import direct_columns
+from groundstation.calibration.conversions import air_data, curves, inertial
+from groundstation.calibration.conversions.direct import direct_columns
 from groundstation.calibration.errors import CalibrationError
 from groundstation.calibration.facts import Facts
 from groundstation.calibration.readings import Readings

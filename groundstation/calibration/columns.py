@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.contract.channels import CHANNEL_BY_NAME
-from groundstation.calibration import air_data, flow, inertial
 from groundstation.calibration.align import derivative
-from groundstation.calibration.direct import direct_columns
+from groundstation.calibration.conversions import air_data, flow, inertial
+from groundstation.calibration.conversions.direct import direct_columns
 from groundstation.calibration.scan_table import ScanTable
 from groundstation.calibration.schema import Attitude, CalibrationSet, Vector
 

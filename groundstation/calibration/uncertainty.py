@@ -5,8 +5,8 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.calibration import curves
-from groundstation.calibration.direct import direct_columns
+from groundstation.calibration.conversions import curves
+from groundstation.calibration.conversions.direct import direct_columns
 from groundstation.calibration.schema import CalibrationSet, Curve, Instrument
 
 Array = NDArray[np.float64]

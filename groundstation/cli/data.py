@@ -184,8 +184,8 @@ def bench(
     Example: sideslip bench bench/vanes --plan bench/vanes.toml -o calibration/
     """
     from daq.contract.recordings.reading import read_recording
-    from groundstation.calibration.bench import fit_bench, fitted_set
-    from groundstation.calibration.plan import load_plan
+    from groundstation.calibration.bench_work.bench import fit_bench, fitted_set
+    from groundstation.calibration.bench_work.plan import load_plan
     from groundstation.calibration.recording import embedded_calibration
     from groundstation.calibration.schema import load_calibration
 

@@ -15,6 +15,7 @@ from daq.contract.durable import make_directories
 from daq.contract.outputs import tried_file, tried_folder
 
 if TYPE_CHECKING:
+    from groundstation.identification.aircraft import AircraftSource
     from groundstation.live.config import GroundConfig
     from groundstation.live.handover import Handover
     from groundstation.live.replay import Replay
@@ -27,10 +28,17 @@ _VIEW_HELP = "Show it in the browser, in rerun's own window, or not at all."
 
 
 @click.command(epilog="Example: sideslip ground ground.toml --view web --json session.json")
-@click.argument("config", type=click.Path(path_type=Path))
+@click.argument("config", type=click.Path(path_type=Path), required=False)
 @click.option("--replay", type=click.Path(path_type=Path), help="Play a .tlog or a recording instead of listening.")
 @click.option("--speed", default="1", show_default=True, help="Of the replay: recorded seconds a second, or max.")
 @click.option("--view", "window", type=VIEW, default="none", show_default=True, help=_VIEW_HELP)
+@click.option(
+    "--layout",
+    type=click.Choice(["full", "light"]),
+    help="Of the view: light for a browser that lags  [default: full].",
+)
+@click.option("--aircraft", help="Name or file, for live identification  [default: the one the recording names].")
+@click.option("--watch", "watched", is_flag=True, help="Say when the aircraft no longer flies as its file believes.")
 @click.option("--estimate", "with_estimate", is_flag=True, help="Estimate parameters from the finished flight.")
 @click.option(
     "--out",
@@ -46,11 +54,16 @@ _VIEW_HELP = "Show it in the browser, in rerun's own window, or not at all."
     help="Write the counters of the session as JSON.",
 )
 @click.option("--duration", type=float, help="End after this many seconds.")
+@click.pass_obj
 def ground(
-    config: Path,
+    source: "AircraftSource | None",
+    config: Path | None,
     replay: Path | None,
     speed: str,
     window: str,
+    layout: str | None,
+    aircraft: str | None,
+    watched: bool,
     with_estimate: bool,
     out: Path | None,
     json_path: Path | None,
@@ -58,17 +71,18 @@ def ground(
 ) -> int:
     """Receive, decode, calibrate, show live, record, watch limits, and hand finished flights over.
 
-    CONFIG is a TOML file (see docs/ground.md). Ctrl-C ends the session and writes the flight. While it runs, typed words
+    CONFIG is a TOML file (see docs/ground.md); without one the usual ports are listened to: UDP 14550 of this computer, and
+    telemetry radios on USB at 57600 baud. Ctrl-C ends the session and writes the flight. While it runs, typed words
     command the aircraft: help lists them.
     """
-    from groundstation.live.config import load_ground_config
+    from groundstation.live.config import configured
     from groundstation.live.replay import Replay, parse_speed, replay_into
 
-    settings = load_ground_config(config)
+    settings = configured(config, layout, aircraft, watched)
     folder = out or _session_folder(settings)
     with _views(settings, window) as views:
-        source = Replay()
-        station = _station(settings, folder, views, source if replay is not None else None, replay)
+        player = Replay()
+        station = _station(settings, folder, views, player if replay is not None else None, replay, source)
         click.echo(
             f"session {folder}; {'replaying ' + str(replay) if replay else 'listening on ' + ', '.join(settings.link.ports)}"
         )
@@ -76,7 +90,7 @@ def ground(
         try:
             with _terminated_is_interrupt():
                 if replay is not None:
-                    replay_into(station, source, replay, parse_speed(speed))
+                    replay_into(station, player, replay, parse_speed(speed))
                 else:
                     _listen(station, settings, duration, views)
         except KeyboardInterrupt:
@@ -96,10 +110,13 @@ def ground(
 def _conclude(station: "Station", handed: list["Handover"], json_path: Path | None) -> None:
     """Say what the session has left, and write its counters."""
     from groundstation.cli.data import write_json
+    from groundstation.identification.history import alarmed
 
     for flight in handed:
         for line in flight.lines():
             click.echo(line)
+        if alarmed(flight.flight.provenance.detail):
+            click.echo(f"  the gap monitor gave alarms; next: sideslip gap {flight.manoeuvres_path or flight.path}")
     summary = station.receiver.summary()
     summary["flight"] = str(handed[0].path) if handed else None
     summary["flights"] = [str(h.path) for h in handed]
@@ -146,7 +163,12 @@ def _terminated_is_interrupt() -> Iterator[None]:
 
 
 def _station(
-    settings: "GroundConfig", folder: Path, views: "SessionViews | None", replay: "Replay | None", played: Path | None
+    settings: "GroundConfig",
+    folder: Path,
+    views: "SessionViews | None",
+    replay: "Replay | None",
+    played: Path | None,
+    source: "AircraftSource | None",
 ) -> "Station":
     from groundstation.live.config import GroundConfigError
     from groundstation.live.station import Station
@@ -167,10 +189,10 @@ def _station(
         # A recording does not come over a link: there is nothing to keep of it.
         kept = folder if played is not None and played.suffix == ".tlog" else None
         receiver = Receiver(quiet, {"replay": replay.port}, replay.clock, folder=kept)
-        return Station(settings, receiver, replay.clock, folder, make_view=make_view, echo=click.echo)
+        return Station(settings, receiver, replay.clock, folder, make_view=make_view, echo=click.echo, aircraft=source)
     system = SystemClock()
     receiver = Receiver.open(settings.link, system, folder=folder)
-    return Station(settings, receiver, system, folder, make_view=make_view, echo=click.echo)
+    return Station(settings, receiver, system, folder, make_view=make_view, echo=click.echo, aircraft=source)
 
 
 @contextmanager
@@ -220,7 +242,10 @@ def _finish(station: "Station", settings: "GroundConfig", folder: Path) -> list[
 
     handed = []
     if station.replayed is not None:
-        handed.append(hand_over(station.replayed, folder, origin=f"replay of {station.replayed}"))
+        identified = None if station.replayed_as is None else station.identifications.kept(station.replayed_as)
+        handed.append(
+            hand_over(station.replayed, folder, origin=f"replay of {station.replayed}", identified=identified)
+        )
     sessions = [(s, r) for s, r in station.receiver.session_recorders().items() if r.path.is_file()]
     sessions.sort(key=lambda pair: pair[1].path.stat().st_size, reverse=True)
     for number, (session, recorder) in enumerate(sessions):
@@ -231,7 +256,14 @@ def _finish(station: "Station", settings: "GroundConfig", folder: Path) -> list[
         )
         try:
             handed.append(
-                hand_over(source, folder, origin=origin, fallback_calibration=settings.calibration.directory, name=name)
+                hand_over(
+                    source,
+                    folder,
+                    origin=origin,
+                    fallback_calibration=settings.calibration.directory,
+                    name=name,
+                    identified=station.identifications.kept(session),
+                )
             )
         except HandoverError as error:
             click.echo(f"{session.name}: {error}")

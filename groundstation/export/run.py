@@ -85,9 +85,10 @@ def _export_counts(file: Path, out: Path, units_row: bool) -> Exported:
 
 
 def _write_table(flight: Flight, out: Path, units_row: bool) -> list[str]:
+    from groundstation.export.timescale import with_utc
     from groundstation.flight.tables import flight_table
 
-    return _write(flight_table(flight), out, units_row)
+    return _write(with_utc(flight_table(flight), flight), out, units_row)
 
 
 def _write(table: "Table", out: Path, units_row: bool) -> list[str]:

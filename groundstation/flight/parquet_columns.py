@@ -6,7 +6,7 @@ gigabytes: rows and the size that each page claims are looked at before Arrow re
 """
 
 import io
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from daq.contract.errors import UserError
 from daq.contract.input_files import read_bytes
+from groundstation.flight.thrift import ThriftReader
 
 Array = NDArray[np.float64]
 
@@ -27,6 +28,8 @@ LARGEST_PAGE = 2**26
 """Bytes of a page when unpacked; writers make pages of 1 MB."""
 MOST_COLUMNS = 4096
 """Of a table; a PX4 log with all its topics has some 3,000."""
+MOST_VALUES = 1_000_000
+"""Of a footer, or one for 16 bytes of the file where that is more: ten row groups of 3,000 columns; a second or two."""
 _MOST_SCHEMA = 100_000  # elements of a list in the footer
 _LONGEST_TEXT = 2**24  # bytes of a text in the footer
 
@@ -58,12 +61,14 @@ def read_parquet(
         file = pq.ParquetFile(io.BytesIO(data), **limits)
         out = ParquetColumns(footer=dict(file.schema_arrow.metadata or {}))
         _check_size(path, file.metadata, len(file.schema_arrow), len(data), error)
-        plain = {file.schema.column(i).path: i for i in range(len(file.schema))}
+        plain: dict[str, list[_Chunk]] = {}
+        for i, chunks in enumerate(_chunks(data, len(file.schema))):
+            plain.setdefault(file.schema.column(i).path, []).extend(chunks)
         for item in file.schema_arrow:
             if item.name not in plain or pa.types.is_nested(item.type):
                 out.words[item.name] = []
                 continue
-            _check_pages(path, data, file.metadata, plain[item.name], error)
+            _check_pages(path, data, item.name, plain[item.name], error)
             text = pa.types.is_string(item.type) or pa.types.is_large_string(item.type)
             reader = pq.ParquetFile(io.BytesIO(data), read_dictionary=[item.name], **limits) if text else file
             _keep(out, item.name, reader.read(columns=[item.name]).column(0), wanted(item.name))
@@ -128,83 +133,60 @@ def _cells(words: list[str], column: Any) -> list[str]:
     return [shown[len(words) if i is None else i] for chunk in column.chunks for i in chunk.indices.to_pylist()]
 
 
-def _check_pages(path: Path, data: bytes, metadata: Any, column: int, error: type[UserError]) -> None:
+@dataclass(frozen=True)
+class _Chunk:
+    """Where the pages of a column in a row group stand, by the footer."""
+
+    first: int
+    end: int
+
+
+def _chunks(data: bytes, columns: int) -> list[list[_Chunk]]:
+    """Of each row group in each of so many plain columns, in the order of the schema: Arrow goes by it, not by the names
+    that the row groups repeat (parquet.thrift, `FileMetaData`, `RowGroup`, `ColumnChunk`, `ColumnMetaData`).
+
+    Raises ValueError where the footer is none.
+    """
+    at = len(data) - 8 - int.from_bytes(data[-8:-4], "little")
+    footer = ThriftReader(data, at, max(MOST_VALUES, len(data) // 16)).struct()
+    groups = [[_chunk(column, len(data)) for column in _structs(group.get(1))] for group in _structs(footer.get(4))]
+    if any(len(group) != columns for group in groups):
+        raise ValueError("a row group has not one chunk for each column")
+    return [[group[i] for group in groups] for i in range(columns)]
+
+
+def _chunk(column: dict[int, Any], size: int) -> _Chunk:
+    meta = column.get(3)
+    if not isinstance(meta, dict):
+        raise ValueError("a column without a description")
+    first, dictionary, packed = meta.get(9), meta.get(11, 0), meta.get(7)
+    if not isinstance(first, int) or not isinstance(dictionary, int) or not isinstance(packed, int):
+        raise ValueError("a column without a place in the file")
+    if 0 < dictionary < first:
+        first = dictionary
+    if not 0 < first <= size or packed < 0:
+        raise ValueError(f"a column at byte {first} of {size}")
+    return _Chunk(first, min(first + packed, size))
+
+
+def _structs(value: Any) -> list[dict[int, Any]]:
+    if not isinstance(value, list) or not all(isinstance(v, dict) for v in value):
+        raise ValueError("a footer that is none")
+    return value
+
+
+def _check_pages(path: Path, data: bytes, name: str, chunks: list[_Chunk], error: type[UserError]) -> None:
     """Raise `error` when a page of a column would unpack to more than LARGEST_PAGE."""
-    for group in range(metadata.num_row_groups):
-        chunk = metadata.row_group(group).column(column)
-        starts = [o for o in (chunk.dictionary_page_offset, chunk.data_page_offset) if o]
-        at = min(starts, default=0)
-        end = min(at + chunk.total_compressed_size, len(data))
-        while 0 < at < end:
-            header = _PageHeader(data, at)
-            if not 0 <= header.unpacked <= LARGEST_PAGE or header.packed < 0:
+    for chunk in chunks:
+        at = chunk.first
+        while at < chunk.end:
+            reader = ThriftReader(data, at)
+            header = reader.struct()
+            unpacked, packed = header.get(2), header.get(3)
+            if not isinstance(unpacked, int) or not isinstance(packed, int):
+                raise ValueError(f"column {name}: a page without a size")
+            if not 0 <= unpacked <= LARGEST_PAGE or packed < 0:
                 raise error(
-                    f"{path}: column {chunk.path_in_schema}: a page of {header.unpacked} bytes unpacked; at most {LARGEST_PAGE} "
-                    "are read"
+                    f"{path}: column {name}: a page of {unpacked} bytes unpacked; at most {LARGEST_PAGE} are read"
                 )
-            at = header.end + header.packed
-
-
-class _PageHeader:
-    """Sizes in the header of a page, Thrift compact protocol. Raises ValueError where there is none."""
-
-    def __init__(self, data: bytes, at: int) -> None:
-        self._data = data
-        self.end = at
-        self.unpacked = self.packed = -1
-        for number, kind in self._fields():
-            if number == 2 and kind == 5:
-                self.unpacked = self._signed()
-            elif number == 3 and kind == 5:
-                self.packed = self._signed()
-            else:
-                self._skip(kind, 8)
-
-    def _fields(self) -> Iterator[tuple[int, int]]:
-        """Number and type of each field of a struct; the reader takes its value."""
-        number = 0
-        while (head := self._byte()) != 0:
-            number = number + (head >> 4) if head >> 4 else self._signed()
-            yield number, head & 15
-
-    def _byte(self) -> int:
-        if self.end >= len(self._data):
-            raise ValueError("a page header runs out of the file")
-        self.end += 1
-        return self._data[self.end - 1]
-
-    def _varint(self) -> int:
-        value = 0
-        for shift in range(0, 70, 7):
-            byte = self._byte()
-            value |= (byte & 127) << shift
-            if byte < 128:
-                return value
-        raise ValueError("a page header holds a number without end")
-
-    def _signed(self) -> int:
-        value = self._varint()
-        return value >> 1 ^ -(value & 1)
-
-    def _skip(self, kind: int, depth: int) -> None:
-        """Pass over a value: 1, 2 booleans, 3 byte, 4 to 6 integers, 7 double, 8 binary, 9, 10 lists, 12 struct."""
-        if kind == 3:
-            self._byte()
-        elif kind in (4, 5, 6):
-            self._varint()
-        elif kind == 7:
-            self.end += 8
-        elif kind == 8:
-            length = self._varint()
-            self.end += length
-        elif kind in (9, 10) and depth:
-            head = self._byte()
-            for _ in range(head >> 4 if head >> 4 < 15 else self._varint()):
-                self._skip(head & 15, depth - 1)
-                if head & 15 in (1, 2):
-                    self._byte()
-        elif kind == 12 and depth:
-            for _, inner in self._fields():
-                self._skip(inner, depth - 1)
-        elif kind not in (1, 2):
-            raise ValueError("a page header that is none")
+            at = reader.end + packed

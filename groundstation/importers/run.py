@@ -20,11 +20,11 @@ from groundstation.flight.notes import Note, unknown_columns
 from groundstation.flight.plausibility import suspicions
 from groundstation.importers.endings import LOGS, TABLES
 from groundstation.importers.errors import ImportDataError
+from groundstation.importers.formats.tables import RECORD
 from groundstation.importers.join import joined
 from groundstation.importers.mapping import EXAMPLE, FileFormat, Map, Source, built_in_map, load_map
 from groundstation.importers.series import Log, Series, credible, grid, native_rate, resample
 from groundstation.importers.servos import with_servos
-from groundstation.importers.tables import RECORD
 from groundstation.importers.units import conversion, find_unit, known_units
 
 Array = NDArray[np.float64]
@@ -138,11 +138,11 @@ def _read_with_package(path: Path, given: Map | None) -> tuple[Log, Map]:
 
 
 def _read_tables(path: Path, given: Map | None) -> list[tuple[Log, Map]]:
-    from groundstation.importers.tables import header_map, read_table, table_log
+    from groundstation.importers.formats.tables import header_map, read_table, table_log
 
     layout = given.file if given else FileFormat()
     if path.suffix.lower() == ".mat":
-        from groundstation.importers.matlab import read_matlab
+        from groundstation.importers.formats.matlab import read_matlab
 
         tables = read_matlab(path, layout)
     else:
@@ -157,19 +157,19 @@ def _read_tables(path: Path, given: Map | None) -> list[tuple[Log, Map]]:
 
 
 def _ulog(path: Path) -> Log:
-    from groundstation.importers.ulog import read_ulog
+    from groundstation.importers.formats.ulog import read_ulog
 
     return read_ulog(path)
 
 
 def _dataflash(path: Path) -> Log:
-    from groundstation.importers.dataflash import read_dataflash
+    from groundstation.importers.formats.dataflash import read_dataflash
 
     return read_dataflash(path)
 
 
 def _tlog(path: Path) -> Log:
-    from groundstation.importers.tlog import read_tlog
+    from groundstation.importers.formats.tlog import read_tlog
 
     return read_tlog(path)
 

@@ -36,7 +36,7 @@ class Log:
     """What a foreign file holds: series by name, all on one clock [s].
 
     common: whether all series share one time column (a table), so that nothing needs to be interpolated. units: of series whose
-    file states one, as it spells them.
+    file states one, as it spells them. parameters: the autopilot's own, as the log last states them.
     """
 
     kind: str
@@ -46,6 +46,7 @@ class Log:
     text_columns: tuple[str, ...] = ()
     detail: Mapping[str, str] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
+    parameters: Mapping[str, float] = field(default_factory=dict)
 
     def extended(self, series: Mapping[str, Series], units: Mapping[str, str]) -> "Log":
         """The same with further series."""

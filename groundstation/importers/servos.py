@@ -2,7 +2,7 @@
 
 [servos.elevon_left]
 column = "RCOU.C1"
-trim = 1520                               # output at which the surface stands at zero
+trim = 1520                               # output at which the surface stands at zero; SERVO1_TRIM of the log if left out
 travel = [[1100, -22.5], [1900, 25.0]]    # output and deflection at either end, measured on the aircraft
 unit = "deg"
 lag = 0.05                                # optional: first-order lag of the servo [s]
@@ -11,6 +11,8 @@ A mapping then uses the deflection [rad] as a column `servo.elevon_left`: alone,
 """
 
 import math
+import re
+from dataclasses import replace
 from typing import Annotated
 
 import numpy as np
@@ -23,6 +25,10 @@ from groundstation.importers.units import conversion
 PREFIX = "servo."
 BEYOND = 0.5
 """Outputs further outside the travel than this share of it are no position: autopilots write 0 (or 65535) for 'off'."""
+SAME_TRIM_US = 5.0
+"""Trims closer than this [us] are the same: half a degree of a usual servo."""
+_OUTPUT = re.compile(r"(?:RCOU\.C|SERVO_OUTPUT_RAW\.servo)(\d+)(?:_raw)?")
+"""Outputs of ArduPilot, numbered as its parameters SERVOn_TRIM, _MIN, _MAX. PX4's trims are shares of travel, no pulses."""
 LARGEST_DEFLECTION = math.radians(90.0)
 
 _Number = Annotated[float, Field(ge=-1e6, le=1e6)]
@@ -34,7 +40,7 @@ class Servo(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     column: str
-    trim: _Number
+    trim: _Number | None = None
     travel: tuple[tuple[_Number, _Number], tuple[_Number, _Number]]
     unit: str
     lag: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
@@ -46,7 +52,7 @@ class Servo(BaseModel):
         except ImportDataError as error:
             raise ValueError(str(error).removeprefix("column servo: ")) from error
         (low, at_low), (high, at_high) = self.travel
-        if not low < self.trim < high:
+        if self.trim is not None and not low < self.trim < high:
             raise ValueError(f"trim {self.trim:g} does not lie between the ends of the travel, {low:g} and {high:g}")
         if at_low * at_high >= 0.0:
             raise ValueError("travel: the deflections at its ends must be of either sign, zero being at trim")
@@ -56,28 +62,65 @@ class Servo(BaseModel):
             )
         return self
 
-    def deflection(self, output: Array) -> Array:
+    def deflection(self, output: Array, trim: float) -> Array:
         """(N,) [rad]; NaN where the output is no position. Beyond the travel the line goes on: a servo does, too."""
         scale, _ = conversion(self.unit, "servo", "rad")
         (low, at_low), (high, at_high) = self.travel
-        below, above = at_low / (low - self.trim), at_high / (high - self.trim)
-        value = np.where(output < self.trim, below, above) * (output - self.trim) * scale
+        below, above = at_low / (low - trim), at_high / (high - trim)
+        value = np.where(output < trim, below, above) * (output - trim) * scale
         reach = BEYOND * (high - low)
         with np.errstate(invalid="ignore"):
             return np.where((output >= low - reach) & (output <= high + reach), value, np.nan)
 
 
+def parameter_of(output: str, ending: str) -> str | None:
+    """The autopilot's parameter of a servo output, as `SERVO1_TRIM` of `RCOU.C1`; None for an output that has none."""
+    found = _OUTPUT.fullmatch(output)
+    return f"SERVO{found[1]}_{ending}" if found else None
+
+
 def with_servos(log: Log, servos: dict[str, Servo]) -> tuple[Log, tuple[str, ...]]:
-    """The log with a series `servo.NAME` [rad] for each servo whose output is in it; and the names of the others' columns."""
+    """The log with a series `servo.NAME` [rad] for each servo whose output is in it; and the names of the others' columns.
+
+    Raises ImportDataError where the trim of a servo is neither in the mapping nor among the parameters of the log.
+    """
     made = {PREFIX + n: s for n, s in servos.items() if s.column in log.series}
-    series = {name: _moved(log.series[s.column], s) for name, s in made.items()}
+    series, notes = {}, []
+    for name, servo in made.items():
+        trim, note = _trim(name.removeprefix(PREFIX), servo, log)
+        series[name] = _moved(log.series[servo.column], servo, trim)
+        notes += [note] if note else []
     absent = tuple(s.column for n, s in servos.items() if PREFIX + n not in made)
     units = {**log.units, **dict.fromkeys(series, "rad")}
-    return log.extended(series, units), absent
+    return replace(log.extended(series, units), notes=(*log.notes, *notes)), absent
 
 
-def _moved(output: Series, servo: Servo) -> Series:
-    angle = servo.deflection(output.values)
+def _trim(name: str, servo: Servo, log: Log) -> tuple[float, str | None]:
+    """The output at which the surface stands at zero, and what is to be told of it."""
+    parameter = parameter_of(servo.column, "TRIM")
+    logged = log.parameters.get(parameter) if parameter else None
+    if servo.trim is not None:
+        if logged is None or abs(logged - servo.trim) <= SAME_TRIM_US:
+            return servo.trim, None
+        return servo.trim, (
+            f"servo {name}: the mapping says trim {servo.trim:g}, the log's own {parameter} is {logged:g}; the mapping's is used"
+        )
+    (low, _), (high, _) = servo.travel
+    if logged is None:
+        where = (
+            f" and the log has no {parameter}" if parameter else f" and {servo.column} has no parameter that says it"
+        )
+        raise ImportDataError(f"[servos.{name}] has no trim{where}; add trim = the output at zero deflection")
+    if not low < logged < high:
+        raise ImportDataError(
+            f"[servos.{name}]: {parameter} of the log, {logged:g}, does not lie between the ends of the travel, "
+            f"{low:g} and {high:g}; correct the travel or add trim = the output at zero deflection"
+        )
+    return logged, f"servo {name}: zero deflection at {logged:g}, by {parameter} of the log"
+
+
+def _moved(output: Series, servo: Servo, trim: float) -> Series:
+    angle = servo.deflection(output.values, trim)
     return Series(output.time, _lagged(output.time, angle, servo.lag) if servo.lag else angle)
 
 

@@ -1,6 +1,6 @@
 """One aircraft on the ground station: calibrates what comes in, shows it, watches limits, and knows when it has landed.
 
-A desk is told what happened, in order; it never waits, and the view it feeds drops pictures rather than delay it.
+A monitor is told what happened, in order; it never waits, and the view it feeds drops pictures rather than delay it.
 """
 
 import math
@@ -12,29 +12,34 @@ from daq.contract.sequencing import Reason, State
 from groundstation.calibration.apply import Calibrator
 from groundstation.calibration.errors import CalibrationError
 from groundstation.calibration.schema import CalibrationSet
+from groundstation.identification.session import LiveState
 from groundstation.live.alarms import AlarmChange, Alarms, AlarmState
 from groundstation.live.config import GroundConfig
 from groundstation.live.flight_phase import LandingWatch, Phase
+from groundstation.live.readouts import FreshValues, banner, readout_line
 from groundstation.receiver import events as ev
 from groundstation.receiver.legible import legible
 
 IN_FLIGHT_ONLY = ("V", "alpha")
 _SEVERITY = {0: "CRITICAL", 1: "CRITICAL", 2: "CRITICAL", 3: "ERROR", 4: "WARN"}
 STATUS_PERIOD_S = 1.0
+READOUT_PERIOD_S = 0.25  # four times a second: faster nobody reads digits
 
 
 class View(Protocol):
-    """What a desk shows things on."""
+    """What a monitor shows things on."""
 
     def sample(self, time_s: float, values: Mapping[str, float]) -> None: ...
     def states(self, time_s: float, states: Mapping[str, str]) -> None: ...
     def event(self, time_s: float, text: str, level: str = "INFO") -> None: ...
     def quality(self, time_s: float, report: ev.LinkStatistics) -> None: ...
     def status(self, time_s: float, markdown: str) -> None: ...
+    def readouts(self, time_s: float, numbers: str, alarms: str, level: str) -> None: ...
+    def identification(self, state: LiveState) -> None: ...
 
 
-class Desk:
-    """State of one aircraft. `say` gets every line that belongs in the log: (time [s], level, text)."""
+class AircraftMonitor:
+    """State of one aircraft, of MAVLink system id `system`. `say` gets every line for the log: (time [s], level, text)."""
 
     def __init__(
         self,
@@ -42,7 +47,9 @@ class Desk:
         calibration: CalibrationSet,
         view: View | None,
         say: Callable[[float, str, str], None],
+        system: int = 1,
     ) -> None:
+        self.system = system
         self._own = self._calibration = calibration
         self._calibrator = Calibrator(calibration)
         self._view = view
@@ -54,7 +61,8 @@ class Desk:
         self._link: ev.LinkStatistics | None = None
         self._backfill: ev.BackfillProgress | None = None
         self._last_heard_ns: int | None = None
-        self._next_status = -math.inf
+        self._next_status = self._next_readout = -math.inf
+        self._fresh = FreshValues()
         self.time = 0.0
         self.samples = 0
         self.values: dict[str, float] = {}
@@ -63,6 +71,20 @@ class Desk:
     def phase(self) -> Phase:
         """Where in its flight the aircraft is."""
         return self._landing.phase
+
+    @property
+    def calibrator(self) -> Calibrator:
+        """What scans are calibrated with at present."""
+        return self._calibrator
+
+    def note(self, level: str, text: str) -> None:
+        """Say something about this aircraft, in the log and in its view."""
+        self._note(level, text)
+
+    def show_identification(self, state: LiveState) -> None:
+        """Show what is identified by now."""
+        if self._view is not None:
+            self._view.identification(state)
 
     def acknowledge(self) -> None:
         """Clear latched alarms."""
@@ -91,12 +113,22 @@ class Desk:
         if self._view is not None:
             self._view.sample(scan.time, values)
             self._view.states(scan.time, states)
+            self._fresh.update(scan.time, values)
+            if scan.time >= self._next_readout:
+                self._show_readouts(self._view, scan.time)
             if scan.time >= self._next_status:
                 self._next_status = scan.time + STATUS_PERIOD_S
                 self._view.status(scan.time, self.status_page())
         if ended:
             self._note("INFO", "landed: the flight has ended")
         return ended
+
+    def _show_readouts(self, view: View, time: float) -> None:
+        """The numbers of this moment, and what is in alarm."""
+        self._next_readout = time + READOUT_PERIOD_S
+        level, alarms = banner(self._alarms.in_force())
+        link = "" if self._link is None else f"link {self._link.scan_rate_hz:.0f} Hz"
+        view.readouts(time, readout_line(self._fresh.at(time), link), alarms, level)
 
     def _calibrated(self, scan: Scan) -> dict[str, float]:
         """Columns of a scan; with the station's own set from the moment that what came down proves unusable."""
@@ -113,7 +145,10 @@ class Desk:
         """Called often: watches for telemetry that has stopped."""
         if self._last_heard_ns is not None and self.phase is Phase.FLYING:
             quiet = (now_ns - self._last_heard_ns) * 1e-9
-            self._announce(self._alarms.update(self.time + quiet, {"link.silence_s": quiet}))
+            came = self._alarms.update(self.time + quiet, {"link.silence_s": quiet})
+            self._announce(came)
+            if came and self._view is not None:  # no scan comes that would show it
+                self._show_readouts(self._view, self.time + quiet)
 
     def happened(self, event: ev.Event) -> None:
         """Everything that is not a scan."""
@@ -124,6 +159,8 @@ class Desk:
                 self._note("INFO", f"event ({origin}): {text}", at * 1e-9)
             case ev.CommandResult(words=words, accepted=accepted, command=command):
                 self._note("INFO" if accepted else "WARN", f"command {command}: {words}")
+            case ev.ManoeuvreSent(digest=digest, words=words, taken=taken):
+                self._note("INFO" if taken else "WARN", f"manoeuvre {digest[:6]}: {words}")
             case ev.Refused(message=message, why=why, count=count):
                 self._note("WARN", f"refused {count} x {message}: {why}")
             case ev.Doubted(what=what, count=count):

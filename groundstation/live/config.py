@@ -9,6 +9,7 @@ from daq.contract.errors import UserError
 from daq.contract.input_files import read_toml
 from groundstation.live.alarms import Limit
 from groundstation.live.flight_phase import LandingLimits
+from groundstation.live.usual_ports import usual_ports
 from groundstation.receiver.link_config import LinkConfig
 
 
@@ -53,6 +54,19 @@ class HandoverConfig(_Table):
     methods: str = "ml"
 
 
+class IdentificationConfig(_Table):
+    """Live identification. watch: the gap monitor beside it. aircraft: name or file; empty: the one that the recording names or
+    carries. wanted: bound to be reached, one standard deviation, as a share of a derivative. forward: ports that get
+    NAMED_VALUE_FLOAT of each derivative. lines_every_s: time of flight between two lines in the log."""
+
+    enabled: bool = True
+    watch: bool = False
+    aircraft: str = ""
+    wanted: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.05
+    forward: tuple[str, ...] = ()
+    lines_every_s: Annotated[float, Field(gt=0.0)] = 30.0
+
+
 DEFAULT_ALARMS = (
     Limit(channel="V", low=10.0, high=27.0, hysteresis=0.5, hold_s=0.5, level="ERROR", text="airspeed"),
     Limit(channel="alpha", high=0.26, hysteresis=0.02, hold_s=0.3, level="ERROR", text="angle of attack"),
@@ -73,6 +87,7 @@ class GroundConfig(_Table):
     calibration: CalibrationConfig = CalibrationConfig()
     view: ViewConfig = ViewConfig()
     handover: HandoverConfig = HandoverConfig()
+    identification: IdentificationConfig = IdentificationConfig()
     alarms: tuple[Limit, ...] = DEFAULT_ALARMS
 
 
@@ -86,3 +101,24 @@ def load_ground_config(path: Path) -> GroundConfig:
         key = ".".join(str(part) for part in first["loc"])
         more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
         raise GroundConfigError(f"{path}: key {key}: {first['msg']}{more}; correct it or leave it out") from error
+
+
+def configured(
+    path: Path | None, layout: str | None = None, aircraft: str | None = None, watch: bool = False
+) -> GroundConfig:
+    """The configuration of a file; without one the defaults, on the usual ports. layout, aircraft: instead of the configured;
+    watch: in any case.
+
+    Raises GroundConfigError naming file and key.
+    """
+    if path is None:
+        found = GroundConfig(link=LinkConfig(ports=usual_ports()))
+    else:
+        found = load_ground_config(path)
+    changes: dict[str, object] = {} if aircraft is None else {"aircraft": aircraft}
+    changes |= {"watch": True} if watch else {}
+    found = found.model_copy(update={"identification": found.identification.model_copy(update=changes)})
+    if layout is None:
+        return found
+    view = ViewConfig.model_validate({**found.view.model_dump(), "layout": layout})
+    return found.model_copy(update={"view": view})

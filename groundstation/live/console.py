@@ -9,15 +9,19 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+from daq.contract.manoeuvre import ManoeuvreError, load_manoeuvre
+from groundstation.identification.words import lines
 from groundstation.live.station import Station
-from groundstation.receiver.loglist import LogFetcher
+from groundstation.receiver.sending.loglist import LogFetcher
 
 HELP = """\
 status            state of each aircraft, recorder, link and alarms in force
+live              derivatives by now, with their bounds, and what to fly next
 ack               acknowledge alarms that are over
 mark              mark an event in the recording on board
 start | stop      begin or end the recording on board
 fly DIGEST        start the armed manoeuvre (six digits, told when it was armed); signed links only
+send FILE         send a manoeuvre (sideslip design) up to the sequencer; signed links only, the pilot's switch at off
 release           end the manoeuvre under way: the pilot gets the aircraft
 rate HZ           scans a second on the radio; 0: as configured on board
 zero              zero the pitot (refused unless the aircraft is clearly at rest)
@@ -95,7 +99,7 @@ class Console:
             systems = [s for s in systems if s == wanted]
         if not systems:
             self._echo("no such aircraft has been heard")
-        elif len(systems) > 1 and words[:1] not in (["status"], ["ack"]):
+        elif len(systems) > 1 and words[:1] not in (["status"], ["ack"], ["live"]):
             self._echo(f"which aircraft? begin with its number: {', '.join(map(str, systems))}")
         elif not words or not self._known(words, systems):
             self._echo(f"{line!r} is not understood; type help")
@@ -107,10 +111,13 @@ class Console:
         match words:
             case ["status"]:
                 for number in systems:
-                    self._echo(f"aircraft {number}: {self._station.desk(number).status_page()}")
+                    self._echo(f"aircraft {number}: {self._station.monitor(number).status_page()}")
+            case ["live"]:
+                for number in systems:
+                    self._echo_identified(number)
             case ["ack"]:
                 for number in systems:
-                    self._station.desk(number).acknowledge()
+                    self._station.monitor(number).acknowledge()
             case ["mark"]:
                 commander.mark(system)
             case ["start"]:
@@ -121,6 +128,8 @@ class Console:
                 commander.zero_pitot(system)
             case ["fly", digest] if _is_digest(digest):
                 commander.start_manoeuvre(system, digest)
+            case ["send", *_] if len(words) > 1:
+                self._send_manoeuvre(system, " ".join(words[1:]))
             case ["release"]:
                 commander.stop_manoeuvre(system)
             case ["rate", value] if _number(value) is not None:
@@ -135,6 +144,20 @@ class Console:
             case _:
                 return False
         return True
+
+    def _echo_identified(self, system: int) -> None:
+        state = self._station.identifications.state(system)
+        for line in ["nothing is identified yet"] if state is None else lines(state):
+            self._echo(f"aircraft {system}: {line}")
+
+    def _send_manoeuvre(self, system: int, path: str) -> None:
+        try:
+            manoeuvre = load_manoeuvre(path)
+            self._station.receiver.send_manoeuvre(system, manoeuvre)
+        except ManoeuvreError as error:
+            self._echo(str(error))
+            return
+        self._echo(f"aircraft {system}: sending manoeuvre {manoeuvre.digest[:6]}, {manoeuvre.duration_s:.0f} s")
 
     def _fetch(self, system: int, number: int) -> None:
         logs = self._station.receiver.logs(system)

@@ -1,8 +1,9 @@
 """The end of a flight: from recordings to a calibrated, split and checked flight for the estimation package."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from numpy.linalg import LinAlgError
 
@@ -14,6 +15,7 @@ from groundstation.calibration.recording import calibrate_recording
 from groundstation.flight import Flight, FlightError, write_flight
 from groundstation.flight.manoeuvres import Manoeuvre, cut, find_manoeuvres
 from groundstation.flight.quality import Finding, quality_report
+from groundstation.identification.history import DETAIL as LIVE_IDENTIFICATION
 
 
 class HandoverError(UserError):
@@ -55,9 +57,11 @@ def hand_over(
     origin: str,
     fallback_calibration: str = "cdfp",
     name: str = "flight",
+    identified: Mapping[str, Any] | None = None,
 ) -> Handover:
     """Calibrate a raw recording and write `<name>.mcap`, its manoeuvres and a summary into `folder`.
 
+    identified: what was identified live (`LiveIdentifications.kept`), kept in the flight's provenance.
     Raises HandoverError when the recording holds no usable flight.
     """
     try:
@@ -74,6 +78,8 @@ def hand_over(
     findings = quality_report(flight)
     listed = [{"start": m.start, "stop": m.stop, "title": m.title, "kind": m.kind} for m in manoeuvres]
     detail = {**flight.provenance.detail, "manoeuvres": listed, "origin": origin}
+    if identified is not None:
+        detail[LIVE_IDENTIFICATION] = dict(identified)
     flight = replace(flight, name=name, provenance=replace(flight.provenance, detail=detail))
     path = folder / f"{name}.mcap"
     write_flight(flight, path)

@@ -92,7 +92,7 @@ class Replay:
 
 
 def replay_into(station: "Station", source: Replay, path: Path, speed: float | None) -> None:
-    """Play a .tlog as bytes through the decoder, or the scans of a raw recording to the desk.
+    """Play a .tlog as bytes through the decoder, or the scans of a raw recording to the monitor.
 
     Raises ReplayError, TlogError or RecordingError for a file that cannot be played.
     """
@@ -133,17 +133,23 @@ def _replay_recording(station: "Station", path: Path, speed: float | None) -> No
     from daq.contract.recordings.reading import read_recording
     from groundstation.calibration.errors import CalibrationError
     from groundstation.calibration.recording import embedded_calibration
+    from groundstation.receiver.events import Session
 
     recording = read_recording(path, salvage=True)
-    desk = station.desk(SYSTEM)
+    monitor = station.monitor(SYSTEM)
     try:
-        desk.use(embedded_calibration(recording), recording.info.details)
+        monitor.use(embedded_calibration(recording), recording.info.details)
     except CalibrationError:
-        desk.use(station.calibration, recording.info.details)
+        monitor.use(station.calibration, recording.info.details)
+    session = Session(SYSTEM, 0, 0)
+    station.identifications.known(session, recording.info, monitor)
     last: float | None = None
     for scan in recording.scans():
         if last is not None:
             _wait(min(scan.time - last, 1.0), speed)
         last = scan.time
-        desk.scan(scan)
+        monitor.scan(scan)
+        station.identifications.scan(session, scan, monitor)
+        station.identifications.step()
     station.replayed = path
+    station.replayed_as = session

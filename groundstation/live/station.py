@@ -1,12 +1,14 @@
-"""The ground station: receiver, one desk per aircraft, views, and the hand-over at the end of a flight."""
+"""The ground station: receiver, one monitor per aircraft, views, and the hand-over at the end of a flight."""
 
 from collections.abc import Callable
 from pathlib import Path
 
 from groundstation.calibration.errors import CalibrationError
 from groundstation.calibration.schema import CalibrationSet, load_calibration
-from groundstation.live.aircraft_monitor import Desk, View
+from groundstation.identification.aircraft import AircraftSource
+from groundstation.live.aircraft_monitor import AircraftMonitor, View
 from groundstation.live.config import GroundConfig
+from groundstation.live.identifying import LiveIdentifications
 from groundstation.receiver import events as ev
 from groundstation.receiver.legible import legible
 from groundstation.receiver.receive import Receiver
@@ -16,7 +18,10 @@ PAPERS_PERIOD_NS = 2 * NS
 
 
 class Station:
-    """Call `step` often; it never waits. make_view: makes the view of an aircraft, or None when it cannot."""
+    """Call `step` often; it never waits. make_view: makes the view of an aircraft, or None when it cannot.
+
+    aircraft: reads the aircraft files that live identification needs; without it there is none.
+    """
 
     def __init__(
         self,
@@ -27,27 +32,30 @@ class Station:
         *,
         make_view: Callable[[int], View | None] | None = None,
         echo: Callable[[str], None] = lambda _: None,
+        aircraft: AircraftSource | None = None,
     ) -> None:
         self.config, self.receiver, self.folder = config, receiver, folder
         self._clock = clock
         self._make_view = make_view
         self._echo = echo
         self.calibration = load_calibration(config.calibration.directory)
-        self.desks: dict[int, Desk] = {}
+        self.monitors: dict[int, AircraftMonitor] = {}
         self.landed: list[int] = []
         self.replayed: Path | None = None  # a recording that was played instead of received
+        self.replayed_as: ev.Session | None = None
+        self.identifications = LiveIdentifications(config.identification, config.handover.landing, aircraft, self._note)
         self._papers: set[str] = set()
         self._next_papers_ns = 0
         folder.mkdir(parents=True, exist_ok=True)
         self._log = (folder / "events.log").open("a", encoding="utf-8")
 
-    def desk(self, system: int) -> Desk:
-        """The desk of an aircraft, opened when it is first heard."""
-        if system not in self.desks:
+    def monitor(self, system: int) -> AircraftMonitor:
+        """The monitor of an aircraft, opened when it is first heard."""
+        if system not in self.monitors:
             view = None if self._make_view is None else self._make_view(system)
-            self.desks[system] = Desk(self.config, self.calibration, view, self._sayer(system))
+            self.monitors[system] = AircraftMonitor(self.config, self.calibration, view, self._sayer(system), system)
             self._echo(f"aircraft {system} heard")
-        return self.desks[system]
+        return self.monitors[system]
 
     def _sayer(self, system: int) -> Callable[[float, str, str], None]:
         def say(time: float, level: str, text: str) -> None:
@@ -67,9 +75,10 @@ class Station:
         happened = self.receiver.poll()
         for event in happened:
             self._dispatch(event)
+        self.identifications.step()
         now = self._clock.monotonic_ns()
-        for desk in self.desks.values():
-            desk.silence(now)
+        for monitor in self.monitors.values():
+            monitor.silence(now)
         if now >= self._next_papers_ns:
             self._next_papers_ns = now + PAPERS_PERIOD_NS
             self._adopt_calibrations()
@@ -78,21 +87,26 @@ class Station:
     def _dispatch(self, event: ev.Event) -> None:
         match event:
             case ev.ScanReceived(session=session):
-                if self.desk(session.system).scan(event.scan, late=event.late, received_ns=event.received_ns):
+                monitor = self.monitor(session.system)
+                if monitor.scan(event.scan, late=event.late, received_ns=event.received_ns):
                     self.landed.append(session.system)
-            case ev.Contested(system=system) | ev.Doubted(system=system) if system not in self.desks:
+                self.identifications.scan(session, event.scan, monitor)
+            case ev.ScanFetched(session=session, data=data):
+                self.identifications.fetched(session, data, self.monitor(session.system))
+            case ev.Contested(system=system) | ev.Doubted(system=system) if system not in self.monitors:
                 text = event.text if isinstance(event, ev.Contested) else f"not believed: {event.count} {event.what}"
                 who = f"aircraft {system}" if system else "ground station"
                 self._note(f"{'':10}    {who}  WARN {text}")
             case (
                 ev.StatusText(system=system)
                 | ev.CommandResult(system=system)
+                | ev.ManoeuvreSent(system=system)
                 | ev.Refused(system=system)
                 | ev.Contested(system=system)
                 | ev.Doubted(system=system)
             ):
-                if system in self.desks:
-                    self.desks[system].happened(event)
+                if system in self.monitors:
+                    self.monitors[system].happened(event)
             case ev.Heartbeat():
                 pass
             case ev.Trouble(what=what, words=words):
@@ -100,15 +114,18 @@ class Station:
                 self._note(
                     f"{'':10}    ground station  {'INFO' if words is None else 'WARN':<4} {what}: {words or over}"
                 )
-                for desk in self.desks.values():
-                    desk.happened(event)
+                for monitor in self.monitors.values():
+                    monitor.happened(event)
             case _:
-                self.desk(event.session.system).happened(event)
+                self.monitor(event.session.system).happened(event)
 
     def _adopt_calibrations(self) -> None:
         """Once the recording's papers have come down, calibrate with what the aircraft carries."""
         for session, recorder in self.receiver.session_recorders().items():
             info = recorder.info()
+            if info.aircraft and (named := f"{session.name}:{info.aircraft}") not in self._papers:
+                self._papers.add(named)
+                self.identifications.known(session, info, self.monitor(session.system))
             texts = {
                 n: d.decode("utf-8") for n, d in info.calibration.items() if n.endswith(".toml")
             }  # checked on arrival
@@ -118,16 +135,19 @@ class Station:
             self._papers.add(key)
             try:
                 chosen = CalibrationSet.from_texts("embedded", texts) if texts else self.calibration
-                self.desk(session.system).use(chosen, info.details)
+                self.monitor(session.system).use(chosen, info.details)
+                self.identifications.known(session, info, self.monitor(session.system))
             except CalibrationError as error:
-                self.desk(session.system).happened(
+                self.monitor(session.system).happened(
                     ev.StatusText(session.system, 4, f"calibration not usable: {error}", 0)
                 )
 
     def close(self) -> None:
         """Write recordings and close every file and port; what failed is told."""
+        self.identifications.finish()
         self.receiver.close()
         for event in self.receiver.faults.changes(self._clock.monotonic_ns()):
             self._dispatch(event)
+        self.identifications.close()
         with self.receiver.faults.watch("event log"):
             self._log.close()

@@ -14,9 +14,9 @@ from daq.contract.link.wire import SCAN_FAST_ID, SCAN_IDS, ScanPart, join_parts,
 from daq.transport.mavlink_codec import Frame, padded
 from groundstation.receiver import doubts as d
 from groundstation.receiver import events as ev
-from groundstation.receiver.allowance import Allowance
 from groundstation.receiver.continuity import LATE_NS, Held, Line, Proven, Waiting
-from groundstation.receiver.link_accounting import SequenceTracker, SessionBooks
+from groundstation.receiver.link_accounting import SequenceTracker, SessionAccounting
+from groundstation.receiver.ports.allowance import Allowance
 from groundstation.receiver.timeline import NS, ClockSync
 
 _PARTS_KEPT = 64
@@ -44,7 +44,7 @@ class AircraftDecoder:
         self._doubts = doubts or d.Doubts()
         self.trackers: dict[int, SequenceTracker] = {}  # by component
         self.sync = ClockSync()
-        self.sessions: list[SessionBooks] = []
+        self.sessions: list[SessionAccounting] = []
         self.latency_s: float | None = None
         self.scans_since_report = 0
         self.partial_scans = 0
@@ -66,7 +66,7 @@ class AircraftDecoder:
         return max(self.trackers.values(), key=lambda t: t.received)
 
     @property
-    def books(self) -> SessionBooks | None:
+    def books(self) -> SessionAccounting | None:
         """The books of the present session."""
         return self.sessions[-1] if self.sessions else None
 
@@ -110,7 +110,7 @@ class AircraftDecoder:
         elif not (books.line.is_older(part) and part.number in books.received):  # a copy that was long on its way
             self._hold(books, held)
 
-    def _straggled(self, part: ScanPart) -> SessionBooks | None:
+    def _straggled(self, part: ScanPart) -> SessionAccounting | None:
         """The earlier session that a part of another boot is a late one of."""
         if self.books is None or part.boot == self.books.session.boot:
             return None
@@ -120,7 +120,7 @@ class AircraftDecoder:
                 return earlier
         return None
 
-    def _begin(self, held: Held, books: SessionBooks | None) -> None:
+    def _begin(self, held: Held, books: SessionAccounting | None) -> None:
         """The first scan of all, or the first since a report made its session known."""
         if books is None or books.session.boot != held.part.boot:
             if books is not None and not self._restarts.take(1, held.now_ns):
@@ -130,7 +130,7 @@ class AircraftDecoder:
         books.line = Line(held.part, held.now_ns)
         self._believe(books, held)
 
-    def _hold(self, books: SessionBooks, held: Held) -> None:
+    def _hold(self, books: SessionAccounting, held: Held) -> None:
         """Keep a scan that follows nothing, until more of its run have come and none of the known one."""
         proven, given_up = self._waiting.hold(held, self.trackers[held.component].lost)
         self._doubts.note(self.system, d.NUMBERS, given_up)
@@ -150,11 +150,11 @@ class AircraftDecoder:
             return
         self._believe_all(books, proven)
 
-    def _believe_all(self, books: SessionBooks, proven: Proven) -> None:
+    def _believe_all(self, books: SessionAccounting, proven: Proven) -> None:
         for held in proven.parts:
             self._believe(books, held)
 
-    def _believe(self, books: SessionBooks, held: Held) -> None:
+    def _believe(self, books: SessionAccounting, held: Held) -> None:
         part, now_ns = held.part, held.now_ns
         assert books.line is not None
         books.line.advance(part, now_ns)
@@ -202,9 +202,9 @@ class AircraftDecoder:
             if all(p.msg_id != SCAN_FAST_ID for p in parts):
                 self.partial_scans += 1
 
-    def _new_session(self, boot: int, now_ns: int) -> SessionBooks:
+    def _new_session(self, boot: int, now_ns: int) -> SessionAccounting:
         previous = self.sessions[-1].session if self.sessions else None
-        made = SessionBooks(ev.Session(self.system, boot, 0 if previous is None else previous.turn + 1))
+        made = SessionAccounting(ev.Session(self.system, boot, 0 if previous is None else previous.turn + 1))
         self.sessions.append(made)
         if len(self.sessions) > _MAX_SESSIONS:
             self.sessions.pop(0)
@@ -214,7 +214,7 @@ class AircraftDecoder:
         self._out.append(ev.Restarted(made.session, previous, now_ns))
         return made
 
-    def _session(self, boot: int) -> SessionBooks | None:
+    def _session(self, boot: int) -> SessionAccounting | None:
         """The session of a report that carries a boot id; None before a scan of it has come."""
         return next((b for b in reversed(self.sessions) if b.session.boot == boot), None)
 
@@ -289,7 +289,7 @@ class AircraftDecoder:
             books.statistics = found
         self._out.append(found)
 
-    def _claimed(self, boot: int, now_ns: int) -> SessionBooks | None:
+    def _claimed(self, boot: int, now_ns: int) -> SessionAccounting | None:
         """The session that a report of an unknown run speaks of: the first at once, a further one when it is repeated
         while no scan of the known one comes."""
         if self.books is not None:

@@ -33,6 +33,15 @@ class ScanReceived:
 
 
 @dataclass(frozen=True, slots=True)
+class ScanFetched:
+    """A scan came by backfill, in the aircraft's own bytes (`daq.contract.scan.decode_scan`)."""
+
+    session: Session
+    data: bytes
+    received_ns: int
+
+
+@dataclass(frozen=True, slots=True)
 class Heartbeat:
     """An aircraft, ground station or radio is alive."""
 
@@ -161,6 +170,17 @@ class CommandResult:
 
 
 @dataclass(frozen=True, slots=True)
+class ManoeuvreSent:
+    """What became of a manoeuvre sent up from here. taken: the sequencer flies it when it is armed next."""
+
+    system: int
+    digest: str
+    words: str
+    taken: bool
+    received_ns: int
+
+
+@dataclass(frozen=True, slots=True)
 class Refused:
     """Frames that a signing key kept out."""
 
@@ -257,6 +277,7 @@ class Accounting:
 
 Event = (
     ScanReceived
+    | ScanFetched
     | Heartbeat
     | StatusText
     | LoggerStatus
@@ -266,6 +287,7 @@ Event = (
     | LinkStatistics
     | Restarted
     | CommandResult
+    | ManoeuvreSent
     | Refused
     | Doubted
     | Contested

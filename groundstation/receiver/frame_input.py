@@ -10,11 +10,11 @@ from typing import NamedTuple
 
 from daq.transport.mavlink_codec import Frame, FrameDecoder, Junk
 from daq.transport.ports import BytePort, TcpServerPort
-from groundstation.receiver.allowance import Allowance
 from groundstation.receiver.faults import Faults
-from groundstation.receiver.link import receive
+from groundstation.receiver.ports.allowance import Allowance
+from groundstation.receiver.ports.link import receive
+from groundstation.receiver.ports.udp_listener import STRANGERS_AT_ONCE, STRANGERS_PER_S, UdpListener
 from groundstation.receiver.tlog import TlogWriter
-from groundstation.receiver.udp_listener import STRANGERS_AT_ONCE, STRANGERS_PER_S, UdpListener
 
 _MAX_DECODERS = 32
 TELEMETRY_LOG = "telemetry log"
@@ -32,7 +32,7 @@ class Sender(NamedTuple):
         return f"{self.source} on {self.port}" if self.source else self.port
 
 
-class Intake:
+class FrameInput:
     """The receiving side of the ports. folder: where telemetry.tlog goes; None keeps nothing."""
 
     def __init__(self, ports: Mapping[str, BytePort], folder: Path | None, faults: Faults) -> None:

@@ -84,7 +84,7 @@ class SequenceTracker:
         self.lost += step + 256 * rounds
 
 
-class SessionBooks:
+class SessionAccounting:
     """What is known of the scans of one run of the aircraft's logger."""
 
     def __init__(self, session: ev.Session) -> None:

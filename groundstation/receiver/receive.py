@@ -12,24 +12,26 @@ from pathlib import Path
 from typing import Any
 
 from daq.contract.link.scan_map import BLOCK
+from daq.contract.manoeuvre import Manoeuvre, ManoeuvreError
 from daq.transport.mavlink_codec import RADIO_STATUS_ID, Frame, FrameEncoder
 from daq.transport.ports import BytePort
 from groundstation.receiver import doubts as d
 from groundstation.receiver import events as ev
-from groundstation.receiver.backfill import BackfillClient, Mode
-from groundstation.receiver.command import Commander
 from groundstation.receiver.decode import AircraftDecoder
-from groundstation.receiver.disk import Disk
 from groundstation.receiver.faults import Faults
-from groundstation.receiver.frame_input import Intake, Sender
-from groundstation.receiver.link import open_port
+from groundstation.receiver.frame_input import FrameInput, Sender
+from groundstation.receiver.kept.disk import Disk
+from groundstation.receiver.kept.recording import SessionRecorder
+from groundstation.receiver.kept.sessions import RECORDING, Sessions
 from groundstation.receiver.link_config import LinkConfig
 from groundstation.receiver.link_quality import RateMeter
-from groundstation.receiver.loglist import LogFetcher
-from groundstation.receiver.recording import SessionRecorder
+from groundstation.receiver.ports.link import open_port
 from groundstation.receiver.security import SIGNING_STATE, Gate, make_signer
 from groundstation.receiver.senders import Senders
-from groundstation.receiver.sessions import RECORDING, Sessions
+from groundstation.receiver.sending.backfill import BackfillClient, Mode
+from groundstation.receiver.sending.command import Commander
+from groundstation.receiver.sending.loglist import LogFetcher
+from groundstation.receiver.sending.manoeuvre_sender import ManoeuvreSender
 from groundstation.receiver.summary import counters
 from groundstation.receiver.timeline import NS, Clock
 
@@ -59,6 +61,7 @@ class _Aircraft:
         self.sessions = sessions
         self.backfill: BackfillClient | None = None
         self.logs = LogFetcher(system)
+        self.manoeuvre = ManoeuvreSender(system)
         self.next_sync_ns = 0
         self.syncs = 0
         self.next_map_ns = 0
@@ -85,7 +88,7 @@ class Receiver:
         if self._gate.signer is not None and self._gate.signer.notice:
             self.faults.note(SIGNING_STATE, OSError(self._gate.signer.notice))
         self._encoder = FrameEncoder(config.system_id, config.component_id, self._gate.signer)
-        self._intake = Intake(self._ports, folder, self.faults)
+        self._frame_input = FrameInput(self._ports, folder, self.faults)
         self._disk = Disk()
         self._aircraft: dict[int, _Aircraft] = {}
         self._next_heartbeat_ns = 0
@@ -115,7 +118,7 @@ class Receiver:
                 return []
             out: list[ev.Event] = []
             now, utc = self.clock.monotonic_ns(), self.clock.utc_ns()
-            for sender, frame in self._intake.frames(now, utc):
+            for sender, frame in self._frame_input.frames(now, utc):
                 self._take_frame(frame, sender, now, utc, out)
             out += [*self._gate.reports(now), *self._contests(now)]
             self._keep(out)
@@ -176,8 +179,8 @@ class Receiver:
             aircraft.senders.speaks(sender, now)
         if own and before != sender:
             if before is not None:
-                self._intake.forget(before)
-            self._intake.favour(sender)
+                self._frame_input.forget(before)
+            self._frame_input.favour(sender)
         return True
 
     def _contests(self, now: int) -> list[ev.Contested]:
@@ -209,8 +212,12 @@ class Receiver:
                             before = aircraft.backfill.refused
                             aircraft.backfill.take_data(f, now)
                             self.doubts.note(frame.system, d.PAPERS, aircraft.backfill.refused - before)
+                            fetched = aircraft.backfill.take_fetched()
+                            out += [ev.ScanFetched(books.session, data, now) for data in fetched]
                         else:
                             aircraft.backfill.take_summary(f)
+            case "MANOEUVRE_STATUS":
+                out += aircraft.manoeuvre.take_status(frame.fields(), now)
             case "LOG_ENTRY" | "LOG_DATA":
                 with self.faults.watch("download"):
                     aircraft.logs.take(frame.name, frame.fields(), now)
@@ -253,6 +260,7 @@ class Receiver:
             if known is not None:
                 self._send(known, "COMMAND_LONG", fields)
         for aircraft in self._aircraft.values():
+            out += aircraft.manoeuvre.given_up(now)
             self._serve(aircraft, now)
 
     def _serve(self, aircraft: _Aircraft, now: int) -> None:
@@ -273,7 +281,7 @@ class Receiver:
         if aircraft.backfill is not None:
             for name, fields in aircraft.backfill.due(now):
                 self._send(aircraft, name, fields)
-        for name, fields in aircraft.logs.due(now):
+        for name, fields in (*aircraft.logs.due(now), *aircraft.manoeuvre.due(now)):
             self._send(aircraft, name, fields)
 
     def _quiet(self, aircraft: _Aircraft, now: int) -> bool:
@@ -308,12 +316,15 @@ class Receiver:
             progress = aircraft.backfill.progress(now) if aircraft.backfill is not None else None
             if progress is not None:
                 out.append(progress)
-        self._intake.flush()
-        for what, count in ((d.BYTES, self._intake.refused_bytes), (d.DATAGRAMS, self._intake.datagrams_dropped)):
+        self._frame_input.flush()
+        for what, count in (
+            (d.BYTES, self._frame_input.refused_bytes),
+            (d.DATAGRAMS, self._frame_input.datagrams_dropped),
+        ):
             self.doubts.note(d.NOBODY, what, count - self.doubts.total(what))
         with self.faults.watch(_DISK):
             journals = (r.journal for kept in self._kept() for r in kept.recorders.values())
-            self._disk.sync([*self._intake.logs, *journals])
+            self._disk.sync([*self._frame_input.logs, *journals])
 
     # ------------------------------------------------------------------------------------------ for the owner
 
@@ -346,6 +357,18 @@ class Receiver:
         with self._lock:
             return self._aircraft[system].logs
 
+    def send_manoeuvre(self, system: int, manoeuvre: Manoeuvre) -> None:
+        """Send a manoeuvre up to an aircraft's sequencer; what becomes of it comes as ManoeuvreSent.
+
+        Raises ManoeuvreError where it is too long for the link, or the link has no key: then no aircraft would take it.
+        """
+        with self._lock:
+            if self._gate.signer is None:
+                raise ManoeuvreError(
+                    "a manoeuvre goes up a signed link only; set the key file of both ends (docs/link.md)"
+                )
+            self._aircraft[system].manoeuvre.send(manoeuvre)
+
     def accounting(self) -> list[ev.Accounting]:
         """Where the scans of all sessions went."""
         with self._lock:
@@ -372,14 +395,14 @@ class Receiver:
         """Counters as `ground --json` gives them; `flight` is the largest session's recording."""
         with self._lock:
             trackers = [t for a in self._aircraft.values() for t in a.decoder.trackers.values()]
-            made = counters(self.accounting(), self._intake.totals(), trackers, self._gate.rejected, self._written)
+            made = counters(self.accounting(), self._frame_input.totals(), trackers, self._gate.rejected, self._written)
             return made | self._unbelieved()
 
     def _unbelieved(self) -> dict[str, Any]:
         """What came and was not used, for `ground --json`."""
         return {
-            "bytes_refused": self._intake.refused_bytes,
-            "datagrams_dropped": self._intake.datagrams_dropped,
+            "bytes_refused": self._frame_input.refused_bytes,
+            "datagrams_dropped": self._frame_input.datagrams_dropped,
             "frames_contested": sum(a.senders.contested for a in self._aircraft.values()),
             "second_senders": [row for a in self._aircraft.values() for row in a.senders.table()],
             "scans_doubted": self.doubts.total(d.NUMBERS) + sum(a.decoder.waiting for a in self._aircraft.values()),
@@ -391,7 +414,7 @@ class Receiver:
         with self._lock:
             if self._closed:
                 return
-            self._intake.close(self.clock.utc_ns())
+            self._frame_input.close(self.clock.utc_ns())
             self.write_recordings()
             self._closed = True
             self._gate.close()

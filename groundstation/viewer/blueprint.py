@@ -1,6 +1,6 @@
 """The layout of the viewer: a full page for a ground station, and a light one for weak machines.
 
-Sixty-second sliding windows that follow live data; for a recorded flight the whole time range. It is embedded in every
+Thirty-second sliding windows that follow live data; for a recorded flight the whole time range. It is embedded in every
 recording that is shown or written; `sideslip view FILE --save-blueprint PATH.rbl` saves it alone, for rerun's own use.
 """
 
@@ -11,10 +11,12 @@ from typing import Any, Literal
 import rerun as rr
 import rerun.blueprint as rrb
 
+from daq.identification.airframe import EQUATIONS
 from groundstation.viewer import entities as e
+from groundstation.viewer.panes import fitted
 
 Layout = Literal["full", "light"]
-WINDOW_S = 60.0
+WINDOW_S = 30.0  # two manoeuvres; a window of a minute is empty for the first half of a short flight
 
 
 def _window(live: bool) -> dict[str, Any]:
@@ -64,8 +66,8 @@ def _plots(live: bool) -> dict[str, rrb.TimeSeriesView]:
     }
 
 
-def blueprint(layout: Layout = "full", *, live: bool = True) -> rrb.Blueprint:
-    """The blueprint for a live or a recorded flight."""
+def blueprint(layout: Layout = "full", *, live: bool = True, identified: bool = True) -> rrb.Blueprint:
+    """The blueprint for a live or a recorded flight; identified: with a page for live identification."""
     plots = _plots(live)
     columns = rrb.TextLogColumns(text_log_columns=["loglevel", "body"])
     events = rrb.TextLogView(origin=e.EVENTS, name="Events and alarms", columns=columns)
@@ -77,7 +79,9 @@ def blueprint(layout: Layout = "full", *, live: bool = True) -> rrb.Blueprint:
     )
     if layout == "light":
         left = rrb.Vertical(plots["airdata"], plots["rates"], plots["controls"])
-        return rrb.Blueprint(rrb.Horizontal(left, events, column_shares=[3, 1]), *panels)
+        words = rrb.TextDocumentView(origin=e.IDENTIFIED, name=IDENTIFICATION)
+        right = rrb.Vertical(events, words, row_shares=[1, 1.6]) if identified and live else events
+        return rrb.Blueprint(rrb.Horizontal(left, right, column_shares=[3, 2 if right is not events else 1]), *panels)
     chase = rrb.Spatial3DView(
         origin=e.ATTITUDE,
         name="Attitude",
@@ -100,10 +104,35 @@ def blueprint(layout: Layout = "full", *, live: bool = True) -> rrb.Blueprint:
     )
     link = rrb.Tabs(plots["link"], plots["signal"])
     right = rrb.Vertical(health, link, rrb.Tabs(events, status), row_shares=[2.2, 1, 1.3])
-    return rrb.Blueprint(rrb.Horizontal(left, middle, right, column_shares=[1.3, 1.1, 0.9]), *panels)
+    flying = rrb.Horizontal(left, middle, right, column_shares=[1.3, 1.1, 0.9], name="Flight")
+    if not identified:
+        return rrb.Blueprint(flying, *panels)
+    return rrb.Blueprint(rrb.Tabs(flying, _identification(live), active_tab=0), *panels)
+
+
+IDENTIFICATION = "Live identification"
+IDENTIFIED_SCALE = (-4.0, 4.0)  # standard deviations of what was believed
+
+
+def _identification(live: bool) -> rrb.Horizontal:
+    """Each coefficient's derivatives with their bands since the beginning, beside the numbers in words."""
+    plots = [
+        rrb.TimeSeriesView(
+            origin=f"{e.IDENTIFICATION}/{coefficient}",
+            name=f"{coefficient}: away from belief, in its standard deviations",
+            plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop),
+            axis_y=rrb.ScalarAxis(range=IDENTIFIED_SCALE),
+        )
+        for coefficient in EQUATIONS
+    ]
+    curves = rrb.Vertical(*plots)
+    if not live:
+        return rrb.Horizontal(curves, name=IDENTIFICATION)
+    words = rrb.TextDocumentView(origin=e.IDENTIFIED, name="Derivatives")
+    return rrb.Horizontal(curves, words, column_shares=[1.2, 1.0], name=IDENTIFICATION)
 
 
 def save_blueprint(path: Path, layout: Layout = "full") -> None:
     """Write the layout for live data as .rbl; OSError when the file cannot be written."""
     path.open("wb").close()  # rerun itself does not say so
-    blueprint(layout).save(e.APPLICATION, str(path))
+    fitted(blueprint(layout), live=True).save(e.APPLICATION, str(path))

@@ -19,6 +19,9 @@ APPLICATION = "sideslip"
 HEALTH = "/health"
 EVENTS = "/events"
 STATUS = "/status"
+READOUTS = "/readouts"
+ALARM = "/alarm"
+ALARM_WORDS = "/alarms"
 AIRCRAFT = "/world/aircraft"
 ATTITUDE = "/attitude3d"
 CHASED = f"{ATTITUDE}/aircraft"
@@ -30,6 +33,8 @@ LINK_RATE = "/link/rate"
 LINK_SIGNAL = "/link/signal"
 LINK_LATENCY = "/link/latency"
 MODEL = "/model"
+IDENTIFICATION = "/identification"
+IDENTIFIED = f"{IDENTIFICATION}/words"
 
 # Okabe-Ito: told apart by colour-blind people too, and readable on rerun's dark ground.
 PALETTE = (0x56B4E9FF, 0xE69F00FF, 0x009E73FF, 0xF0E442FF, 0xCC79A7FF, 0xD55E00FF, 0x0072B2FF, 0xBBBBBBFF)
@@ -102,6 +107,13 @@ def health_entity(group: str) -> str:
 
 
 HEALTH_TITLES: Mapping[str, str] = {g.name: g.title for g in GROUPS}
+NO_ALARM = "no alarm"
+ALARM_COLORS: Mapping[str, int] = {
+    NO_ALARM: 0x2E8B57FF,
+    "WARN": 0xE69F00FF,
+    "ERROR": 0xD55E00FF,
+    "CRITICAL": 0xFF1F1FFF,
+}
 STATE_COLORS: Mapping[str, int] = {
     "ok": 0x2E8B57FF,
     "stale": 0xF0E442FF,

@@ -19,9 +19,11 @@ from pathlib import Path
 import rerun as rr
 
 from daq.contract.errors import UserError
+from groundstation.identification.session import LiveState
 from groundstation.receiver.events import LinkStatistics
 from groundstation.viewer import entities as e
 from groundstation.viewer.blueprint import Layout, blueprint
+from groundstation.viewer.panes import fitted
 from groundstation.viewer.scene import LinkSample, Scene
 
 LOOPBACK = "127.0.0.1"
@@ -94,7 +96,7 @@ class LiveView:
             sinks.append(rr.FileSink(str(options.rrd), write_footer=False))
         if not sinks:
             raise ViewerError("nothing to show to: neither a server nor a file was asked for")
-        self._stream.set_sinks(*sinks, default_blueprint=blueprint(options.layout, live=True))
+        self._stream.set_sinks(*sinks, default_blueprint=fitted(blueprint(options.layout, live=True), live=True))
         self._columns = columns
         self._thread = threading.Thread(target=self._run, name="viewer", daemon=True)
         self._thread.start()
@@ -135,6 +137,14 @@ class LiveView:
     def status(self, time_s: float, markdown: str) -> None:
         """Show the status page."""
         self._put(lambda scene: scene.status(time_s, markdown))
+
+    def readouts(self, time_s: float, numbers: str, alarms: str, level: str) -> None:
+        """Show the digital read-outs, the alarms in force and the highest level among them ("" for none)."""
+        self._put(lambda scene: scene.readouts(time_s, numbers, alarms, level))
+
+    def identification(self, state: LiveState) -> None:
+        """Show what is identified by now."""
+        self._put(lambda scene: scene.identification(state))
 
     def close(self) -> None:
         """Show what is queued, then stop."""

@@ -81,7 +81,7 @@ def _raw(file: Path, target: Path, layout: Layout, calibration: Path | None) -> 
 
 def _link(file: Path) -> list[tuple[float, LinkSample]]:
     """Quality of the radio link, where the recording was received over one."""
-    from groundstation.receiver.recording import read_link
+    from groundstation.receiver.kept.recording import read_link
 
     def known(value: float | None) -> float:
         return math.nan if value is None else value

@@ -14,14 +14,19 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from groundstation.flight import Flight
+from groundstation.identification.session import LiveState
+from groundstation.live.readouts import READOUTS, FreshValues, readout_line
 from groundstation.viewer import entities as e
 from groundstation.viewer.airframe import airframe_mesh
+from groundstation.viewer.derivatives import DerivativeCurves
 from groundstation.viewer.glyphs import drawable
 
 EARTH_RADIUS = 6_371_000.0
 TRACK_POINTS = 400
 TRACK_SCALE = 12.0
 TRACK_PERIOD_S = 2.0
+READOUT_PERIOD_S = 0.5  # between read-outs of a recorded flight
+READOUTS_OF_A_FLIGHT = 4000  # some 400 kB; half an hour at the period above
 
 
 def quaternion_xyzw(phi: float, theta: float, psi: float) -> tuple[float, float, float, float]:
@@ -54,9 +59,11 @@ class Scene:
         self._stream = stream
         self._groups = (*e.series_groups(columns), *e.model_groups(columns or ()))
         self._states: dict[str, str] = {}
+        self._alarm: tuple[str, str] | None = None
         self._origin: tuple[float, float] | None = None
         self._track: deque[tuple[float, float, float, float, float]] = deque(maxlen=TRACK_POINTS)
         self._next_track = -math.inf
+        self._derivatives = DerivativeCurves(stream)
         self.log_statics()
 
     def log_statics(self) -> None:
@@ -82,6 +89,11 @@ class Scene:
         lane = rr.StateConfiguration(
             values=names, labels=names, colors=np.array(list(e.STATE_COLORS.values()), np.uint32)
         )
+        levels = list(e.ALARM_COLORS)
+        lamp = rr.StateConfiguration(
+            values=levels, labels=levels, colors=np.array(list(e.ALARM_COLORS.values()), np.uint32)
+        )
+        rec.log(e.ALARM, lamp, static=True)
         for sensor in e.HEALTH_TITLES:
             rec.log(e.health_entity(sensor), lane, static=True)
         for entity, label, color in (
@@ -155,7 +167,23 @@ class Scene:
     def status(self, time: float, markdown: str) -> None:
         """The status page: recorder, link, alarms in force."""
         self._stream.set_time(e.TIMELINE, duration=time)
-        self._stream.log(e.STATUS, rr.TextDocument(drawable(markdown), media_type=rr.MediaType.MARKDOWN))
+        self._document(e.STATUS, markdown)
+
+    def readouts(self, time: float, numbers: str, alarms: str, level: str) -> None:
+        """The digital read-outs, and of alarms what has changed; level: the highest in force, "" for none."""
+        self._stream.set_time(e.TIMELINE, duration=time)
+        self._document(e.READOUTS, numbers)
+        if (alarms, level) != self._alarm:
+            self._alarm = (alarms, level)
+            self._document(e.ALARM_WORDS, alarms)
+            self._stream.log(e.ALARM, rr.StateChange(state=level or e.NO_ALARM))
+
+    def identification(self, state: LiveState) -> None:
+        """What is identified by now."""
+        self._derivatives.show(state)
+
+    def _document(self, entity: str, markdown: str) -> None:
+        self._stream.log(entity, rr.TextDocument(drawable(markdown), media_type=rr.MediaType.MARKDOWN))
 
     def link(self, time: float, link: LinkSample) -> None:
         """Quality of the radio link."""
@@ -181,6 +209,8 @@ class Scene:
             if present and keep.any():
                 self._columns(group.entity, flight.time[keep], group.shown(table[keep]))
         self._flight_pose(flight)
+        self._flight_readouts(flight)
+        self._derivatives.kept(flight.provenance.detail)
         for note in flight.notes:
             self.event(float(flight.time[0]), note.text, "WARN")
 
@@ -213,6 +243,23 @@ class Scene:
         self._stream.send_columns(e.AIRCRAFT, indexes=[index], columns=pose)
         ahead = [quaternion_xyzw(phi, theta, 0.0) for phi, theta, _ in angles[keep]]
         self._stream.send_columns(e.CHASED, indexes=[index], columns=rr.Transform3D.columns(quaternion=ahead))
+
+    def _flight_readouts(self, flight: Flight) -> None:
+        """The read-outs of a recorded flight, at most READOUTS_OF_A_FLIGHT of them: the viewer shows those at its cursor."""
+        columns = {r.column: flight[r.column] for r in READOUTS if flight.measured(r.column)}
+        if not columns:
+            return
+        period = max(READOUT_PERIOD_S, float(flight.time[-1] - flight.time[0]) / READOUTS_OF_A_FLIGHT)
+        at = np.unique(np.searchsorted(flight.time, np.arange(flight.time[0], flight.time[-1], period)))
+        fresh, texts, begin = FreshValues(), [], 0
+        for i in at:
+            for row in range(begin, int(i) + 1):
+                fresh.update(float(flight.time[row]), {c: float(v[row]) for c, v in columns.items()})
+            begin = int(i) + 1
+            texts.append(drawable(readout_line(fresh.at(float(flight.time[i])))))
+        index = rr.TimeColumn(e.TIMELINE, duration=flight.time[at])
+        documents = rr.TextDocument.columns(text=texts, media_type=[rr.MediaType.MARKDOWN] * len(texts))
+        self._stream.send_columns(e.READOUTS, indexes=[index], columns=documents)
 
     def _places(self, flight: Flight, keep: NDArray[np.intp]) -> NDArray[np.float64]:
         """Where on its track the aircraft was at some samples, north, east, down [m]; the origin without fixes."""

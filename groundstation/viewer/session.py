@@ -39,6 +39,8 @@ class SessionViews:
                 self._pages[len(self._shown)] = name
                 self._shown.append(page)
                 self._say(f"{name}: {page.url}")
+                if self._config.layout == "full" and len(self._pages) == 1:
+                    self._say('if the browser lags: --layout light, or layout = "light" under [view]')
             else:
                 self._shown.append(NativeWindow(view.url))
         except (ViewerError, OSError) as error:

@@ -10,9 +10,9 @@ from daq.contract.recordings.reading import join, read_segments
 from daq.contract.scan import GroupStatus, Scan, SensorState, encode_scan
 from daq.telemetry.backfill import FRAGMENT_BYTES, MAX_FRAGMENTS, MAX_WANTED, ScanStore, pack_scans
 from daq.telemetry.config import DownlinkConfig
-from groundstation.receiver.backfill import group_numbers, unpack_scans
+from groundstation.receiver.kept.session_log import Kind, SessionLog
 from groundstation.receiver.link_config import LinkConfig
-from groundstation.receiver.session_log import Journal, Kind
+from groundstation.receiver.sending.backfill import group_numbers, unpack_scans
 from tests.link_rig import Rig, quiet_scan, random_scan
 
 
@@ -64,7 +64,7 @@ def test_backfill_does_not_slow_the_scans_down(tmp_path: Path) -> None:
     rig = Rig(tmp_path, down=lossy(0.05, 3), aircraft=narrow, ground=LinkConfig(ports=("memory",), backfill="all"))
     fly(rig, 1200)
     assert len(rig.link.downlink.sent) >= 60 * 11.5 - 2
-    assert rig.link.downlink.outbox.scans_dropped == 0
+    assert rig.link.downlink.send_queue.scans_dropped == 0
     rig.close()
 
 
@@ -86,12 +86,12 @@ def test_interrupted_backfill_goes_on_where_it_was(tmp_path: Path) -> None:
     again.ground = Receiver(config, {"memory": rig._ground_end}, rig.clock, folder=tmp_path)
     again.rest(7)
     again.ground.set_backfill("all")
-    sent_before = rig.link.downlink.outbox.bytes_sent
+    sent_before = rig.link.downlink.send_queue.bytes_sent
     again.rest(300, until=lambda: again.ground.backfill_agreed(1))
     assert again.ground.backfill_agreed(1)
     (recorder,) = again.ground.session_recorders().values()
     assert list(recorder.journal.scans()) == [encode_scan(s) for s in rig.scans.values()]
-    assert rig.link.downlink.outbox.bytes_sent - sent_before < (600 - held) * 400 + 20_000
+    assert rig.link.downlink.send_queue.bytes_sent - sent_before < (600 - held) * 400 + 20_000
     again.close()
 
 
@@ -168,7 +168,7 @@ def test_requests_cover_the_numbers_exactly() -> None:
 def test_journal_survives_a_torn_end(tmp_path: Path, cut: int) -> None:
     rng = np.random.default_rng(3)
     path = tmp_path / "j"
-    journal = Journal(path)
+    journal = SessionLog(path)
     scans = [random_scan(n, rng) for n in range(10)]
     for s in scans:
         journal.add_complete(encode_scan(s))
@@ -176,7 +176,7 @@ def test_journal_survives_a_torn_end(tmp_path: Path, cut: int) -> None:
     journal.close()
     data = path.read_bytes()
     path.write_bytes(data[: -cut - 20])
-    again = Journal(path)
+    again = SessionLog(path)
     held = list(again.scans())
     assert held == [encode_scan(s) for s in scans[: len(held)]]
     assert len(held) >= 9
@@ -188,7 +188,7 @@ def test_journal_survives_a_torn_end(tmp_path: Path, cut: int) -> None:
 def test_damage_in_a_journal_costs_the_records_it_hits(tmp_path: Path) -> None:
     rng = np.random.default_rng(4)
     path = tmp_path / "j"
-    journal = Journal(path)
+    journal = SessionLog(path)
     scans = [random_scan(n, rng) for n in range(40)]
     for s in scans:
         journal.add_complete(encode_scan(s))
@@ -196,7 +196,7 @@ def test_damage_in_a_journal_costs_the_records_it_hits(tmp_path: Path) -> None:
     data = path.read_bytes()
     for at in rng.integers(4, len(data) - 30, 25):
         path.write_bytes(data[:at] + bytes(20) + data[at + 25 :])  # some bytes zero, some gone
-        again = Journal(path)
+        again = SessionLog(path)
         held = list(again.scans())
         again.close()
         assert 38 <= len(held) < 40
@@ -205,7 +205,7 @@ def test_damage_in_a_journal_costs_the_records_it_hits(tmp_path: Path) -> None:
 
 def test_a_completed_scan_replaces_what_was_received(tmp_path: Path) -> None:
     rng = np.random.default_rng(5)
-    journal = Journal(tmp_path / "j")
+    journal = SessionLog(tmp_path / "j")
     early, late, full = (random_scan(7, rng) for _ in range(3))
     other = random_scan(3, rng)
     for received in (early, other, late):

@@ -3,7 +3,7 @@
 import struct
 import xml.etree.ElementTree as ET
 from dataclasses import replace
-from datetime import datetime
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -56,6 +56,27 @@ class TestTables:
         assert struct["units"]["p"] == "rad/s"
         assert struct["about"]["aircraft"] == "cdfp"
         assert set(flight.columns) < set(struct)
+
+    def test_tables_carry_utc_where_the_flight_knows_it(self, exported: Path, flight: Flight, tmp_path: Path) -> None:
+        import duckdb
+        from scipy.io import loadmat
+
+        offset = utc_offset(flight)
+        assert offset is not None
+        expected = np.round(flight.time + offset, 6)
+        struct = loadmat(exported / "flight.mat", simplify_cells=True)["flight"]
+        np.testing.assert_array_equal(struct["utc_time"], expected)
+        assert struct["units"]["utc_time"] == "s"
+        path = exported / "flight.parquet"
+        first, year = duckdb.sql(
+            f"select utc_time, year(to_timestamp(utc_time)) from '{path}' order by time limit 1"
+        ).fetchall()[0]
+        assert (first, year) == (expected[0], datetime.fromtimestamp(expected[0], UTC).year)
+        detail = {k: v for k, v in flight.provenance.detail.items() if k != UTC_KEY}
+        lost = replace(flight, provenance=replace(flight.provenance, detail=detail))
+        write_flight(lost, tmp_path / "lost.mcap")
+        export_file(tmp_path / "lost.mcap", tmp_path / "lost.csv")
+        assert "utc_time" not in (tmp_path / "lost.csv").read_text().splitlines()[0]
 
     def test_csv_has_units_in_its_second_line(self, exported: Path, flight: Flight) -> None:
         lines = (exported / "flight.csv").read_text().splitlines()

@@ -16,7 +16,7 @@ from daq.transport.mavlink_codec import FrameEncoder, message_types
 from groundstation.live.config import GroundConfig
 from groundstation.live.station import Station
 from groundstation.receiver import events as ev
-from groundstation.receiver.link_accounting import SessionBooks
+from groundstation.receiver.link_accounting import SessionAccounting
 from groundstation.receiver.link_config import LinkConfig
 from groundstation.receiver.receive import MAX_OF_ONE_SENDER
 from groundstation.receiver.timeline import NS
@@ -76,7 +76,7 @@ def test_a_forged_first_scan_gives_way_to_the_aircraft(tmp_path: Path) -> None:
 
 def test_gaps_between_numbers_cost_by_what_came_not_by_how_wide_they_are() -> None:
     tracemalloc.start()
-    books = SessionBooks(ev.Session(1, 7, 0))
+    books = SessionAccounting(ev.Session(1, 7, 0))
     for number in (5, 2**31, LAST):
         books.see(number)
         books.received.add(number)
@@ -91,7 +91,7 @@ def test_gaps_between_numbers_cost_by_what_came_not_by_how_wide_they_are() -> No
 
 def test_accounting_by_ranges_is_what_counting_one_by_one_gives(rng: np.random.Generator) -> None:
     for _ in range(30):
-        books = SessionBooks(ev.Session(1, 7, 0))
+        books = SessionAccounting(ev.Session(1, 7, 0))
         top = int(rng.integers(1, 4000))
         got = {int(n) for n in rng.integers(0, top, rng.integers(1, 300))}
         for n in got:

@@ -90,7 +90,7 @@ def test_outage_longer_than_the_sequence_counter(tmp_path: Path) -> None:
     assert books.sent == len(rig.link.downlink.sent) == books.received + books.lost_count
     assert books.lost_count > 800
     summary = rig.ground.summary()
-    frames = rig.link.downlink.outbox.frames_sent
+    frames = rig.link.downlink.send_queue.frames_sent
     assert summary["frames_received"] + summary["frames_lost"] == pytest.approx(frames, abs=1)
     rig.close()
 
@@ -345,7 +345,7 @@ def test_scan_map_ranges_match_a_set() -> None:
 
 
 def test_a_full_disk_does_not_end_reception(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from groundstation.receiver.session_log import Journal
+    from groundstation.receiver.kept.session_log import SessionLog
     from groundstation.receiver.tlog import TlogWriter
 
     rig = Rig(tmp_path, ground=LISTEN)
@@ -357,7 +357,7 @@ def test_a_full_disk_does_not_end_reception(tmp_path: Path, monkeypatch: pytest.
 
     with monkeypatch.context() as patch:
         patch.setattr(TlogWriter, "_put", full)
-        patch.setattr(Journal, "_append", full)
+        patch.setattr(SessionLog, "_append", full)
         fly(rig, 40, seed=2)
         assert rig.ground.port_faults == {
             "telemetry log": "No space left on device",
@@ -372,8 +372,8 @@ def test_a_full_disk_does_not_end_reception(tmp_path: Path, monkeypatch: pytest.
 def test_a_disk_that_is_full_at_the_end_is_told_and_the_scans_stay_in_the_journal(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from groundstation.receiver.recording import ReceivedWriter
-    from groundstation.receiver.session_log import Journal
+    from groundstation.receiver.kept.recording import ReceivedWriter
+    from groundstation.receiver.kept.session_log import SessionLog
 
     rig = Rig(tmp_path, ground=LISTEN)
     fly(rig, 60)
@@ -388,7 +388,7 @@ def test_a_disk_that_is_full_at_the_end_is_told_and_the_scans_stay_in_the_journa
     (name,) = (n for n in rig.ground.port_faults if n.endswith(".mcap"))
     assert rig.ground.port_faults[name] == "No space left on device"
     assert {p.suffix for p in tmp_path.iterdir()} == {".journal", ".tlog"}
-    journal = Journal(Path(name).with_suffix(".journal"))
+    journal = SessionLog(Path(name).with_suffix(".journal"))
     assert len(list(journal.scans())) == received
     journal.close()
 
@@ -425,7 +425,7 @@ def test_trouble_is_told_once_and_its_end_too(tmp_path: Path) -> None:
 
 
 def test_link_quality_of_a_received_recording_is_shown(tmp_path: Path) -> None:
-    from groundstation.receiver.recording import read_link
+    from groundstation.receiver.kept.recording import read_link
 
     rig = Rig(tmp_path, down=damager("lost", 0.1), ground=LISTEN)
     fly(rig, 300)

@@ -16,12 +16,12 @@ from daq.transport.ports import PortError, memory_pair
 from groundstation.live.config import GroundConfig
 from groundstation.live.station import Station
 from groundstation.receiver import events as ev
-from groundstation.receiver.link import open_port
 from groundstation.receiver.link_config import LinkConfig
+from groundstation.receiver.ports.link import open_port
+from groundstation.receiver.ports.udp_listener import OWN_SOCKETS, STRANGER_AT_ONCE, STRANGER_PER_S, UdpListener
 from groundstation.receiver.receive import Receiver
 from groundstation.receiver.senders import SILENCE_NS
 from groundstation.receiver.timeline import NS
-from groundstation.receiver.udp_listener import OWN_SOCKETS, STRANGER_AT_ONCE, STRANGER_PER_S, UdpListener
 from tests.link_rig import START_UTC_NS, quiet_scan
 
 CONFIG = LinkConfig(ports=("udpin:0",), backfill="off")

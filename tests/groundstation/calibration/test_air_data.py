@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from groundstation.calibration import air_data
+from groundstation.calibration.conversions import air_data
 from groundstation.calibration.errors import CalibrationError
 
 NVM = bytes.fromhex("b66c0f4af66a1c0f170601564b465b03fa6f0f06f5")

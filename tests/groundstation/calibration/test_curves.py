@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from groundstation.calibration import curves
+from groundstation.calibration.conversions import curves
 from groundstation.calibration.errors import CalibrationError
 from groundstation.calibration.schema import Curve
 

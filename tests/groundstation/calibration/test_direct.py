@@ -11,7 +11,7 @@ from daq.contract.channels import COLUMNS
 from daq.contract.scan import Scan
 from groundstation.calibration.apply import Calibrator, calibrate
 from groundstation.calibration.columns import Columns
-from groundstation.calibration.direct import COMBINED, DirectColumn, direct_columns
+from groundstation.calibration.conversions.direct import COMBINED, DirectColumn, direct_columns
 from groundstation.calibration.errors import CalibrationError
 from groundstation.calibration.scan_table import scan_table
 from groundstation.calibration.schema import CalibrationSet

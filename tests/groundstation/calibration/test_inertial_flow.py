@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from groundstation.calibration import flow, inertial
+from groundstation.calibration.conversions import flow, inertial
 from groundstation.calibration.schema import Attitude, Triad, Vane
 
 

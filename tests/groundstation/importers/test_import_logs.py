@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from groundstation.flight import FlightError
-from groundstation.importers.dataflash import read_dataflash
 from groundstation.importers.errors import ImportDataError
+from groundstation.importers.formats.dataflash import read_dataflash
 from groundstation.importers.run import import_data
 
 Columns = dict[str, np.ndarray]

@@ -195,6 +195,6 @@ def test_a_file_at_which_the_compiled_reader_crashes_is_a_sentence(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     savemat(tmp_path / "x.mat", {"time": [0.0, 0.1], "p": [0.0, 0.1]})
-    monkeypatch.setattr("groundstation.importers.matlab_v5._TRIAL", "import os; os.abort()")
+    monkeypatch.setattr("groundstation.importers.formats.matlab_v5._TRIAL", "import os; os.abort()")
     with pytest.raises(ImportDataError, match="damaged MATLAB 5 file, at which its reader crashes"):
         import_data(tmp_path / "x.mat", None)

@@ -85,12 +85,12 @@ def servo(**changes: object) -> Servo:
 def test_a_deflection_is_straight_from_trim_to_either_end() -> None:
     output = np.array([1100.0, 1310.0, 1520.0, 1710.0, 1900.0, 2000.0, 0.0, 65535.0, np.nan])
     expected = np.radians([-24.0, -12.0, 0.0, 11.0, 22.0, 22.0 * 480 / 380, np.nan, np.nan, np.nan])
-    np.testing.assert_allclose(servo().deflection(output), expected, atol=1e-12)
+    np.testing.assert_allclose(servo().deflection(output, 1520.0), expected, atol=1e-12)
 
 
 def test_normalised_outputs_and_a_travel_the_other_way_round() -> None:
     made = servo(trim=0.1, travel=[[-1.0, 0.4], [1.0, -0.3]], unit="rad")
-    np.testing.assert_allclose(made.deflection(np.array([-1.0, 0.1, 1.0])), [0.4, 0.0, -0.3], atol=1e-12)
+    np.testing.assert_allclose(made.deflection(np.array([-1.0, 0.1, 1.0]), 0.1), [0.4, 0.0, -0.3], atol=1e-12)
 
 
 def test_lag_is_that_of_a_first_order_servo() -> None:
@@ -150,7 +150,7 @@ def test_files_in_a_row_become_segments(tmp_path: Path, flown: Columns) -> None:
 
 
 def test_a_time_of_words_alone_is_refused_before_all_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("groundstation.importers.tables._CELLS_AT_ONCE", 200)
+    monkeypatch.setattr("groundstation.importers.formats.tables._CELLS_AT_ONCE", 200)
     path = tmp_path / "words.csv"
     path.write_text("time,p\n" + "ab,1\n" * 150 + "0.05,2\n" * 150)
     with pytest.raises(ImportDataError, match="time column 'time' holds 'ab' and the like, neither numbers nor dates"):

@@ -52,7 +52,7 @@ class _Record(NamedTuple):
         return self.at + _HEAD.size + len(self.data)
 
 
-class Journal:
+class SessionLog:
     """Scans by number, the complete form preferred, and the other records in order."""
 
     def __init__(self, path: Path) -> None:

@@ -2,8 +2,8 @@
 
 from daq.transport.ports import BytePort, PortError, SerialPort, TcpServerPort, UdpPort, open_socket_port, parse_port
 from daq.transport.reconnecting_port import open_lasting
+from groundstation.receiver.ports.udp_listener import UdpListener
 from groundstation.receiver.timeline import Clock, SystemClock
-from groundstation.receiver.udp_listener import UdpListener
 
 
 def open_port(text: str, clock: Clock | None = None) -> BytePort:

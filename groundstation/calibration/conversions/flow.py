@@ -8,7 +8,7 @@ flank angle atan(v / u), not asin(v / V); at alpha = 0.2 rad the two differ by 2
 import numpy as np
 from numpy.typing import NDArray
 
-from groundstation.calibration.inertial import Axes
+from groundstation.calibration.conversions.inertial import Axes
 from groundstation.calibration.schema import Vane
 
 Array = NDArray[np.float64]

@@ -4,6 +4,7 @@ Time is the aircraft's own (time_usec or time_boot_ms of the message) where it h
 aircraft's clock by the smallest difference seen. Only one system is imported, the one with the most messages.
 """
 
+import math
 import re
 from collections import Counter
 from collections.abc import Mapping
@@ -35,6 +36,7 @@ _NOT_KNOWN = {
     ("GLOBAL_POSITION_INT", "hdg"): 65535,
 }  # fmt: skip
 _FIX_3D = 3
+_PARAM_VALUE = 22
 _NUMPY = {"b": "i1", "B": "u1", "h": "i2", "H": "u2", "i": "i4", "I": "u4", "q": "i8", "Q": "u8", "f": "f4", "d": "f8"}
 """Letter of the struct -> what numpy calls it."""
 _V1_EXTRA, _V2_EXTRA, _SIGNATURE = 8, 12, 13
@@ -61,7 +63,8 @@ def read_tlog(path: Path) -> Log:
         notes.append(f"messages of systems {', '.join(map(str, others))} left out; system {system} is imported")
     if found.skipped:
         notes.append(f"{found.skipped} bytes of the log are damaged and left out")
-    return Log("tlog", series, notes=tuple(notes), detail={"system": str(system)})
+    stated = _parameters(found.rows.get((system, _PARAM_VALUE)))
+    return Log("tlog", series, notes=tuple(notes), detail={"system": str(system)}, parameters=stated)
 
 
 @dataclass(frozen=True)
@@ -161,6 +164,15 @@ def _frame_size(data: bytes, at: int) -> int:
     if data[at] == 0xFE:
         return data[at + 1] + _V1_EXTRA
     return data[at + 1] + _V2_EXTRA + (_SIGNATURE if data[at + 2] & 1 else 0)
+
+
+def _parameters(rows: _Rows | None) -> dict[str, float]:
+    """The autopilot's parameters, each as last stated, as ArduPilot sends them (PX4 packs whole numbers otherwise)."""
+    if rows is None:
+        return {}
+    table = np.frombuffer(rows.payloads, _layouts()[_PARAM_VALUE].dtype)
+    pairs = zip(table["param_id"].tolist(), table["param_value"].tolist(), strict=True)
+    return {name.decode("ascii", "replace"): value for name, value in pairs if math.isfinite(value)}
 
 
 def _series(found: dict[int, _Rows]) -> dict[str, Series]:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from groundstation.importers.errors import ImportDataError
-from groundstation.importers.matlab_v5 import LEAST_UNPACKED, MOST_TIMES_PACKED
+from groundstation.importers.formats.matlab_v5 import LEAST_UNPACKED, MOST_TIMES_PACKED
 
 SECONDS = 60
 """For a file; 100 MB take some 2 s."""

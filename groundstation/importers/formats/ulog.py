@@ -11,10 +11,10 @@ import numpy as np
 
 from daq.contract.input_files import read_bytes
 from daq.contract.plain_words import LONGEST_NAME, one_line
-from groundstation.importers.attitude import euler_from_quaternion
 from groundstation.importers.errors import ImportDataError
+from groundstation.importers.formats.attitude import euler_from_quaternion
+from groundstation.importers.formats.ulog_scan import MAGIC, sound_messages
 from groundstation.importers.series import Log, Series
-from groundstation.importers.ulog_scan import MAGIC, sound_messages
 
 _DAMAGE = (KeyError, IndexError, ValueError, TypeError, OSError, AttributeError)
 """What pyulog raises on bytes that are not what was written."""

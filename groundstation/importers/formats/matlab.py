@@ -17,8 +17,8 @@ from daq.contract.input_files import read_bytes
 from daq.contract.plain_words import listed, plain_name
 from groundstation.flight.parquet_columns import MOST_COLUMNS
 from groundstation.importers.errors import ImportDataError
+from groundstation.importers.formats.tables import Table
 from groundstation.importers.mapping import FileFormat
-from groundstation.importers.tables import Table
 
 Array = NDArray[np.float64]
 
@@ -34,11 +34,11 @@ def read_matlab(path: Path, layout: FileFormat) -> list[Table]:
     """The records of a MATLAB file, in order. Raises ImportDataError for a file that cannot be read or holds none."""
     data = read_bytes(path, error=ImportDataError)
     if _HDF5 in (data[:8], data[512:520]):
-        from groundstation.importers.matlab_v73 import read_v73
+        from groundstation.importers.formats.matlab_v73 import read_v73
 
         variables, left_out = read_v73(path)
     else:
-        from groundstation.importers.matlab_v5 import read_v5
+        from groundstation.importers.formats.matlab_v5 import read_v5
 
         variables, left_out = read_v5(path, data)
     notes = (f"{left_out} variables that only MATLAB can read, or damaged, left out",) if left_out else ()

@@ -15,8 +15,8 @@ from typing import Any, Literal
 from daq.contract.link.scan_map import ScanMap
 from daq.contract.scan import ScanDecodeError, decode_scan
 from groundstation.receiver import events as ev
-from groundstation.receiver.link_accounting import SessionBooks
-from groundstation.receiver.recording import SessionRecorder
+from groundstation.receiver.kept.recording import SessionRecorder
+from groundstation.receiver.link_accounting import SessionAccounting
 from groundstation.receiver.timeline import NS
 
 Mode = Literal["off", "lost", "all"]
@@ -78,10 +78,11 @@ def group_numbers(numbers: Iterable[int], limit: int) -> list[tuple[int, int]]:
 class BackfillClient:
     """Backfill of one session."""
 
-    def __init__(self, recorder: SessionRecorder, books: SessionBooks, mode: Mode = "off") -> None:
+    def __init__(self, recorder: SessionRecorder, books: SessionAccounting, mode: Mode = "off") -> None:
         self.mode = mode
         self.agreed = False
         self.unavailable = ScanMap()
+        self._fetched: list[bytes] = []
         self.refused = 0  # papers and archives that were none
         self._recorder = recorder
         self._books = books
@@ -197,6 +198,11 @@ class BackfillClient:
             else:
                 o.have.clear()
 
+    def take_fetched(self) -> list[bytes]:
+        """Scans that have come since the last call, in the aircraft's own bytes."""
+        fetched, self._fetched = self._fetched, []
+        return fetched
+
     def _note_flow(self, now_served: _Open, now_ns: int) -> None:
         """The aircraft serves requests one after another: what flows now tells of the others.
 
@@ -230,6 +236,7 @@ class BackfillClient:
             number = self._believed(encoded, asked)
             if number is not None:
                 self._recorder.complete(encoded)
+                self._fetched.append(encoded)
                 asked.discard(number)
                 self._books.see(number)
                 self._books.backfilled.add(number)

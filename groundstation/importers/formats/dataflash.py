@@ -5,6 +5,7 @@ FMTU: units, among them '#' for the field that tells instances apart). Every mes
 that are no message are stepped over. Time is TimeUS since boot.
 """
 
+import math
 import re
 import struct
 from collections.abc import Iterator
@@ -91,7 +92,7 @@ def read_dataflash(path: Path) -> Log:
     for name in [n for n in series if n.endswith(".Spd") and n.startswith("GPS")]:
         _velocity(name.rsplit(".", 1)[0], series)
     notes = (f"{skipped} bytes of the log are damaged and left out",) if skipped else ()
-    return Log("dataflash", series, notes=notes)
+    return Log("dataflash", series, notes=notes, parameters=_parameters(messages))
 
 
 def _gathered(data: bytes) -> tuple[dict[int, _Message], int]:
@@ -170,6 +171,21 @@ def _units(values: dict[str, object], messages: dict[int, _Message]) -> None:
 
 def _text(raw: bytes) -> str:
     return raw.split(b"\0", 1)[0].decode("ascii", "replace")
+
+
+def _parameters(messages: dict[int, _Message]) -> dict[str, float]:
+    """The autopilot's parameters (PARM: Name, Value), each as last stated."""
+    found: dict[str, float] = {}
+    for message in messages.values():
+        names, values = _index(message.fields, "Name"), _index(message.fields, "Value")
+        if message.name != "PARM" or names is None or values is None or not message.numeric(values):
+            continue
+        stated = message.column(values).tolist()
+        for row, value in zip(message.layout.iter_unpack(bytes(message.bodies)), stated, strict=True):
+            label = row[names]
+            if isinstance(label, bytes) and math.isfinite(value):
+                found[_text(label)] = value
+    return found
 
 
 def _series(messages: dict[int, _Message]) -> Iterator[tuple[str, Series]]:

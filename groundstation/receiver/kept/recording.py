@@ -1,6 +1,6 @@
 """Received scans as a raw recording, in the very format the logger writes, so that one calibration path serves both.
 
-While scans come in they go to a `Journal`; `write` makes the MCAP file from it at the end, after backfill, or whenever
+While scans come in they go to a `SessionLog`; `write` makes the MCAP file from it at the end, after backfill, or whenever
 asked. Complete scans (backfilled) are written in the aircraft's own bytes. The link's quality is a topic of its own.
 """
 
@@ -23,8 +23,8 @@ from daq.contract.recordings.recording import (
 )
 from daq.contract.scan import decode_scan
 from groundstation.receiver import events as ev
-from groundstation.receiver.papers import MAX_EVENTS, Papers, parse_archive, parse_papers
-from groundstation.receiver.session_log import Journal, Kind
+from groundstation.receiver.kept.papers import MAX_EVENTS, Papers, parse_archive, parse_papers
+from groundstation.receiver.kept.session_log import Kind, SessionLog
 
 LINK_TOPIC = "/link"
 LINK_SCHEMA = "sideslip.Link"
@@ -101,7 +101,7 @@ class SessionRecorder:
     def __init__(self, folder: Path, session: ev.Session) -> None:
         self.session = session
         self.path = folder / f"{session.name}.mcap"
-        self.journal = Journal(folder / f"{session.name}.journal")
+        self.journal = SessionLog(folder / f"{session.name}.journal")
         self._last_ns = self._last_number = 0
         self._events: set[bytes] = set(self.journal.others(Kind.EVENT))
         self._notes: list[bytes] = list(self.journal.others(Kind.NOTE))[-MAX_NOTES:]

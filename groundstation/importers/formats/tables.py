@@ -17,6 +17,7 @@ from daq.contract.channels import COLUMN_BY_NAME
 from daq.contract.input_files import read_bytes
 from daq.contract.plain_words import listed, one_line, plain_name
 from groundstation.flight.parquet_columns import MOST_COLUMNS, read_parquet
+from groundstation.flight.plain_csv import plain_columns
 from groundstation.importers.errors import ImportDataError
 from groundstation.importers.mapping import FileFormat, Map, Source, Time
 from groundstation.importers.series import Log, Series
@@ -76,9 +77,10 @@ def read_table(path: Path, layout: FileFormat, time: Time | None = None) -> Tabl
 
 
 def _read_csv(path: Path, layout: FileFormat, can_be_time: Callable[[str], bool], needs_time: bool) -> Table:
-    text = _text(path).replace("\r\n", "\n").replace("\r", "\n")
+    text = _NOTHING.sub("", _text(path).replace("\r\n", "\n").replace("\r", "\n") + "\n")
     first_lines = list(itertools.islice(_lines(text), _LONGEST_PREAMBLE + _ALIKE))
-    above = layout.header_line - 1 if layout.header_line else _lines_above_header(first_lines, _last_line(text), layout)
+    last = text[text.rfind("\n", 0, -1) + 1 : -1]
+    above = layout.header_line - 1 if layout.header_line else _lines_above_header(first_lines, last, layout)
     lines = itertools.islice(_lines(text), above, None)
     top = next(lines, None)
     if top is None:
@@ -101,11 +103,16 @@ def _read_csv(path: Path, layout: FileFormat, can_be_time: Callable[[str], bool]
     if not start:
         raise ImportDataError(f"{path}: no table with a header line and rows in it")
     units = _unit_row(header, start[0])
+    passed_over = (f"{above} lines above the column names passed over",) if above and not layout.header_line else ()
+    decimal = layout.decimal or _decimal(delimiter, start)
+    below = above + (not layout.names) + layout.skip_after_header + bool(units)
+    plain = _plain(text, header, below, delimiter, decimal)
+    if plain:
+        return Table({h: v for h, v in zip(header, plain, strict=True) if h}, {}, units=units, notes=passed_over)
     body = itertools.chain(start[1:] if units else start, rows)
     first = above + 2 + layout.skip_after_header + bool(units)
-    columns = _Columns(header, layout.decimal or _decimal(delimiter, start), first, can_be_time)
+    columns = _Columns(header, decimal, first, can_be_time)
     columns.take(path, body, needs_time)
-    passed_over = (f"{above} lines above the column names passed over",) if above and not layout.header_line else ()
     return columns.table(units, passed_over)
 
 
@@ -182,24 +189,24 @@ class _Columns:
 
 
 _DIGIT = re.compile(r"\d")
-_LINE = re.compile(r"^[^\S\n]*[^\s#][^\n]*", re.MULTILINE)
+_NOTHING = re.compile(r"^(?:[^\S\n]*+(?:#[^\n]*+)?\n)++", re.MULTILINE)
+"""Lines in a row with nothing in them but a remark."""
+_LINE = re.compile(r"[^\n]+")
 
 
 def _lines(text: str) -> Iterator[str]:
-    """Lines with something in them that are no remarks."""
+    """The lines of a text without empty ones."""
     return (line[0] for line in _LINE.finditer(text))
 
 
-def _last_line(text: str) -> str:
-    """The last such line, looked for from the end."""
-    end = len(text)
-    while end > 0:
-        start = text.rfind("\n", 0, end) + 1
-        line = text[start:end]
-        if line.strip() and not line.lstrip().startswith("#"):
-            return line
-        end = start - 1
-    return ""
+def _plain(text: str, header: list[str], above: int, delimiter: str, decimal: str) -> list[Array] | None:
+    """The columns below so many lines, where they are nothing but numbers."""
+    if '"' in text or delimiter == " " or len(set(header)) < len(header):
+        return None
+    columns = plain_columns(
+        text.encode(), header, skip_lines=above, delimiter=delimiter, decimal=decimal, empty=tuple(_EMPTY)
+    )
+    return columns and [np.where(np.isinf(values), np.nan, values) for values in columns]
 
 
 def _lines_above_header(lines: list[str], last: str, layout: FileFormat) -> int:

@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from daq.transport.ports import MAX_PEERS, UdpPort
-from groundstation.receiver.allowance import Allowance
+from groundstation.receiver.ports.allowance import Allowance
 from groundstation.receiver.timeline import Clock
 
 READ_BYTES = 65536

@@ -6,7 +6,7 @@ from types import MappingProxyType
 
 from groundstation.receiver import events as ev
 from groundstation.receiver.faults import Faults
-from groundstation.receiver.recording import SessionRecorder
+from groundstation.receiver.kept.recording import SessionRecorder
 
 _MAX_OPEN = 8
 RECORDING = "recording"

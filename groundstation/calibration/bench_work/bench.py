@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from daq.contract.channels import CHANNEL_BY_NAME
 from daq.contract.recordings.reading import Recording, read_recording
-from groundstation.calibration import air_data, curves
 from groundstation.calibration.apply import Calibrator
+from groundstation.calibration.bench_work.fits import TriadFit, fit_sphere, fit_vectors
+from groundstation.calibration.bench_work.plan import Dwell, Fit, Plan
+from groundstation.calibration.conversions import air_data, curves
 from groundstation.calibration.errors import CalibrationError
-from groundstation.calibration.fits import TriadFit, fit_sphere, fit_vectors
-from groundstation.calibration.plan import Dwell, Fit, Plan
 from groundstation.calibration.recording import embedded_calibration
 from groundstation.calibration.scan_table import ScanTable, scan_table
 from groundstation.calibration.schema import Bench, CalibrationSet, Instrument, Points, Triad

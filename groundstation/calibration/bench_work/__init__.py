@@ -1,0 +1,1 @@
+"""From readings on a bench to the coefficients of an instrument."""

@@ -1,0 +1,1 @@
+"""From counts to SI, one kind of instrument each."""

@@ -1,0 +1,117 @@
+"""Scans as they come down, brought to one instant each.
+
+Within a scan each sensor is read at an instant of its own and has a delay of its own; left there, the rolling derivatives
+come out 15 to 25 % small. A recorded flight is aligned when most of its scans are there; here the same calibration works on
+a sliding window of whatever has come: scans up to `BRIDGED` seconds apart count as neighbours, so that a decimated or lossy
+stream is interpolated through what there is of it. Of a stretch that came whole the samples are those of the recorded flight.
+"""
+
+import math
+from bisect import bisect_left, bisect_right, insort
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from daq.contract.scan import Scan, decode_scan, encode_scan
+from daq.identification.airframe import SIGNALS, Sample
+from groundstation.calibration.apply import Calibrator
+from groundstation.calibration.scan_table import ScanTable, scan_table
+
+BRIDGED = 0.21  # s between scans over which values are interpolated: the estimator's own longest row
+NEIGHBOURS = 8  # scans to each side that a sample depends on: slopes of rates, undone lags and interpolation together
+HELD = 21  # scans before that: slow channels are held for a second at 20 Hz
+BATCH_S = 1.0  # s of scans that are calibrated at once: a window costs 10 ms whether one scan of it is new or twenty
+BLOCK = 2000  # scans calibrated at once where very many are wanted
+AT_ONCE = 40  # samples given at a call, so that a backlog is worked off in pieces of some 30 ms
+BREAK = 1000  # in the numbering: more than any channel's spacing
+
+
+class ScanAlignment:
+    """Keeps encoded scans of one run of the logger (some 300 bytes each), and gives the aligned samples of them.
+
+    A late scan changes its neighbours: `ready` gives their samples again. batch_s: seconds of scans that are calibrated at once.
+    """
+
+    def __init__(self, batch_s: float = BATCH_S) -> None:
+        self._batch = batch_s
+        self._scans: dict[int, bytes] = {}
+        self._numbers: list[int] = []
+        self._done = 0  # scans from the front of which samples were given
+        self._dirty: set[int] = set()  # numbers of late scans among those
+        self._latest = self._worked = -math.inf  # time [s] of the latest scan; what it was when samples were last made
+
+    def __len__(self) -> int:
+        return len(self._numbers)
+
+    @property
+    def late(self) -> int:
+        """Scans that came late and are not in the samples yet."""
+        return len(self._dirty)
+
+    def add(self, scan: Scan | bytes) -> None:
+        """A scan as received, or in the aircraft's own bytes as fetched; these replace what was received."""
+        known = decode_scan(scan) if isinstance(scan, bytes) else scan
+        data = scan if isinstance(scan, bytes) else encode_scan(scan)
+        before = self._scans.get(known.number)
+        if before == data:
+            return
+        self._scans[known.number] = data
+        if before is None:
+            at = bisect_right(self._numbers, known.number)
+            insort(self._numbers, known.number)
+            if at < self._done:
+                self._done += 1
+                self._dirty.add(known.number)
+        elif bisect_left(self._numbers, known.number) < self._done:
+            self._dirty.add(known.number)
+        self._latest = max(self._latest, known.time)
+
+    def again(self) -> None:
+        """Give every sample once more: the calibration has changed."""
+        self._done, self._worked = 0, -math.inf
+        self._dirty.clear()
+
+    def ready(self, calibrator: Calibrator, *, late: bool = False, all_of_it: bool = False) -> Iterator[Sample]:
+        """New samples in order of time, as far as their neighbours are there; then, if asked, those that late scans change.
+
+        late: also these. all_of_it: the last ones too, although none will follow. Raises CalibrationError.
+        """
+        there = len(self._numbers) if all_of_it else len(self._numbers) - NEIGHBOURS
+        end = there if all_of_it else min(there, self._done + AT_ONCE)
+        if end > self._done and (end < there or all_of_it or self._latest - self._worked >= self._batch):
+            first, self._done, self._worked = self._done, end, self._latest
+            yield from self._samples(first, end, calibrator)
+        if late or all_of_it:
+            for first, last in self._changed():
+                yield from self._samples(first, last, calibrator)
+            self._dirty.clear()
+
+    def _changed(self) -> Iterator[tuple[int, int]]:
+        """Ranges of rows among those given that late scans have to do with."""
+        ranges: list[tuple[int, int]] = []
+        for number in sorted(self._dirty):
+            at = bisect_left(self._numbers, number)
+            first, last = max(0, at - NEIGHBOURS), min(self._done, at + NEIGHBOURS + 1)
+            if ranges and first <= ranges[-1][1]:
+                ranges[-1] = (ranges[-1][0], last)
+            else:
+                ranges.append((first, last))
+        yield from ranges
+
+    def _samples(self, first: int, last: int, calibrator: Calibrator) -> Iterator[Sample]:
+        for begin in range(first, last, BLOCK):
+            end = min(last, begin + BLOCK)
+            low = max(0, begin - NEIGHBOURS - HELD)
+            numbers = self._numbers[low : end + NEIGHBOURS]
+            table = bridged(scan_table(decode_scan(self._scans[n]) for n in numbers))
+            columns, _ = calibrator.columns(table, aligned=True)
+            rows = np.stack([table.time, *(columns[n] for n in SIGNALS)], axis=1)
+            for row in rows[begin - low : end - low].tolist():
+                yield Sample(*row)
+
+
+def bridged(table: ScanTable) -> ScanTable:
+    """The table with scans up to BRIDGED seconds apart numbered as neighbours: alignment breaks only where more is missing."""
+    steps = np.where(np.diff(table.time) <= BRIDGED, 1, BREAK)
+    return replace(table, number=np.concatenate([[0], np.cumsum(steps)]).astype(np.int64))

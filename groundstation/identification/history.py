@@ -1,0 +1,100 @@
+"""What was shown live, second by second, as it is kept in the finished flight."""
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from daq.identification.airframe import DERIVATIVES
+from daq.identification.live import LiveEstimates
+
+DETAIL = "live_identification"
+"""Key of a flight's provenance detail under which the history travels with the flight."""
+BELIEVED = "believed"
+"""Key beside the history: derivative -> value, std, source."""
+MOST = 7200  # entries that are kept: two hours, some 3 MB
+DIGITS = 6  # of a number that is kept: the bounds have two
+
+
+class LiveHistory:
+    """Estimates over time; of a very long flight every other entry is dropped, again and again."""
+
+    def __init__(self) -> None:
+        self._rows: list[tuple[float, LiveEstimates]] = []
+        self._every = self._skipped = 0
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def add(self, time: float, estimates: LiveEstimates) -> None:
+        """One entry, at `time` [s] of the flight."""
+        if self._skipped < self._every:
+            self._skipped += 1
+            return
+        self._skipped = 0
+        self._rows.append((time, estimates))
+        if len(self._rows) > MOST:
+            self._rows = self._rows[::2]
+            self._every = 2 * self._every + 1
+
+    def to_json(self) -> dict[str, Any]:
+        """`time` and, by derivative, `estimate` and `std`, null before it could be told: as `estimate --method live` has them."""
+
+        def series(name: str, field: str) -> list[float | None]:
+            known = (e.derivatives[name] for _, e in self._rows)
+            return [_short(getattr(d, field)) if d.told else None for d in known]
+
+        return {
+            "time": [round(t, 3) for t, _ in self._rows],
+            **{n: {"estimate": series(n, "estimate"), "std": series(n, "std")} for n in DERIVATIVES},
+        }
+
+
+def final_json(estimates: LiveEstimates) -> dict[str, Any]:
+    """The last numbers, each with why it is not told where it is not."""
+    return {
+        n: {"estimate": _finite(d.estimate), "std": _finite(d.std), "told": d.told, "why": d.why}
+        for n, d in estimates.derivatives.items()
+    }
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _short(value: float) -> float | None:
+    return float(f"{value:.{DIGITS}g}") if math.isfinite(value) else None
+
+
+def history_of(detail: Mapping[str, Any]) -> tuple[list[float], dict[str, tuple[list[float], list[float]]]] | None:
+    """Times [s] and, by derivative, estimates and bounds (NaN before they were told) that a flight carries; None for anything
+    else under that key, for a flight may come from anybody."""
+    kept = detail.get(DETAIL)
+    history = kept.get("history") if isinstance(kept, Mapping) else None
+    if not isinstance(history, Mapping):
+        return None
+    times = _numbers(history.get("time"))
+    if not times or not all(math.isfinite(t) for t in times):
+        return None
+    found = {}
+    for name in DERIVATIVES:
+        series = history.get(name)
+        if isinstance(series, Mapping):
+            values, bounds = _numbers(series.get("estimate")), _numbers(series.get("std"))
+            if len(values) == len(bounds) == len(times):
+                found[name] = (values, bounds)
+    return times, found
+
+
+def alarmed(detail: Mapping[str, Any]) -> bool:
+    """Whether the gap monitor gave an alarm during the flight."""
+    kept = detail.get(DETAIL)
+    return isinstance(kept, Mapping) and bool(kept.get("alarms"))
+
+
+def _numbers(value: Any) -> list[float]:
+    """A list of numbers and nulls, as numbers and NaN; empty for anything else."""
+    if not isinstance(value, list) or not all(
+        v is None or (isinstance(v, int | float) and not isinstance(v, bool)) for v in value
+    ):
+        return []
+    return [math.nan if v is None else float(v) for v in value]

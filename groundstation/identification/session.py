@@ -1,0 +1,176 @@
+"""Live identification of one run of one aircraft's logger: scans in, state and history out."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from numpy.linalg import LinAlgError
+
+from daq.identification.airframe import CONTROLS, DERIVATIVES, Sample
+from daq.identification.in_order import OrderedEstimator
+from daq.identification.live import LiveEstimates
+from daq.identification.next_manoeuvre import Advice, next_manoeuvre
+from daq.identification.stretches import Stretches
+from groundstation.calibration.apply import Calibrator
+from groundstation.calibration.errors import CalibrationError
+from groundstation.identification.aircraft import LiveAircraft
+from groundstation.identification.alignment import ScanAlignment
+from groundstation.identification.history import LiveHistory
+from groundstation.identification.wanted import ExcitationMeter, TimeToBound, Together, together, wanted_bounds
+from groundstation.identification.watching import LiveWatch
+
+LOOK_S = 0.9  # s of flight between two entries of the history: samples come in batches of a second
+ADVISE_S = 5.0  # s of flight between two looks for what to fly next: some 20 ms each
+REVISE_S = 5.0  # s of flight between two workings-in of late scans: each goes back by up to 30 s
+WORK = 15  # late samples worked in at a call, so that the receiver never waits: some 5 ms
+PACE_S = 10.0  # s of scans that tell how many come a second
+RECENT_S = 10.0  # s over which excitation counts as that of now
+
+TROUBLES = (CalibrationError, LinAlgError, ArithmeticError, ValueError)
+"""What numbers from outside can provoke in the arithmetic; told once, and identification rests, nothing else does."""
+
+
+@dataclass(frozen=True)
+class LiveState:
+    """Everything that is shown at `time` [s].
+
+    wanted: derivative -> bound to be reached [1/rad]. to_go: derivative -> seconds of manoeuvring as of now until then, 0 when
+    there, inf where nothing is gained. excitation: control -> rms movement of the last seconds [rad], as signals. together: pairs
+    that are not told apart. late: scans that came late and are not in the numbers yet.
+    """
+
+    time: float
+    aircraft: LiveAircraft
+    estimates: LiveEstimates
+    wanted: Mapping[str, float]
+    to_go: Mapping[str, float]
+    excitation: Mapping[str, float]
+    together: tuple[Together, ...]
+    advice: Advice | None
+    late: int
+
+
+class LiveIdentification:
+    """Call `step` often, `finish` at the end. It never raises for what the numbers are.
+
+    wanted: bound to be reached as a share of a derivative. alignment: filled by the owner with the scans that come; some may be
+    there already. stretches: decides what is identified from.
+    watched: with the gap monitor beside it, from ten seconds on. trouble: why it rests; empty while it works.
+    """
+
+    def __init__(
+        self,
+        aircraft: LiveAircraft,
+        calibrator: Calibrator,
+        wanted: float,
+        alignment: ScanAlignment,
+        stretches: Stretches,
+        *,
+        watched: bool = False,
+    ) -> None:
+        self.aircraft = aircraft
+        self.trouble = ""
+        self.history = LiveHistory()
+        self._calibrator = calibrator
+        self._alignment = alignment
+        self.stretches = stretches
+        self._estimator = OrderedEstimator(aircraft.airframe)
+        self._share = wanted
+        self._watched = watched
+        self._begun = math.nan
+        self.watch: LiveWatch | None = None
+        self._meters = {signal: ExcitationMeter(RECENT_S) for signal in CONTROLS.values()}
+        self._pace = TimeToBound()
+        self._last: Sample | None = None
+        self._look_at = self._advise_at = self._revise_at = -math.inf
+        self._advice: Advice | None = None
+        self.state: LiveState | None = None
+
+    def use(self, calibrator: Calibrator) -> None:
+        """Another calibration, from the first scan on."""
+        self._calibrator = calibrator
+        self._alignment.again()
+        self._estimator = OrderedEstimator(self.aircraft.airframe)
+
+    def step(self) -> LiveState | None:
+        """Work in some of what has come; the state where there is a new one, once a second of flight."""
+        if self.trouble:
+            return None
+        try:
+            self._work(finish=False)
+            if self._last is None or self._last.time < self._look_at:
+                return None
+            self._look_at = self._last.time + LOOK_S
+            self.state = self._look(self._last)
+        except TROUBLES as error:
+            self.trouble = f"live identification rests: {error or type(error).__name__}"
+            return None
+        self.history.add(self.state.time, self.state.estimates)
+        return self.state
+
+    def finish(self) -> LiveState | None:
+        """Everything that has come into the numbers; the last state."""
+        if self.trouble:
+            return self.state
+        try:
+            self._work(finish=True)
+            if self._last is not None:
+                self.state = self._look(self._last)
+                self.history.add(self.state.time, self.state.estimates)
+        except TROUBLES as error:
+            self.trouble = f"live identification rests: {error or type(error).__name__}"
+        return self.state
+
+    def _work(self, *, finish: bool) -> None:
+        late = self._last is not None and self._last.time >= self._revise_at and not self._estimator.behind
+        if late and self._last is not None:
+            self._revise_at = self._last.time + REVISE_S
+        for sample in self._alignment.ready(self._calibrator, late=late, all_of_it=finish):
+            if self._last is None or sample.time > self._last.time:
+                self._newest(sample)
+            for wanted in self.stretches.take(sample):
+                self._estimator.revise(wanted)
+                if self.watch is not None:
+                    self.watch.add(wanted)
+        while not self._estimator.work(1000 if finish else WORK) and finish:
+            pass
+
+    def _begin_watch(self, time: float) -> None:
+        """Once the pace of the scans is known."""
+        if math.isnan(self._begun):
+            self._begun = time
+        elif time - self._begun >= PACE_S:
+            self.watch = LiveWatch(self.aircraft, len(self._alignment) / (time - self._begun))
+
+    def _newest(self, sample: Sample) -> None:
+        if self._watched and self.watch is None:
+            self._begin_watch(sample.time)
+        if sample.credible:
+            self._last = sample
+            for signal, meter in self._meters.items():
+                meter.add(sample.time, getattr(sample, signal))
+
+    def _look(self, last: Sample) -> LiveState:
+        estimates = self._estimator.estimates()
+        information = self._estimator.estimator.information()
+        wanted = wanted_bounds(self.aircraft.airframe.beliefs, estimates.derivatives, self._share)
+        to_go = self._pace.at(estimates, wanted)
+        if last.time >= self._advise_at:
+            self._advise_at = last.time + ADVISE_S
+            values = {n: self._value(n, estimates) for n in DERIVATIVES}
+            self._advice = next_manoeuvre(self.aircraft.airframe, values, information, wanted, last)
+        return LiveState(
+            last.time,
+            self.aircraft,
+            estimates,
+            wanted,
+            to_go,
+            {signal: meter.rms for signal, meter in self._meters.items()},
+            together(information),
+            self._advice,
+            self._alignment.late + self._estimator.behind,
+        )
+
+    def _value(self, name: str, estimates: LiveEstimates) -> float:
+        known = estimates.derivatives[name]
+        return known.estimate if known.told else self.aircraft.airframe.believed(name)

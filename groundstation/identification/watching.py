@@ -1,0 +1,86 @@
+"""The gap monitor beside live identification: does what the aircraft file believes still describe what is flown?
+
+Its thresholds come from simulated flights, half a minute of processor time, so they are made in a thread; samples wait for them.
+"""
+
+import threading
+
+import numpy as np
+from numpy.linalg import LinAlgError
+
+from daq.identification.airframe import Sample
+from daq.identification.monitor.bank import bank
+from daq.identification.monitor.monitor import Alarm, GapMonitor
+from daq.identification.monitor.nulls import Conditions
+from daq.identification.monitor.threshold import calibrated
+from groundstation.identification.aircraft import LiveAircraft
+
+SEED = 1
+HOURS = 2.5  # of simulated manoeuvring behind the thresholds
+LOST = 0.05  # of what a radio sends
+ON_BOARD_HZ, SLOWER_HZ = 20.0, 17.0  # scans a second of the logger; from which on below they are taken to come by radio
+AT_ONCE = 60  # samples that have waited, worked off at a call
+
+
+class LiveWatch:
+    """Give it samples of manoeuvring flight; `alarms` are those told so far. rate: scans a second that are seen."""
+
+    def __init__(self, aircraft: LiveAircraft, rate: float) -> None:
+        self._aircraft = aircraft
+        self._conditions = Conditions(rate=rate, loss=LOST) if rate < SLOWER_HZ else Conditions(rate=ON_BOARD_HZ)
+        self._monitor: GapMonitor | None = None
+        self._waiting: list[Sample] = []
+        self._told = 0
+        self.trouble = ""
+        self._thread = threading.Thread(target=self._calibrate, name="gap monitor", daemon=True)
+        self._thread.start()
+
+    def add(self, sample: Sample) -> None:
+        """One sample, in order of time."""
+        self._waiting.append(sample)
+
+    def step(self, *, finish: bool = False) -> list[Alarm]:
+        """Alarms that are new. finish: wait for the thresholds, and go through everything."""
+        if finish:
+            self._thread.join()
+        if self._monitor is None:
+            return []
+        most = len(self._waiting) if finish else AT_ONCE
+        now, self._waiting = self._waiting[:most], self._waiting[most:]
+        for sample in now:
+            self._monitor.add(sample)
+        new = self._monitor.alarms[self._told :]
+        self._told = len(self._monitor.alarms)
+        return new
+
+    @property
+    def alarms(self) -> tuple[Alarm, ...]:
+        """All so far."""
+        return () if self._monitor is None else tuple(self._monitor.alarms)
+
+    @property
+    def watched(self) -> float:
+        """Seconds of manoeuvring that were watched."""
+        return 0.0 if self._monitor is None else self._monitor.watched
+
+    def _calibrate(self) -> None:
+        beliefs = self._aircraft.airframe.beliefs
+        values = {n: b.value for n, b in beliefs.items()}
+        try:
+            effects = bank(self._aircraft.airframe, values, {n: b.std for n, b in beliefs.items() if b.std > 0.0})
+            rng = np.random.default_rng([SEED, len(effects)])
+            found = calibrated(self._aircraft.airframe, values, effects, self._conditions, rng=rng, hours=HOURS)
+            self._monitor = GapMonitor(self._aircraft.airframe, values, effects, found)
+        except (LinAlgError, ArithmeticError, ValueError) as error:  # an aircraft that does not fly by its beliefs
+            self.trouble = f"no gap monitor: its thresholds cannot be simulated from these beliefs ({error})"
+
+
+def alarm_line(alarm: Alarm) -> str:
+    """One alarm in a line of the log."""
+    shown = ", ".join(alarm.channels)
+    names = "; ".join(f"{n.effect} ({n.title}) {n.size:+.2g} {n.unit}" for n in alarm.leading)
+    what = f"may be {names}" if names else "errors have grown, and no effect of the list explains them"
+    return (
+        f"gap monitor: the model no longer holds in {alarm.equation} (shown by {shown}), since about {alarm.since:.1f} s; "
+        f"score {alarm.score:.1f} of {alarm.threshold:.1f}; {what}"
+    )

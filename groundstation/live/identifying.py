@@ -1,0 +1,200 @@
+"""Live identification of every aircraft that a station hears: begun when its aircraft is known, told, forwarded, and kept.
+
+Nothing here can end or delay reception: work is done in small pieces, and what the numbers provoke is told once.
+"""
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from daq.contract.errors import UserError
+from daq.contract.recordings.recording import AIRCRAFT_ATTACHMENT, RecordingInfo
+from daq.contract.scan import Scan
+from daq.identification.stretches import Stretches
+from groundstation.identification.aircraft import AircraftSource, LiveAircraft
+from groundstation.identification.alignment import ScanAlignment
+from groundstation.identification.history import BELIEVED, final_json
+from groundstation.identification.session import LiveIdentification, LiveState
+from groundstation.identification.watching import alarm_line
+from groundstation.identification.words import NAMES, number, short_line
+from groundstation.live.aircraft_monitor import AircraftMonitor
+from groundstation.live.config import IdentificationConfig
+from groundstation.live.flight_phase import LandingLimits
+from groundstation.live.named_values import NamedValues
+from groundstation.receiver.events import Session
+
+UNNAMED_S = 15.0  # s of flight after which it is said that nobody has named the aircraft
+UNNAMED = (
+    "live identification waits: the recording has not named its aircraft yet; name one with --aircraft NAME or FILE, or "
+    '[identification] aircraft = "..."'
+)
+
+
+@dataclass
+class _Run:
+    """One run of one aircraft's logger. told: derivatives that have been announced."""
+
+    monitor: AircraftMonitor
+    alignment: ScanAlignment = field(default_factory=ScanAlignment)
+    live: LiveIdentification | None = None
+    told: set[str] = field(default_factory=set)
+    first: float = math.nan
+    line_at: float = -math.inf
+    waiting_told: bool = False
+    given_up: bool = False
+    watch_told: bool = False
+
+
+class LiveIdentifications:
+    """Call `scan` and `fetched` with what comes, `step` often.
+
+    landing: from which speed on the aircraft flies. source: reads aircraft files; None where live identification is off.
+    say: for what concerns no aircraft.
+    """
+
+    def __init__(
+        self,
+        config: IdentificationConfig,
+        landing: LandingLimits,
+        source: AircraftSource | None,
+        say: Callable[[str], None],
+    ) -> None:
+        self._config = config
+        self._landing = (landing.flying_speed, landing.flying_s)
+        self._source = source if config.enabled else None
+        self._runs: dict[Session, _Run] = {}
+        self._forward = NamedValues(config.forward if self._source is not None else (), say)
+        if self._source is not None and config.aircraft:
+            self._source(config.aircraft, None)  # a mistake is said at the start, not in the air
+
+    def scan(self, session: Session, scan: Scan, monitor: AircraftMonitor) -> None:
+        """A scan as received."""
+        if self._source is None:
+            return
+        run = self._run(session, monitor)
+        if math.isnan(run.first):
+            run.first = scan.time
+        run.alignment.add(scan)
+        if run.live is None and not (run.waiting_told or run.given_up) and scan.time - run.first > UNNAMED_S:
+            run.waiting_told = True
+            monitor.note("INFO", UNNAMED)
+
+    def fetched(self, session: Session, data: bytes, monitor: AircraftMonitor) -> None:
+        """A scan in the aircraft's own bytes, by backfill."""
+        if self._source is not None:
+            self._run(session, monitor).alignment.add(data)
+
+    def _run(self, session: Session, monitor: AircraftMonitor) -> _Run:
+        """The run, begun at once where the configuration names the aircraft."""
+        run = self._runs.get(session)
+        if run is None:
+            run = self._runs[session] = _Run(monitor)
+            if self._config.aircraft:
+                self._begin(run, self._config.aircraft, None)
+        return run
+
+    def known(self, session: Session, info: RecordingInfo, monitor: AircraftMonitor) -> None:
+        """The recording has told what it is: its aircraft, and its calibration, which the monitor uses already."""
+        if self._source is None:
+            return
+        run = self._run(session, monitor)
+        if run.live is not None:
+            run.live.use(monitor.calibrator)
+        elif info.aircraft:
+            carried = info.attachments.get(AIRCRAFT_ATTACHMENT)
+            if carried is None and run.given_up:
+                return
+            self._begin(run, info.aircraft, None if carried is None else carried.decode("utf-8", "replace"))
+
+    def _begin(self, run: _Run, name: str, text: str | None) -> None:
+        assert self._source is not None
+        try:
+            aircraft: LiveAircraft = self._source(name, text)
+        except UserError as error:
+            run.given_up = True
+            run.monitor.note("WARN", f"no live identification: {error}")
+            return
+        run.given_up = False
+        run.live = LiveIdentification(
+            aircraft,
+            run.monitor.calibrator,
+            self._config.wanted,
+            run.alignment,
+            Stretches(*self._landing),
+            watched=self._config.watch,
+        )
+        run.monitor.note("INFO", f"live identification of {aircraft.name} begins")
+
+    def step(self) -> None:
+        """Work on what has come, and tell what is new."""
+        for run in self._runs.values():
+            if run.live is None:
+                continue
+            state = run.live.step()
+            self._tell_alarms(run, finish=False)
+            if state is not None:
+                self._tell(run, state)
+            elif run.live.trouble and not run.given_up:
+                run.given_up = True
+                run.monitor.note("WARN", run.live.trouble)
+
+    def _tell_alarms(self, run: _Run, *, finish: bool) -> None:
+        watch = None if run.live is None else run.live.watch
+        if watch is None:
+            return
+        for alarm in watch.step(finish=finish):
+            run.monitor.note("WARN", alarm_line(alarm))
+        if watch.trouble and not run.watch_told:
+            run.watch_told = True
+            run.monitor.note("WARN", watch.trouble)
+
+    def _tell(self, run: _Run, state: LiveState) -> None:
+        run.monitor.show_identification(state)
+        self._forward.send(run.monitor.system, state)
+        known = state.estimates.derivatives
+        for name in (n for n in NAMES if n not in run.told and known[n].told):
+            run.told.add(name)
+            run.monitor.note("INFO", f"live: {name} is told now: {number(known[name])}")
+        if run.told and state.time >= run.line_at:
+            run.line_at = state.time + self._config.lines_every_s
+            run.monitor.note("INFO", short_line(state))
+
+    def state(self, system: int) -> LiveState | None:
+        """The latest state of an aircraft."""
+        runs = [r for s, r in self._runs.items() if s.system == system and r.live is not None]
+        return runs[-1].live.state if runs and runs[-1].live is not None else None
+
+    def finish(self) -> None:
+        """Everything that has come into the numbers, and what the monitor says of it."""
+        for run in self._runs.values():
+            if run.live is not None:
+                run.live.finish()
+                self._tell_alarms(run, finish=True)
+
+    def kept(self, session: Session) -> Mapping[str, Any] | None:
+        """What goes into the finished flight, after `finish`. None where nothing was identified."""
+        run = self._runs.get(session)
+        if run is None or run.live is None:
+            return None
+        state, watch = run.live.state, run.live.watch
+        if state is None or not run.live.history:
+            return None
+        e = state.estimates
+        return {
+            "aircraft": state.aircraft.name,
+            "span_s": e.span,
+            "rows": e.rows,
+            "not_moved": list(e.still),
+            BELIEVED: {
+                n: {"value": b.value, "std": b.std, "source": state.aircraft.sources.get(n, "")}
+                for n, b in state.aircraft.airframe.beliefs.items()
+            },
+            "final": final_json(e),
+            **({} if watch is None else {"watched_s": watch.watched, "alarms": [asdict(a) for a in watch.alarms]}),
+            "history": run.live.history.to_json(),
+        }
+
+    def close(self) -> None:
+        """Close what values are forwarded to."""
+        self._forward.close()

@@ -1,0 +1,1 @@
+"""What is kept of a session: journal, recording, the papers that came down, and the disk they go to."""

@@ -1,0 +1,1 @@
+"""Where bytes come in: serial, UDP, files, each with an allowance of memory."""

@@ -1,0 +1,1 @@
+"""What goes up: commands, requests for what was lost, downloads, manoeuvres."""

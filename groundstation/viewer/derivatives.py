@@ -1,0 +1,112 @@
+"""Identified derivatives as curves: each against what was believed of it, with its band, one plot a coefficient.
+
+Shown is (derivative - believed) / standard deviation of the belief: 0 is as believed, so that all fit one scale, and rerun fits
+a scale only to the first data. Two bounds to each side make the band. The numbers themselves are in the text beside.
+"""
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+
+import numpy as np
+import rerun as rr
+
+from daq.identification.airframe import EQUATIONS, Belief
+from groundstation.identification.history import BELIEVED, DETAIL, history_of
+from groundstation.identification.session import LiveState
+from groundstation.identification.words import markdown
+from groundstation.viewer import entities as e
+from groundstation.viewer.glyphs import drawable
+
+BAND = 2.0  # bounds to each side: 95 %
+BAND_LABEL = " "  # of its edges: in the colour of their derivative, and the legend is long enough
+THIN, THICK = 0.6, 2.0  # widths of lines, in points
+
+
+def entity(coefficient: str) -> str:
+    """Where the curves of a coefficient are."""
+    return f"{e.IDENTIFICATION}/{coefficient}"
+
+
+class DerivativeCurves:
+    """Logs into a recording stream; not thread-safe."""
+
+    def __init__(self, stream: rr.RecordingStream) -> None:
+        self._stream = stream
+        self._named = False
+
+    def show(self, state: LiveState) -> None:
+        """One live state: a point on each curve, and the text."""
+        beliefs = state.aircraft.airframe.beliefs
+        self._name_once(state.aircraft.sources)
+        self._stream.set_time(e.TIMELINE, duration=state.time)
+        for coefficient, terms in EQUATIONS.items():
+            known = [state.estimates.derivatives[f"{coefficient}_{t}"] for t in terms]
+            rows = [
+                _shown(d.estimate if d.told else math.nan, d.std, beliefs.get(d.name, Belief(0.0, 0.0))) for d in known
+            ]
+            self._stream.log(entity(coefficient), rr.Scalars(np.ravel(rows)))
+        text = rr.TextDocument(drawable(markdown(state)), media_type=rr.MediaType.MARKDOWN)
+        self._stream.log(e.IDENTIFIED, text)
+
+    def kept(self, detail: Mapping[str, object]) -> None:
+        """The history that a finished flight carries, if it does."""
+        found = history_of(detail)
+        if found is None:
+            return
+        times, series = found
+        believed = _believed(detail)
+        self._name_once({})
+        for coefficient, terms in EQUATIONS.items():
+            names = [f"{coefficient}_{t}" for t in terms]
+            empty = ([math.nan] * len(times),) * 2
+            table = [
+                [_shown(v, s, believed.get(n, Belief(0.0, 0.0))) for v, s in zip(*series.get(n, empty), strict=True)]
+                for n in names
+            ]
+            flat = np.array(table).transpose(1, 0, 2).reshape(len(times), -1)
+            index = rr.TimeColumn(e.TIMELINE, duration=np.array(times))
+            columns = rr.Scalars.columns(scalars=flat.ravel()).partition([flat.shape[1]] * len(times))
+            self._stream.send_columns(entity(coefficient), indexes=[index], columns=columns)
+
+    def _name_once(self, sources: Mapping[str, str]) -> None:
+        if self._named:
+            return
+        self._named = True
+        for coefficient, terms in EQUATIONS.items():
+            names = [f"{coefficient}_{t}" for t in terms]
+            labels = [x for n in names for x in _labels(n, sources.get(n, ""))]
+            colors = [c for i in range(len(names)) for c in (e.PALETTE[i], _faded(e.PALETTE[i]), _faded(e.PALETTE[i]))]
+            lines = rr.SeriesLines(
+                names=labels, colors=np.array(colors, np.uint32), widths=[THICK, THIN, THIN] * len(names)
+            )
+            self._stream.log(entity(coefficient), lines, static=True)
+
+
+def _labels(name: str, source: str) -> Iterable[str]:
+    yield f"{name}{f' (0: {source})' if source else ''}"
+    yield BAND_LABEL
+    yield BAND_LABEL
+
+
+def _shown(value: float, bound: float, belief: Belief) -> Sequence[float]:
+    """Estimate and the edges of its band, in standard deviations of the belief."""
+    if not (math.isfinite(value) and belief.std > 0.0):
+        return (math.nan,) * 3
+    centre, half = (value - belief.value) / belief.std, BAND * bound / belief.std
+    return centre, centre - half, centre + half
+
+
+def _faded(color: int) -> int:
+    return (color & 0xFFFFFF00) | 0x80
+
+
+def _believed(detail: Mapping[str, object]) -> dict[str, Belief]:
+    kept = detail.get(DETAIL)
+    rows = kept.get(BELIEVED) if isinstance(kept, Mapping) else None
+    found = {}
+    for name, row in rows.items() if isinstance(rows, Mapping) else ():
+        if isinstance(row, Mapping):
+            value, std = row.get("value"), row.get("std")
+            if isinstance(value, int | float) and isinstance(std, int | float):
+                found[str(name)] = Belief(float(value), float(std))
+    return found

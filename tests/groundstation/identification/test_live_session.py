@@ -1,0 +1,261 @@
+"""Live identification at the ground: the same numbers as over the file, from scans in order, lossy, late; nothing harms it."""
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from daq.contract.recordings.reading import read_recording
+from daq.contract.scan import Scan, encode_scan
+from daq.identification.airframe import SIGNALS, Belief, Sample
+from daq.identification.live import LiveEstimator
+from daq.identification.stretches import Stretches
+from estimation.aircraft import load_aircraft
+from estimation.estimators.recursive import airframe_of, recursive, samples_of
+from estimation.models import load_model
+from groundstation.calibration.apply import Calibrator, calibrate
+from groundstation.calibration.recording import embedded_calibration
+from groundstation.flight import Flight
+from groundstation.identification.alignment import NEIGHBOURS, ScanAlignment
+from groundstation.identification.session import LiveIdentification, LiveState
+from groundstation.identification.wanted import TimeToBound, wanted_bounds
+from groundstation.identification.words import lines, short_line
+from sideslip.live_aircraft import airframe_of_file, live_aircraft
+
+EIGHT = ("CY_beta", "CY_dr", "Cl_beta", "Cl_p", "Cl_da", "Cn_beta", "Cn_r", "Cn_dr")
+Array = NDArray[np.float64]
+
+
+@pytest.fixture(scope="module")
+def recording(root: Path) -> tuple[list[Scan], Calibrator, Flight]:
+    """Scans of a simulated flight of half a minute, its calibration, and the flight as `sideslip calibrate` makes it."""
+    found = read_recording(root / "recordings" / "cdfp_ld4_raw.mcap")
+    scans = list(found.scans())
+    calibration = embedded_calibration(found)
+    return scans, Calibrator(calibration, found.info.details), calibrate(scans, calibration, facts=found.info.details)
+
+
+def session(calibrator: Calibrator, alignment: ScanAlignment) -> LiveIdentification:
+    return LiveIdentification(live_aircraft("cdfp"), calibrator, 0.05, alignment, Stretches(9.0, 2.0))
+
+
+def received(scans: list[Scan], seed: int = 3) -> Iterator[Scan]:
+    """At 11.5 Hz, 5 % of it lost."""
+    rng = np.random.default_rng(seed)
+    sent = np.diff(np.floor(np.arange(len(scans)) * 11.5 / 20.0), prepend=-1.0) > 0
+    return (s for s, there in zip(scans, sent & (rng.uniform(size=len(scans)) > 0.05), strict=True) if there)
+
+
+def fed(live: LiveIdentification, alignment: ScanAlignment, scans: Iterator[Scan]) -> list[LiveState]:
+    states = []
+    for scan in scans:
+        alignment.add(scan)
+        state = live.step()
+        states += [] if state is None else [state]
+    return states
+
+
+def test_scans_in_order_give_the_numbers_of_the_file(recording: tuple[list[Scan], Calibrator, Flight]) -> None:
+    scans, calibrator, flight = recording
+    alignment = ScanAlignment()
+    live = session(calibrator, alignment)
+    states = fed(live, alignment, iter(scans))
+    assert 20 < len(states) < 40
+    final = live.finish()
+    assert final is not None
+    used = np.zeros(len(flight), bool)
+    for begin, end in live.stretches.found:
+        used |= (flight.time >= begin - 1e-9) & (flight.time <= end + 1e-9)
+    assert 300 < used.sum() < len(flight)
+    aircraft = load_aircraft("cdfp")
+    over_file = recursive(load_model("lateral", aircraft), [flight.part(used)], aircraft)
+    for name, known in final.estimates.derivatives.items():
+        there = over_file.parameters[name]
+        assert known.estimate == pytest.approx(there.estimate, rel=1e-6)
+        assert known.std == pytest.approx(there.std_coloured, rel=1e-6)
+
+
+def test_late_scans_end_in_the_same_numbers(recording: tuple[list[Scan], Calibrator, Flight]) -> None:
+    scans, calibrator, _ = recording
+    whole, lossy = ScanAlignment(), ScanAlignment()
+    first, second = session(calibrator, whole), session(calibrator, lossy)
+    fed(first, whole, iter(scans))
+    expected = first.finish()
+    there = {s.number for s in received(scans)}
+    fed(second, lossy, received(scans))
+    before = second.state
+    for scan in scans:
+        if scan.number not in there:
+            lossy.add(encode_scan(scan))
+    got = second.finish()
+    assert expected is not None
+    assert got is not None
+    assert before is not None
+    # the stretch of flight begins by the scans that came in order: within one of theirs
+    for name in EIGHT:
+        a, b, c = (s.estimates.derivatives[name] for s in (expected, got, before))
+        assert abs(b.estimate - a.estimate) < 0.05 * a.std
+        assert b.std < c.std
+    assert got.late == 0
+
+
+def test_lossy_link_is_aligned_well_enough(recording: tuple[list[Scan], Calibrator, Flight]) -> None:
+    """Left at their own instants, the same scans give rolling derivatives that are 15 to 25 % small."""
+    scans, calibrator, _ = recording
+    rolling = ("Cl_beta", "Cl_p", "Cl_da")
+
+    def found(arrived: Iterator[Scan]) -> Array:
+        alignment = ScanAlignment()
+        live = session(calibrator, alignment)
+        fed(live, alignment, arrived)
+        state = live.finish()
+        assert state is not None
+        return np.array([state.estimates.derivatives[n].estimate for n in rolling])
+
+    whole = found(iter(scans))
+    off = [found(received(scans, seed)) / whole - 1.0 for seed in range(4)]
+    assert np.abs(np.median(off, axis=0)).max() < 0.08
+
+
+def test_samples_of_the_aligned_stretch_are_those_of_the_flight(
+    recording: tuple[list[Scan], Calibrator, Flight],
+) -> None:
+    scans, calibrator, flight = recording
+    alignment = ScanAlignment()
+    got: list[Sample] = []
+    for scan in scans:
+        alignment.add(scan)
+        got += alignment.ready(calibrator)
+    assert len(got) >= len(scans) - NEIGHBOURS - 21
+    table = np.array(got[40:])
+    rows = np.searchsorted(flight.time, table[:, 0] - 1e-9)
+    expected = np.stack([flight.time[rows], *(flight[n][rows] for n in SIGNALS)], axis=1)
+    np.testing.assert_allclose(table, expected, rtol=1e-9, atol=1e-12)
+
+
+def test_numbers_that_cannot_be_end_identification_and_nothing_else(
+    recording: tuple[list[Scan], Calibrator, Flight], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scans, calibrator, _ = recording
+
+    def singular(self: LiveEstimator) -> None:
+        raise np.linalg.LinAlgError("singular")
+
+    alignment = ScanAlignment()
+    live = session(calibrator, alignment)
+    monkeypatch.setattr(LiveEstimator, "estimates", singular)
+    assert fed(live, alignment, iter(scans)) == []
+    assert live.trouble == "live identification rests: singular"
+    assert live.finish() is None
+
+
+def test_words_name_what_rests_and_what_helps(recording: tuple[list[Scan], Calibrator, Flight]) -> None:
+    scans, calibrator, _ = recording
+    alignment = ScanAlignment()
+    live = session(calibrator, alignment)
+    states = fed(live, alignment, iter(scans))
+    early, late = "\n".join(lines(states[0])), "\n".join(lines(states[-1]))
+    assert "rudder has not moved yet" in early
+    assert "Cl_p" in late
+    assert "wind tunnel" in late
+    assert "next: " in late
+    assert " told, " in short_line(states[-1])
+    assert states[-1].estimates.derivatives["Cn_dr"].told
+
+
+def test_aircraft_files_give_the_airframe_of_the_estimate() -> None:
+    aircraft = load_aircraft("cdfp")
+    assert airframe_of_file(aircraft) == airframe_of(load_model("lateral", aircraft), aircraft)
+
+
+def test_time_to_a_bound_follows_information() -> None:
+    """Of a bound that falls as 1 / sqrt(t), 0.1 at 10 s, 0.05 is there at 40 s."""
+    pace = TimeToBound()
+    wanted = {"Cl_p": 0.05}
+    for t in np.arange(1.0, 21.0):
+        to_go = pace.at(_estimates(t, 0.1 * math.sqrt(10.0 / t)), wanted)
+        if t > 1.0:
+            assert to_go["Cl_p"] == pytest.approx(40.0 - t)
+    assert pace.at(_estimates(45.0, 0.04), wanted)["Cl_p"] == 0.0
+
+
+def test_wanted_bounds_follow_what_is_told() -> None:
+    beliefs = {"Cl_p": Belief(-0.4, 0.1), "CY_r": Belief(0.1, 0.05)}
+    assert wanted_bounds(beliefs, {}, 0.05)["Cl_p"] == pytest.approx(0.02)
+    assert wanted_bounds(beliefs, {}, 0.05)["CY_r"] == pytest.approx(0.02)  # weak: four times the share
+    told = _estimates(1.0, 0.01).derivatives
+    assert wanted_bounds(beliefs, told, 0.05)["Cl_p"] == pytest.approx(0.025)
+
+
+def test_stretches_lie_about_movements_in_flight() -> None:
+    """Fast from 9 to 40 s; the aileron moves at 0.5 s (not in flight), at 20 s and at 25 s."""
+    found = Stretches(9.0, 2.0)
+    at_rest = Sample(0.0, *[0.0] * 12)._replace(rho=1.2)
+    given: list[float] = []
+    for i in range(500):
+        t = 0.1 * i
+        moved = 0.1 if any(m <= t < m + 0.5 for m in (0.5, 20.0, 25.0)) else 0.0
+        given += [
+            s.time for s in found.take(at_rest._replace(time=t, V=15.0 if 9.0 <= t < 40.0 else 5.0, delta_a=moved))
+        ]
+    ((begin, end),) = found.found
+    assert begin == pytest.approx(19.0, abs=0.11)
+    assert end == pytest.approx(32.5, abs=1.01)  # moved last at 25.5 s, noticed for a second, six more
+    assert given[0] == begin
+    assert given[-1] == end
+    assert np.all(np.diff(given) < 0.11)
+    assert [s.time for s in found.take(at_rest._replace(time=20.03, V=15.0))] == [20.03]  # late
+    assert not list(found.take(at_rest._replace(time=15.03, V=15.0)))
+
+
+def _estimates(time: float, std: float):  # type: ignore[no-untyped-def]
+    from daq.identification.live import LiveDerivative, LiveEstimates
+
+    return LiveEstimates(time, time, 100, {"Cl_p": LiveDerivative("Cl_p", -0.5, std, std)}, ())
+
+
+def test_samples_of_the_flight_are_used(recording: tuple[list[Scan], Calibrator, Flight]) -> None:
+    _, _, flight = recording
+    assert sum(s.credible for s in samples_of(flight, slice(None))) > 500
+
+
+@pytest.mark.parametrize(("factor", "heard"), [(1.0, False), (2.2, True)])
+def test_the_monitor_beside_it_hears_of_an_aileron_that_does_less_than_believed(
+    factor: float,
+    heard: bool,
+    recording: tuple[list[Scan], Calibrator, Flight],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Beliefs are what this flight shows, and sure; but for the aileron in one case."""
+    from dataclasses import replace
+
+    from daq.identification.monitor import threshold
+    from groundstation.identification.watching import alarm_line
+
+    monkeypatch.setattr(threshold, "AT_ONCE", 24)
+    monkeypatch.setattr(threshold, "FLIGHT_S", 60.0)
+    scans, calibrator, _ = recording
+    alignment = ScanAlignment()
+    first = session(calibrator, alignment)
+    fed(first, alignment, iter(scans))
+    known = first.finish()
+    assert known is not None
+    beliefs = {n: Belief(d.estimate, max(2.0 * d.std, 1e-4)) for n, d in known.estimates.derivatives.items()}
+    beliefs["Cl_da"] = Belief(factor * beliefs["Cl_da"].value, 0.002)
+    sure = live_aircraft("cdfp")
+    sure = replace(sure, airframe=replace(sure.airframe, beliefs=beliefs))
+    again = ScanAlignment()
+    live = LiveIdentification(sure, calibrator, 0.05, again, Stretches(9.0, 2.0), watched=True)
+    fed(live, again, iter(scans))
+    live.finish()
+    assert live.watch is not None
+    alarms = live.watch.step(finish=True)
+    assert not live.watch.trouble
+    assert live.watch.watched > 10.0
+    assert bool(alarms) is heard
+    if heard:
+        assert alarms[0].equation == "Cl"
+        assert "holds in Cl (shown by p" in alarm_line(alarms[0])
