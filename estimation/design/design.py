@@ -3,14 +3,17 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from daq.contract.manoeuvre import FINENESS, Manoeuvre, checked
+from daq.contract.plain_words import meant
 from estimation.aircraft import Aircraft
 from estimation.design.condition import Condition, trimmed
 from estimation.design.limits import Limits, usual_limits
+from estimation.design.measured_inputs import DRAWS, expected
 from estimation.design.optimal import (
     Criterion,
     Designed,
@@ -34,6 +37,8 @@ USUAL_BAND = (0.1, 1.5)
 """Frequencies of chirps and multisines [Hz]: from a tenth of a Dutch roll to above the roll mode of a small aircraft."""
 WIDTHS = (0.2, 0.25, 0.33, 0.4, 0.5, 0.65, 0.8, 1.0)
 """Step widths [s] of which patterns take the best: periods of 0.4 to 2 s for a doublet."""
+NARROWER = (1.0, 0.8, 0.65, 0.5)
+"""Tops of the bands that an optimal input is looked for in, over that of the band given."""
 FIRST = 0.5  # s of trim before the first pattern
 REPEATS = 2  # patterns of each control in a set
 UNTOLD = 0.3
@@ -44,7 +49,8 @@ UNTOLD = 0.3
 class Task:
     """What to design. controls: empty for all of the model. criterion: one of CRITERIA or a parameter's name.
 
-    separate: parameters to be told apart, in place of the criterion. values, noise: from an estimate where there is one.
+    separate: parameters to be told apart, in place of the criterion. values, noise: from an estimate where there is one, then
+    noise_of_residuals. draws: flights with noisy inputs that the prediction is made of.
     """
 
     kind: str
@@ -61,6 +67,8 @@ class Task:
     rate_hz: float = 20.0
     held: bool = False
     seed: int = 1
+    noise_of_residuals: bool = False
+    draws: int = DRAWS
 
 
 @dataclass(frozen=True)
@@ -76,10 +84,24 @@ class Design:
     aircraft: str = ""
     notes: tuple[str, ...] = ()
 
+    @cached_property
+    def expected(self) -> dict[str, float]:
+        """Predicted standard deviation of each parameter, with all sensors noisy."""
+        return self._expected(self.best)
+
+    @cached_property
+    def expected_of_doublets(self) -> dict[str, float]:
+        """The same of the doublets."""
+        return self.expected if self.best is self.doublets else self._expected(self.doublets)
+
+    def _expected(self, designed: Designed) -> dict[str, float]:
+        task = self.task
+        return expected(self.bench, designed.motion, designed.information.std, task.seed, task.draws)
+
     @property
     def relative(self) -> dict[str, float]:
-        """Predicted bound over size of each derivative that has one."""
-        return relative_bounds(self.best, self.sizes)
+        """Predicted standard deviation over size of each derivative that has one."""
+        return relative(self.expected, self.sizes)
 
     @property
     def untold(self) -> tuple[str, ...]:
@@ -88,14 +110,14 @@ class Design:
 
     @property
     def gain(self) -> float:
-        """Worst relative bound of the doublets over that of this input."""
-        return max(relative_bounds(self.doublets, self.sizes).values()) / max(self.relative.values())
+        """Worst relative prediction of the doublets over that of this input."""
+        return max(relative(self.expected_of_doublets, self.sizes).values()) / max(self.relative.values())
 
     def manoeuvre(self) -> Manoeuvre:
         """As the file that is flown."""
         commands = np.round(self.best.commands / FINENESS) * FINENESS
         commands[[0, -1]] = 0.0
-        std = self.best.information.std
+        std = self.expected
         return checked(
             Manoeuvre(
                 self.best.kind,
@@ -117,13 +139,15 @@ class Design:
 
     def to_json(self) -> dict[str, Any]:
         """As the interface description has it, and what more a person may want."""
-        std = self.best.information.std
-        finite = {n: (s if math.isfinite(s) else None) for n, s in std.items()}
+        bounds = self.best.information.std
         return {
             "kind": self.best.kind,
             "time": self.best.motion.time.tolist(),
             "inputs": {c: self.best.commands[:, i].tolist() for i, c in enumerate(self.bench.controls)},
-            "predicted": {n: {"std": s, "relative": self.relative.get(n)} for n, s in finite.items()},
+            "predicted": {
+                n: {"std": _told(s), "std_outputs": _told(bounds[n]), "relative": _told(self.relative.get(n))}
+                for n, s in self.expected.items()
+            },
             "peak_factor": self.peak_factors(),
             "limits": {u.name: {"used": u.used, "allowed": u.allowed} for u in self.best.used},
             "untold": list(self.untold),
@@ -138,16 +162,24 @@ class Design:
         return {c: relative_peak_factor(rows[:, i]) for i, c in enumerate(self.bench.controls)}
 
 
-def relative_bounds(designed: Designed, sizes: Mapping[str, float]) -> dict[str, float]:
-    """Predicted bound over size, for the parameters that have a size."""
-    std = designed.information.std
+def _told(value: float | None) -> float | None:
+    return value if value is not None and math.isfinite(value) else None
+
+
+def relative(std: Mapping[str, float], sizes: Mapping[str, float]) -> dict[str, float]:
+    """Standard deviation over size, for the parameters that have a size."""
     return {n: std[n] / abs(size) for n, size in sizes.items() if n in std and size != 0.0}
+
+
+def relative_bounds(designed: Designed, sizes: Mapping[str, float]) -> dict[str, float]:
+    """Cramer-Rao bound over size, what the search goes by."""
+    return relative(designed.information.std, sizes)
 
 
 def design(model: Model, aircraft: Aircraft, task: Task, limits: Limits | None = None) -> Design:
     """Design an input. Raises EstimationError for what cannot be designed, with the way out."""
     if task.kind not in KINDS:
-        raise EstimationError(f"kind {task.kind!r} is unknown; choose from {', '.join(KINDS)}")
+        raise EstimationError(f"kind {task.kind!r} is unknown; choose from {', '.join(KINDS)}{meant(task.kind, KINDS)}")
     if not 2.0 <= task.duration <= 600.0:
         raise EstimationError(f"--time {task.duration:g}: give from 2 to 600 s")
     allowed = limits or usual_limits()
@@ -172,7 +204,7 @@ def design(model: Model, aircraft: Aircraft, task: Task, limits: Limits | None =
 def _bench(model: Model, condition: Condition, task: Task) -> Bench:
     controls = task.controls or tuple(s.name for s in model.inputs if s.control)
     values = {p.name: p.start for p in model.parameters}
-    return Bench(model, condition, controls, values, task.noise, task.rate_hz, task.held)
+    return Bench(model, condition, controls, values, task.noise, task.rate_hz, task.held, task.noise_of_residuals)
 
 
 def _sizes(model: Model, task: Task) -> dict[str, float]:
@@ -243,10 +275,18 @@ def _sines(
             return multisine(bench, limits, task.duration, task.band, rng)
         choose, judge = _criterion(task, sizes)
         steps = pattern_set(bench, limits, "3211", task.duration, sizes)
-        sines = optimal(bench, limits, task.duration, task.band, rng, sizes, choose, judge)
-        return min((sines, steps, doublets), key=judge)
+        sines = [optimal(bench, limits, task.duration, band, rng, sizes, choose, judge) for band in _bands(bench, task)]
+        return min((*sines, steps, doublets), key=judge)
     except ValueError as error:
         raise EstimationError(f"--time {task.duration:g}: {error}; give more time or a wider --band") from error
+
+
+def _bands(bench: Bench, task: Task) -> list[tuple[float, float]]:
+    """Bands that are tried of an optimal input: the one given, and lower ones that hold two harmonics for each
+    control. Where a limited signal answers low frequencies most, power spread up to the top of the band is wasted."""
+    low, high = task.band
+    fewest = 2 * len(bench.controls) / task.duration
+    return [(low, f * high) for f in NARROWER if f == 1.0 or f * high - low > fewest]
 
 
 def _criterion(

@@ -73,11 +73,11 @@ def _response(axes: Any, found: Design, name: str, allowed: float) -> None:
 def _bounds(axes: Any, found: Design) -> None:
     names = list(found.relative)
     at = np.arange(len(names))
-    plain = found.doublets.information.std
+    plain = found.expected_of_doublets
     axes.bar(at - 0.2, [100 * plain[n] / abs(found.sizes[n]) for n in names], 0.4, color="0.75", label="doublets")
     axes.bar(at + 0.2, [100 * found.relative[n] for n in names], 0.4, color="C0", label="this input")
     axes.axhline(100 * UNTOLD, color="C3", linewidth=0.8, linestyle="--", label="cannot be told above")
     axes.set_yscale("log")
     axes.set_xticks(at, [f"${tex(n)}$" for n in names])
-    axes.set_ylabel("predicted bound [%]")
+    axes.set_ylabel("predicted error (1 sigma) [%]")
     axes.legend(loc="upper right", ncols=3)

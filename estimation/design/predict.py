@@ -41,6 +41,7 @@ class Bench:
     """All that stays the same while inputs are tried. controls: inputs that the design moves, in this order.
 
     values: parameters. noise: output -> sigma. rate_hz: of the samples. held: whether a pilot holds bank and pitch.
+    noise_of_residuals: whether `noise` is what the residuals of a flight showed, noise of its inputs included.
     """
 
     model: Model
@@ -50,6 +51,7 @@ class Bench:
     noise: Mapping[str, float]
     rate_hz: float = 20.0
     held: bool = False
+    noise_of_residuals: bool = False
 
     def __post_init__(self) -> None:
         known = [s.name for s in self.model.inputs if s.control]
@@ -155,10 +157,14 @@ def fly(bench: Bench, commands: Array, duration: float) -> Motion:
     return Motion(time, surfaces, signals, motion.reached == len(time))
 
 
+def sampled(bench: Bench, motion: Motion) -> NDArray[np.intp]:
+    """Indices of the motion's steps at which the bench takes samples."""
+    return np.arange(0, len(motion.time), max(1, round(1.0 / (bench.rate_hz * INTEGRATION_STEP))))
+
+
 def information(bench: Bench, motion: Motion) -> Information:
     """What samples of this motion at the bench's rate would tell of the free parameters."""
-    stride = max(1, round(1.0 / (bench.rate_hz * INTEGRATION_STEP)))
-    keep = np.arange(0, len(motion.time), stride)
+    keep = sampled(bench, motion)
     model = bench.model
     u = np.tile([bench.condition.of(s.name) for s in model.inputs], (keep.size, 1))
     for i, signal in enumerate(model.inputs):

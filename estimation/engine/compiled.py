@@ -50,6 +50,7 @@ class CompiledKernel:
         dy = np.empty((count, ny, n)) if columns is not None else None
         nt = drive.du.shape[2] if columns is not None else 0
         empty: Array = np.zeros(0)
+        gain_rows = None if gain is None else np.ascontiguousarray(gain)  # a transposed array would be read by columns
         reached = self._library.integrate(
             count, substeps, n, nt,
             _pointer(drive.dt), _pointer(drive.u), _pointer(drive.u_mid), _pointer(drive.u_end),
@@ -57,7 +58,7 @@ class CompiledKernel:
             _pointer(p), _pointer(x0),
             *((_pointer(columns.parameter), _pointer(columns.state), _pointer(columns.transform), _pointer(columns.gain))
               if columns is not None else (None,) * 4),
-            _pointer(gain) if gain is not None else None, _pointer(drive.z),
+            _pointer(gain_rows) if gain_rows is not None else None, _pointer(drive.z),
             _pointer(x), _pointer(y), _pointer(dy) if dy is not None else _pointer(empty),
         )  # fmt: skip
         return Motion(x, y, dy, int(reached))

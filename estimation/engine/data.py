@@ -122,9 +122,9 @@ def prepare(model: Model, flight: Flight, preparation: Preparation = AS_USUAL) -
 
 
 def _looked_at(model: Model) -> list[str]:
-    """Columns that a model reads."""
+    """Measured columns that a model reads."""
     starts = [s.start for s in model.states if isinstance(s.start, str)]
-    return [*(s.source for s in (*model.inputs, *model.outputs, *model.states)), *starts]
+    return [*(s.source for s in (*model.inputs, *model.outputs, *model.states) if not s.computed), *starts]
 
 
 def _less_used(note: Note, model: Model) -> Note | None:
@@ -214,10 +214,11 @@ def _inputs(
             notes += told.of_stuck(signal.source, "is its sensor stuck?")
         else:
             u[:, i] = derived(flight, signal.source, pieces, notes)
+    rows = {i: at for i, at in rows.items() if not model.inputs[i].computed}  # those have no noise of their own
     if not preparation.denoise:
         notes.append(Note(NoteKind.OTHER, "measured inputs taken with their noise"))
         for i, signal in enumerate(model.inputs):
-            if flight.measured(signal.source):
+            if i in rows:
                 noise[signal.name] = (max((noise_level(u[at, i]) for at in rows[i]), default=0.0), 0.0)
         return u, None
     draws = min(preparation.draws, draws_for(len(flight)))

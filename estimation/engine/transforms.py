@@ -52,6 +52,19 @@ def _backlash(time: Array, value: Array, width: float) -> Array:
     return result
 
 
+def _rate_limit(time: Array, value: Array, slowness: float) -> Array:
+    """Follows the input no faster than one unit in `slowness` seconds; 0 and below: without limit."""
+    if slowness <= 0.0:
+        return value.copy()
+    result = np.empty_like(value)
+    now = float(value[0])
+    result[0] = now
+    for k, (u, h) in enumerate(zip(value[1:].tolist(), np.diff(time).tolist(), strict=True)):
+        now = min(max(u, now - h / slowness), now + h / slowness)
+        result[k + 1] = now
+    return result
+
+
 def _scale(time: Array, value: Array, factor: float) -> Array:
     return factor * value
 
@@ -65,6 +78,7 @@ FUNCTIONS: Mapping[str, tuple[Callable[[Array, Array, float], Array], float]] = 
     "lag": (_lag, 1e-4),
     "deadzone": (_deadzone, 1e-5),
     "backlash": (_backlash, 1e-5),
+    "rate_limit": (_rate_limit, 1e-4),
     "scale": (_scale, 1e-4),
     "bias": (_bias, 1e-5),
 }

@@ -1,14 +1,20 @@
-"""Maximum likelihood by filter error (`fem`): for flights in turbulence, where output error alone gives nonsense slowly.
+"""Maximum likelihood by filter error (`fem`, `fem-noise`): for flights in turbulence, where output error gives nonsense slowly.
 
 The model is driven by its own one-step prediction errors: x <- x + K (z - y) at every sample (steady-state Kalman
-filter in innovations form; Jategaonkar, Flight Vehicle System Identification, 2nd ed., chapter 5). The gain K is
-estimated together with the parameters, with exact sensitivities, instead of being derived from a process-noise model:
-asymptotically the same estimate without a Riccati equation. Innovations of the right model are white, so both bounds
-agree. The fit that a result reports is that of one-step predictions.
+filter in innovations form; Jategaonkar, Flight Vehicle System Identification, 2nd ed., chapter 5). Innovations of the right
+model are white, so both bounds agree. The fit that a result reports is that of one-step predictions. Two forms:
+
+- `filter_error`: the gain is estimated together with the parameters, with exact sensitivities, instead of being derived from a
+  process-noise model: asymptotically the same estimate without a Riccati equation.
+- `process_noise_error`: the published form. Unknown is the process noise of each state that forces drive; the gain follows
+  from it by the Riccati equation of the model linearised where it flew (`kalman_gain`), anew at the estimates. Few unknowns, and
+  stable always: where the air is calm a free gain can find a filter that blows up, and this one ends at output error.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +22,10 @@ from estimation.engine.data import FlightData
 from estimation.engine.kernel import Array, Motion
 from estimation.engine.prepared import compared, prepared
 from estimation.engine.simulate import Simulator
+from estimation.engine.trace import trace
+from estimation.estimators.frequency_domain.linearised import matrices
 from estimation.estimators.gauss_newton import LoopOptions, Status, minimise
+from estimation.estimators.kalman_gain import GainLaw, gain_law
 from estimation.estimators.likelihood import OutputErrorProblem
 from estimation.estimators.output_error import (
     STANDARD,
@@ -28,20 +37,24 @@ from estimation.estimators.output_error import (
 from estimation.estimators.result import Result
 from estimation.models import load_model
 from estimation.models.base import Model, Parameter
+from estimation.models.driven import force_states
 from groundstation.flight import Flight
+from groundstation.flight.noise import noise as noise_of
 
 FIRST_GAIN = 0.2  # of each measured state on itself: a filter that follows from the first step
 LOOP = LoopOptions(iterations=150, tolerance=1e-3)  # relaxation of the full covariance converges slowly
+FIRST_NOISE = 0.3  # of what a state gathers in a sample interval, over the noise of its measurement
+NOISE_PRIOR = 3.0  # standard deviation of the same
+LINEARISED = 2  # at the estimates of output error, and once at its own
 GAIN_PRIOR = 1.0  # standard deviation of a gain, in units of the noise of state over the noise of output
 
 
-class FilterErrorProblem(OutputErrorProblem):
-    """Output error with state corrections; `gains`: (nx, ny) names of the gain parameters, '' where the gain is zero."""
+class _Filtered(OutputErrorProblem, ABC):
+    """Output error with state corrections."""
 
-    gains: Sequence[Sequence[str]] = ()
-
+    @abstractmethod
     def _gain(self, values: Mapping[str, float]) -> Array:
-        return np.array([[values[n] if n else 0.0 for n in row] for row in self.gains])
+        """K (nx, ny)."""
 
     def response(self, unknowns: Array, flight: int, segment: int, du: Array, du_mid: Array) -> Array:
         values = self.values(unknowns, flight)
@@ -56,23 +69,65 @@ class FilterErrorProblem(OutputErrorProblem):
 
     def motion(self, unknowns: Array, flight: int, segment: int, derivatives: bool) -> Motion:
         values = self.values(unknowns, flight)
-        gain = self._gain(values)
-        mask = np.array([[bool(n) for n in row] for row in self.gains])
         motion = self.simulator.run(
             self.flights[flight].segments[segment],
             values,
             self.initial_state(unknowns, flight, segment),
             sensitivities=derivatives,
-            gain=gain,
-            gain_free=mask if derivatives else None,
+            gain=self._gain(values),
+            gain_free=self._free_entries() if derivatives else None,
         )
         if motion.dy is None:
             return motion
-        dy = motion.dy[:, :, : len(self.free) + self.nx].copy()
-        names = [n for row in self.gains for n in row if n]
-        for k, name in enumerate(names):
-            dy[:, :, self.free.index(name)] = motion.dy[:, :, len(self.free) + self.nx + k]
+        count = len(self.free) + self.nx
+        dy = motion.dy[:, :, :count].copy()
+        self._by_unknowns(values, motion.dy[:, :, count:], dy)
         return replace(motion, dy=dy)
+
+    @abstractmethod
+    def _free_entries(self) -> Array:
+        """(nx, ny) which entries of the gain get a sensitivity."""
+
+    @abstractmethod
+    def _by_unknowns(self, values: Mapping[str, float], by_gain: Array, dy: Array) -> None:
+        """Add to dy (N, ny, unknowns) what the unknowns do by way of the gain; by_gain: (N, ny, entries)."""
+
+
+class FilterErrorProblem(_Filtered):
+    """A gain of its own: `gains` (nx, ny) names of the gain parameters, '' where the gain is zero."""
+
+    gains: Sequence[Sequence[str]] = ()
+
+    def _gain(self, values: Mapping[str, float]) -> Array:
+        return np.array([[values[n] if n else 0.0 for n in row] for row in self.gains])
+
+    def _free_entries(self) -> Array:
+        return np.array([[float(bool(n)) for n in row] for row in self.gains])
+
+    def _by_unknowns(self, values: Mapping[str, float], by_gain: Array, dy: Array) -> None:
+        for k, name in enumerate(n for row in self.gains for n in row if n):
+            dy[:, :, self.free.index(name)] = by_gain[:, :, k]
+
+
+class ProcessNoiseProblem(_Filtered):
+    """A gain that follows from process noise. noises: names of its parameters, in the order of the law's unknowns."""
+
+    law: GainLaw
+    noises: Sequence[str] = ()
+
+    def _relative(self, values: Mapping[str, float]) -> Array:
+        return np.array([values[n] for n in self.noises])
+
+    def _gain(self, values: Mapping[str, float]) -> Array:
+        return self.law.gain(self._relative(values))
+
+    def _free_entries(self) -> Array:
+        return np.ones((self.nx, self.ny))
+
+    def _by_unknowns(self, values: Mapping[str, float], by_gain: Array, dy: Array) -> None:
+        slopes = self.law.slopes(self._relative(values)).reshape(len(self.noises), -1)
+        for name, slope in zip(self.noises, slopes, strict=True):
+            dy[:, :, self.free.index(name)] = by_gain @ slope
 
 
 def filter_error(
@@ -83,7 +138,8 @@ def filter_error(
 ) -> Result:
     """Fit `model` with state corrections to one flight or several together; arguments as `output_error`.
 
-    The gain is in `extra["gain"]`: state -> output -> number.
+    The gain is in `extra["gain"]`: state -> output -> number. Where a free gain comes to no result, or to one that can tell
+    nothing because its filter is not stable, the gain is that of process noise, and `extra["process_noise"]` is there too.
     """
     chosen = load_model(model).with_starts(start or {})
     chosen, data = compared(chosen, prepared(chosen, flights, options.preparation))
@@ -113,18 +169,116 @@ def filter_error(
     problem = FilterErrorProblem(extended, data, simulator, noise="full", free_states=free_states_of(extended, options))
     problem.gains = names
     outcome = minimise(problem, problem.pack(extended.starts()), LOOP)
-    return _without_gains(describe(problem, outcome, "fem"), chosen, names)
+    found = _without_gains(describe(problem, outcome, "fem"), chosen, names)
+    if found.converged and any(e.identifiable for e in found.parameters.values()):
+        return found
+    return _by_process_noise(chosen, data, first, options).with_method("fem")
+
+
+def process_noise_error(
+    model: Model | str,
+    flights: Flight | FlightData | Sequence[Flight | FlightData],
+    start: Mapping[str, float] | None = None,
+    options: OutputErrorOptions = STANDARD,
+) -> Result:
+    """Fit `model` with the steady-state Kalman filter of its process noise; arguments as `output_error`.
+
+    `extra["process_noise"]`: state -> std that it gathers in one second, in its unit by the root of a second; `extra["gain"]` as
+    of `filter_error`.
+    """
+    chosen = load_model(model).with_starts(start or {})
+    chosen, data = compared(chosen, prepared(chosen, flights, options.preparation))
+    first = output_error(chosen, data, options=options)
+    if first.status is Status.DIVERGED:
+        return first.with_method("fem-noise")
+    return _by_process_noise(chosen, data, first, options)
+
+
+def _by_process_noise(chosen: Model, data: list[FlightData], first: Result, options: OutputErrorOptions) -> Result:
+    """The fit from an output error that came to a result."""
+    noise = _white_noise(chosen, data, first)
+    driven = force_states(chosen)
+    fallback = float(np.median(noise))
+    unit = {s: float(noise[chosen.output_names.index(s)]) if s in chosen.output_names else fallback for s in driven}
+    names = [f"noise_{s}" for s in driven]
+    values, last = {**first.values, **dict.fromkeys(names, FIRST_NOISE)}, None
+    for _ in range(LINEARISED):
+        extended = chosen.with_starts({n: values[n] for n in first.values}).plus(
+            parameters=[Parameter(n, start=values[n], lower=0.0, prior_mean=0.0, prior_std=NOISE_PRIOR) for n in names]
+        )
+        simulator = Simulator.build(
+            extended, work=1e9, compile_=options.compile_, substeps=options.substeps, hold=options.hold
+        )
+        problem = ProcessNoiseProblem(
+            extended, data, simulator, noise="full", free_states=free_states_of(extended, options)
+        )
+        problem.noises = names
+        problem.law = _law(simulator, data, values, noise, unit)
+        outcome = minimise(problem, problem.pack(extended.starts()), LOOP)
+        last = describe(problem, outcome, "fem-noise")
+        if not last.converged:
+            break
+        values = last.values
+    assert last is not None
+    dt = _step(data)
+    sizes = {s: float(last.values[n] * unit[s] / np.sqrt(dt)) for s, n in zip(driven, names, strict=True)}
+    K = problem.law.gain(np.array([last.values[n] for n in names]))
+    gain = {
+        s: dict(zip(chosen.output_names, row.tolist(), strict=True))
+        for s, row in zip(chosen.state_names, K, strict=True)
+    }
+    return _without(last, chosen, set(names), {"gain": gain, "process_noise": sizes})
+
+
+def _white_noise(model: Model, data: Sequence[FlightData], first: Result) -> Array:
+    """(ny,) noise of the outputs from sample to sample; where a channel has none of its own, what output error left."""
+    found = []
+    for i, name in enumerate(model.output_names):
+        told = [noise_of(s.z[:, i]) for flight in data for s in flight.segments]
+        seen = [t for t in told if t]
+        found.append(float(np.median(seen)) if seen else first.noise[name])
+    return np.array(found)
+
+
+def _step(data: Sequence[FlightData]) -> float:
+    return float(np.median(np.concatenate([np.diff(s.time) for flight in data for s in flight.segments])))
+
+
+def _law(
+    simulator: Simulator,
+    data: Sequence[FlightData],
+    values: Mapping[str, float],
+    noise: Array,
+    unit: Mapping[str, float],
+) -> GainLaw:
+    """The gain's law about the mean of what was flown."""
+    model = simulator.model
+    inputs = np.concatenate([s.u for flight in data for s in flight.segments])
+    starts = np.mean([s.x0 for flight in data for s in flight.segments], axis=0)
+    measured = [
+        np.nanmean(np.concatenate([s.z[:, model.output_names.index(n)] for flight in data for s in flight.segments]))
+        if n in model.output_names
+        else starts[i]
+        for i, n in enumerate(model.state_names)
+    ]
+    A, C = matrices(trace(model.structure), np.array(measured), np.nanmean(inputs, axis=0), simulator.vector(values))
+    states = tuple(model.state_names.index(s) for s in unit)
+    return gain_law(A, C, _step(data), noise, np.array(list(unit.values())), states)
 
 
 def _without_gains(result: Result, model: Model, names: list[list[str]]) -> Result:
     """The result in terms of the model's own parameters, the gain beside them."""
-    gain_names = {n for row in names for n in row if n}
-    keep = np.array([i for i, n in enumerate(result.names) if n not in gain_names])
-    parameters = {n: e for n, e in result.parameters.items() if n not in gain_names}
     gain = {
         state: {o: result.parameters[n].estimate for o, n in zip(model.output_names, row, strict=True) if n}
         for state, row in zip(model.state_names, names, strict=True)
     }
+    return _without(result, model, {n for row in names for n in row if n}, {"gain": gain})
+
+
+def _without(result: Result, model: Model, gain_names: set[str], extra: Mapping[str, Any]) -> Result:
+    """The result in terms of the model's own parameters; what else was estimated goes into `extra`."""
+    keep = np.array([i for i, n in enumerate(result.names) if n not in gain_names])
+    parameters = {n: e for n, e in result.parameters.items() if n not in gain_names}
     blind = [n for n, e in parameters.items() if not e.identifiable]
     status, text = result.status, result.text
     if status in (Status.CONVERGED, Status.NOT_IDENTIFIABLE):
@@ -141,5 +295,5 @@ def _without_gains(result: Result, model: Model, names: list[list[str]]) -> Resu
         covariance=result.covariance[pick],
         covariance_coloured=result.covariance_coloured[pick],
         collinear=tuple(c for c in result.collinear if not gain_names & {c[0], c[1]}),
-        extra={**result.extra, "gain": gain},
+        extra={**result.extra, **extra},
     )

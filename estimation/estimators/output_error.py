@@ -18,7 +18,7 @@ from estimation.engine.prepared import PIECES, compared, cut, prepared
 from estimation.engine.simulate import Compile, Hold, Simulator
 from estimation.errors import DataError, ModelError
 from estimation.estimators.equation_error import start_values
-from estimation.estimators.gauss_newton import AS_USUAL_LOOP, LoopOptions, Outcome, Status, minimise
+from estimation.estimators.gauss_newton import AS_USUAL_LOOP, LoopOptions, Outcome, P, Status, minimise
 from estimation.estimators.likelihood import LikelihoodPoint, Noise, OutputErrorProblem
 from estimation.estimators.result import Estimate, FlightFit, Result
 from estimation.estimators.uncertainty import Effect, effects_of, estimates, uncertainty
@@ -35,7 +35,7 @@ class OutputErrorOptions:
     noise: diagonal or full covariance R of the residuals. sigma: standard deviation per output [its unit] given
     instead, every output named. free_states: names of the states whose initial values are estimated in each segment
     (default: those that the model does not hold); the others start where they were measured, or at their signal's
-    `start`. improve_start: try the equation-error solution as start too. compile_: auto uses gcc where it repays.
+    `start`. improve_start: try the equation-error solution as start too. `compile_`: auto uses gcc where it repays.
     substeps: Runge-Kutta steps per sample. hold: inputs between samples, by default as
     `engine.simulate.usual_hold`. preparation: of the inputs. loop: limits of the search. Names that the model does
     not have raise ModelError when the fit begins.
@@ -266,7 +266,7 @@ def describe(problem: OutputErrorProblem, outcome: Fit, method: str) -> Result:
     model, unknowns = problem.model, outcome.unknowns
     point = outcome.point
     if outcome.status is Status.DIVERGED:
-        return _failed(problem, outcome, method)
+        return failed(problem, outcome, method)
     problem.segment_blocks(point)
     spread = uncertainty(problem, unknowns, point)
     effects = effects_of(problem, point)
@@ -280,7 +280,7 @@ def describe(problem: OutputErrorProblem, outcome: Fit, method: str) -> Result:
         for i in range(len(problem.flights))
     )
     if len(problem.local):
-        found |= _mean_of_locals(flights, tuple(problem.free[i] for i in problem.local))
+        found |= mean_of_locals(flights, tuple(problem.free[i] for i in problem.local))
     ordered = {n: found[n] for n in problem.free if n in found}
     blind = [n for n, e in ordered.items() if not e.identifiable]
     status = Status.NOT_IDENTIFIABLE if outcome.status is Status.CONVERGED and blind else outcome.status
@@ -291,7 +291,8 @@ def describe(problem: OutputErrorProblem, outcome: Fit, method: str) -> Result:
     )  # fmt: skip
 
 
-def _failed(problem: OutputErrorProblem, outcome: Fit, method: str) -> Result:
+def failed(problem: OutputErrorProblem, outcome: Outcome[P], method: str) -> Result:
+    """The result of a fit that found no usable simulation."""
     names = tuple(problem.free[i] for i in problem.shared)
     nothing = np.full((len(names), len(names)), np.nan)
     why = "no usable simulation was found"
@@ -345,7 +346,7 @@ def _flight_fit(
     )
 
 
-def _mean_of_locals(flights: tuple[FlightFit, ...], names: tuple[str, ...]) -> dict[str, Estimate]:
+def mean_of_locals(flights: tuple[FlightFit, ...], names: tuple[str, ...]) -> dict[str, Estimate]:
     """One line per local parameter for the joint table: mean over flights, and the bound of that mean; not to be told where
     no flight can tell its own."""
     result = {}

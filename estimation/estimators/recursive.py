@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.identification.airframe import COLUMNS, DERIVATIVES, SIGNALS, Airframe, Belief, Sample
-from daq.identification.live import LiveDerivative, LiveEstimates, LiveEstimator
+from daq.identification.live import GAP, LiveDerivative, LiveEstimates, LiveEstimator
 from daq.identification.solve import Solution
 from estimation.aircraft import Aircraft
 from estimation.engine.data import FlightData
@@ -23,7 +23,7 @@ from estimation.estimators.gauss_newton import Status
 from estimation.estimators.result import Estimate, FlightFit, History, Result, correlation
 from estimation.estimators.uncertainty import LISTED
 from estimation.models.base import Model, Parameter
-from groundstation.flight import Flight
+from groundstation.flight import GAP_FACTOR, Flight
 
 Array = NDArray[np.float64]
 
@@ -96,7 +96,8 @@ def _fed(airframe: Airframe, flights: Sequence[Flight]) -> _Run:
     for flight in flights:
         due = -math.inf
         for part in flight.segments:
-            estimator.restart()
+            if not _leads_over(flight, part.start):
+                estimator.restart()
             for sample in samples_of(flight, part):
                 estimator.add(sample)
                 if sample.time >= due and len(flights) == 1:
@@ -106,6 +107,14 @@ def _fed(airframe: Airframe, flights: Sequence[Flight]) -> _Run:
             seen.append(replace(estimator.estimates(), time=float(flight.time[-1])))
         ends.append(estimator.stretches + 1)
     return _Run(estimator, tuple(ends), _history(seen))
+
+
+def _leads_over(flight: Flight, at: int) -> bool:
+    """Whether a segment begins only because some scans are missing, fewer than make the estimator begin anew by itself."""
+    if at == 0:
+        return False
+    step = float(flight.time[at] - flight.time[at - 1])
+    return GAP_FACTOR * flight.sample_interval < step <= GAP
 
 
 def _history(seen: Sequence[LiveEstimates]) -> History:

@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 
+from daq.contract.plain_words import meant
 from estimation.errors import EstimationError
 from estimation.estimators import methods
 from estimation.estimators.estimator import Estimator, Extra
@@ -59,7 +60,8 @@ def find(name: str) -> Estimator:
         if found.name in names():
             raise EstimationError(f"method {name} calls itself {found.name!r}: the name is taken; give it another")
         return found
-    raise EstimationError(f"method {name!r} is unknown; known are {', '.join(names())}, or give module:NAME")
+    known = f"known are {', '.join(names())}, or give module:NAME"
+    raise EstimationError(f"method {name!r} is unknown; {known}{meant(name, names())}")
 
 
 def _checked(value: object, where: str, name: str = "") -> Estimator:

@@ -200,6 +200,8 @@ class Model(ModelParts):
         data["constants"] = dict(self.constants)
         data["output_delays"] = dict(self.output_delays)
         data["equations"] = list(self.equations)
+        if self.flown:
+            data["flown"] = {name: list(ends) for name, ends in self.flown.items()}
         return data
 
     @classmethod
@@ -207,7 +209,7 @@ class Model(ModelParts):
         """Inverse of `to_dict`; ModelError names the key that does not fit."""
         known = {
             "name", "title", "description", "states", "inputs", "outputs", "parameters", "transforms",
-            "constants", "output_delays", "equations",
+            "constants", "output_delays", "equations", "flown",
         }  # fmt: skip
         unknown = sorted(set(data) - known)
         if unknown:
@@ -227,6 +229,7 @@ class Model(ModelParts):
             constants={str(k): plain.number(v, f"constants.{k}") for k, v in plain.table(data, "constants").items()},
             output_delays={str(k): str(v) for k, v in plain.table(data, "output_delays").items()},
             equations=plain.lines(data["equations"]),
+            flown={str(k): plain.ends(v, f"flown.{k}") for k, v in plain.table(data, "flown").items()},
         )
 
     @cached_property

@@ -2,12 +2,12 @@
 
 import math
 from dataclasses import replace
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
 from daq.contract.input_files import read_toml
 from daq.contract.outputs import write_text
+from daq.contract.plain_words import meant
 from estimation.aircraft import Aircraft, built_in_aircraft, load_aircraft
 from estimation.errors import ModelError
 from estimation.models.base import Model
@@ -35,10 +35,8 @@ def load_model(which: str | Path | type | Model, aircraft: Aircraft | str | None
         return read_model(text)
     if ":" in text:
         return _from_class(_import_class(text), aircraft)
-    alike = get_close_matches(text.lower(), list(BUILDERS), n=1)
-    meant = f"; did you mean {alike[0]}?" if alike else ""
     raise ModelError(
-        f"model {text!r}: none of {', '.join(BUILDERS)}, no .toml file and not of the form module:Class{meant}"
+        f"model {text!r}: none of {', '.join(BUILDERS)}, no .toml file and not of the form module:Class{meant(text, BUILDERS)}"
     )
 
 

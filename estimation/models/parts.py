@@ -11,8 +11,11 @@ from functools import cached_property
 from estimation.errors import ModelError
 from estimation.models.expressions import split_line
 
-TRANSFORM_KINDS: Mapping[str, int] = {"delay": 1, "lag": 1, "deadzone": 1, "backlash": 1, "scale": 1, "bias": 1}
-"""Input transforms by name -> number of parameters. Seconds for delay and lag, the input's unit for the next three."""
+TRANSFORM_KINDS: Mapping[str, int] = {
+    "delay": 1, "lag": 1, "deadzone": 1, "backlash": 1, "rate_limit": 1, "scale": 1, "bias": 1,
+}  # fmt: skip
+"""Input transforms by name -> number of parameters. Seconds for delay and lag, the input's unit for dead zone, backlash and
+bias, seconds per unit of the input for the rate limit (0: none)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,7 +27,8 @@ class Signal:
     `control` (inputs): True for a control surface or other input that may step, False for a motion variable
     that is smooth; it decides how measurement noise is taken off. `optional`: where the flight has no such column, an
     input is taken as zero and an output is not compared, and the result says so. `held` (states): the initial value is not
-    estimated; it is `start` where that is a number, else what was measured.
+    estimated; it is `start` where that is a number, else what was measured. `computed` (inputs): the column is the result of a
+    calculation, without noise of its own, and is taken as it stands.
     """
 
     name: str
@@ -36,6 +40,7 @@ class Signal:
     servo: bool = False
     optional: bool = False
     held: bool = False
+    computed: bool = False
 
     @property
     def source(self) -> str:
@@ -142,6 +147,8 @@ class ModelParts:
     transforms: tuple[InputTransform, ...] = ()
     output_delays: Mapping[str, str] = field(default_factory=dict)
     description: str = ""
+    flown: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    """Name -> least and greatest value in the flights that the model was estimated from; empty where nobody says."""
 
     @property
     def state_names(self) -> tuple[str, ...]:

@@ -26,6 +26,16 @@ def number(value: object, key: str) -> float:
     return float(value)
 
 
+def ends(value: object, key: str) -> tuple[float, float]:
+    """Two rising numbers, or ModelError naming the key."""
+    if not isinstance(value, list) or len(value) != 2:
+        raise ModelError(f"{key} = {value!r} must be two numbers, [least, greatest]")
+    low, high = number(value[0], key), number(value[1], key)
+    if not low <= high:
+        raise ModelError(f"{key} = {value!r}: the first must not be the greater")
+    return low, high
+
+
 def listed(data: Mapping[str, Any], key: str) -> list[Any]:
     """The list under a key (empty where it is not there), or ModelError."""
     value = data.get(key, [])
@@ -61,7 +71,14 @@ def _floats(data: object) -> object:
     return {k: float(v) if isinstance(v, int) and not isinstance(v, bool) else v for k, v in data.items()}
 
 
-_KINDS: Mapping[str, Any] = {"control": bool, "servo": bool, "optional": bool, "held": bool, "start": (str, int, float)}
+_KINDS: Mapping[str, Any] = {
+    "control": bool,
+    "servo": bool,
+    "optional": bool,
+    "held": bool,
+    "computed": bool,
+    "start": (str, int, float),
+}
 
 
 def lines(value: object) -> tuple[str, ...]:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from estimation.estimators.result import Result
 from estimation.models.base import Model
-from estimation.models.expressions import names_in
+from estimation.models.driven import force_states
 
 Array = NDArray[np.float64]
 
@@ -65,14 +65,7 @@ def driven(model: Model) -> frozenset[str]:
     Gusts and missing terms are forces and moments. Residuals of an attitude are coloured in any air, by the slow errors of the
     filter that it comes from, which a filter error takes up as gladly.
     """
-    free = set(model.free_names)
-
-    def moved(symbol: str, seen: frozenset[str]) -> bool:
-        text = model.definitions.get(symbol)
-        names = () if text is None or symbol in seen else names_in(text)
-        return any(n in free or moved(n, seen | {symbol}) for n in names if n not in model.state_names)
-
-    kinematic = {s for s in model.state_names if not moved(f"{s}_dot", frozenset())}
+    kinematic = set(model.state_names) - set(force_states(model, model.free_names))
     return frozenset(o for o in model.output_names if o not in kinematic)
 
 

@@ -12,6 +12,7 @@ from estimation.engine.data import FlightData
 from estimation.estimators.output_error import OutputErrorOptions, output_error
 from estimation.estimators.result import Array, Result
 from estimation.models.base import Model
+from estimation.session.flown import Beyond, beyond
 from estimation.signals.goodness_of_fit import ChannelFit, to_json
 from groundstation.flight import Flight
 
@@ -29,10 +30,13 @@ class Proof:
     predicted: Array
     fit: dict[str, ChannelFit]
     result: Result
+    beyond: tuple[Beyond, ...] = ()
+    """In what the flight leaves the ranges that the model was estimated from."""
 
     def to_json(self) -> dict[str, Any]:
         """One flight's entry of `match --json`."""
-        return {"name": self.name, "fit": to_json(self.fit), "converged": self.converged, "status": self.text}
+        data = {"name": self.name, "fit": to_json(self.fit), "converged": self.converged, "status": self.text}
+        return {**data, "beyond": {b.name: b.to_json() for b in self.beyond}} if self.result.model.flown else data
 
 
 def predict(model: Model, flight: Flight | FlightData, *, free: Sequence[str] = ()) -> Proof:
@@ -47,7 +51,8 @@ def predict(model: Model, flight: Flight | FlightData, *, free: Sequence[str] = 
     fitted = result.flights[0]
     refitted = "initial states" + (f" and {', '.join(free)}" if free else "")
     text = f"predicted with frozen parameters, {refitted} refitted" if result.converged else result.text
+    left = beyond(model, flight) if isinstance(flight, Flight) else ()
     return Proof(
         fitted.name, result.converged, text, result.model.output_names, fitted.time, fitted.measured, fitted.outputs,
-        dict(fitted.fit), result,
+        dict(fitted.fit), result, left,
     )  # fmt: skip

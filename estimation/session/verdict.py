@@ -20,8 +20,11 @@ from estimation.session.sanity_checks import Doubt, DoubtKind, doubts_of, imposs
 from estimation.session.scatter import scatter
 
 NOBODY = "none"
-TRUST: Mapping[str, int] = {"ml": 0, "fem": 1, "ngn-improved": 2, "ls": 3, "ngn": 4}
+TRUST: Mapping[str, int] = {"ml": 0, "fem-noise": 1, "fem": 2, "ngn-improved": 3, "ls": 4, "ngn": 5}
 """Order of trust where nothing else decides: rms error over bound in still air, ml nearest to 1 (docs/estimation.md)."""
+
+FILTERS = ("fem-noise", "fem")
+"""Filter error: the published form first, which never failed in the flights of docs/validation.md."""
 
 REGRESSIONS: Mapping[str, float] = {"ls": 0.15, "ngn": 0.15, "ngn-improved": 0.05}
 """Methods that take measured motion for truth -> the part of a derivative by which that is known to move it, which their
@@ -136,7 +139,7 @@ def _choice(case: _Case) -> Recommendation:
     noise = _process_noise(case)
     if noise.present and "ml" in case.results and not case.reconstructed:
         case.against.setdefault("ml", noise.text)
-    for method in (m for m in ("ml", "fem") if m in case.left):
+    for method in (m for m in ("ml", *FILTERS) if m in case.left):
         if contradicted := _contradicted(case, method):
             case.object_to(method, DoubtKind.DISAGREEMENT, contradicted)
         else:
@@ -146,12 +149,13 @@ def _choice(case: _Case) -> Recommendation:
 
 def _process_noise(case: _Case) -> ProcessNoise:
     """Whether process noise drives the residuals of output error; a doubt where it does."""
-    ml, fem = case.results.get("ml"), case.results.get("fem")
-    if fem is not None and "fem" not in case.against:
-        _judge_innovations(case, fem)
+    ml = case.results.get("ml")
+    for method in (m for m in FILTERS if m in case.left):
+        _judge_innovations(case, method)
+    fem = next((case.results[m] for m in FILTERS if m in case.left), None)
     if ml is None or not ml.converged:
-        return ProcessNoise(fem is not None, "")
-    if fem is not None and "fem" not in case.against:
+        return ProcessNoise(any(m in case.results for m in FILTERS), "")
+    if fem is not None:
         found = gain_of_filter(ml, fem)
         apart = _furthest(ml, fem)
         present = found.beyond_chance and (found.size > NOISY or (apart is not None and apart[1] > APART))
@@ -172,14 +176,14 @@ def _process_noise(case: _Case) -> ProcessNoise:
     return said
 
 
-def _judge_innovations(case: _Case, fem: Result) -> None:
+def _judge_innovations(case: _Case, method: str) -> None:
     """Innovations of a right model are white; where they are not, the filter has not taken up what drives the aircraft."""
     from estimation.session.evidence import neighbours
 
-    worst = max(neighbours(fem).items(), key=lambda item: abs(item[1]), default=("", 0.0))
+    worst = max(neighbours(case.results[method]).items(), key=lambda item: abs(item[1]), default=("", 0.0))
     if abs(worst[1]) > COLOURED:
         text = f"innovations of {worst[0]} are not white (neighbours correlate by {worst[1]:+.2f}): the model lacks something"
-        case.object_to("fem", DoubtKind.COLOURED, text)
+        case.object_to(method, DoubtKind.COLOURED, text)
 
 
 def _contradicted(case: _Case, method: str) -> str:
@@ -207,7 +211,7 @@ def _without_likelihood(case: _Case) -> Recommendation:
             if apart is not None and apart[1] <= APART:
                 why = f"no likelihood is to be believed here ({_said(case)}), and {method} and {other} agree within their bounds"
                 return Recommendation(method, why)
-    others = [m for m in case.left if m not in REGRESSIONS and m not in ("ml", "fem")]
+    others = [m for m in case.left if m not in REGRESSIONS and m not in ("ml", *FILTERS)]
     if others:
         return Recommendation(others[0], "nothing that is looked at speaks against it")
     if regressions:
@@ -230,9 +234,9 @@ def _why(case: _Case, method: str, noise: ProcessNoise) -> str:
     agree = f"it agrees with {' and '.join(witnesses)}" if witnesses else ""
     if case.reconstructed:
         return f"{case.reconstructed} reconstructed, not measured: only output error does not take them for the angles flown"
-    if method == "fem":
+    if method in FILTERS:
         return _joined(noise.text or "its innovations are white", agree)
-    if "fem" in case.left:
+    if any(m in case.left for m in FILTERS):
         quiet = "no process noise to speak of: filter error gains little over it"
     else:
         quiet = "its residuals do not follow one another more than noise of the inputs makes them"

@@ -1,4 +1,4 @@
-"""`fem`: maximum likelihood by filter error, for flights in rough air."""
+"""`fem`, `fem-noise`: maximum likelihood by filter error, for flights in rough air."""
 
 from typing import TYPE_CHECKING
 
@@ -14,6 +14,12 @@ def _fit(task: Task) -> "Result":
     return filter_error(task.model, task.data)
 
 
+def _fit_noise(task: Task) -> "Result":
+    from estimation.estimators.filter_error import process_noise_error
+
+    return process_noise_error(task.model, task.data)
+
+
 ESTIMATORS = (
     Estimator(
         "fem",
@@ -22,5 +28,13 @@ ESTIMATORS = (
         frozenset({Extra.RAW_INPUTS, Extra.KEEP_HELD}),
         rank=1,
         look=Look("#009E73", "s"),
+    ),
+    Estimator(
+        "fem-noise",
+        "maximum likelihood, filter error by process noise",
+        _fit_noise,
+        frozenset({Extra.RAW_INPUTS, Extra.KEEP_HELD}),
+        rank=1,
+        look=Look("#117733", "D"),
     ),
 )

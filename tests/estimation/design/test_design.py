@@ -22,7 +22,7 @@ from estimation.models import load_model
 
 AIRCRAFT = load_aircraft("cdfp")
 LATERAL = load_model("lateral", AIRCRAFT)
-TASK = Task("multisine", 20.0, 16.0)
+TASK = Task("multisine", 20.0, 16.0, draws=12)
 
 
 @pytest.fixture(scope="module")

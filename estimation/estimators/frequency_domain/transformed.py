@@ -1,0 +1,232 @@
+"""A stretch of flight in the frequency domain: transforms of what was measured, and of what the model makes of it.
+
+Frequencies are those of the stretch itself, w_k = 2 pi k / T: there transforms of white noise are independent, constants vanish,
+and the ends show only as d = x(0) - x(T), because exp(-j w_k T) = 1. Integrated by parts (V. Klein and E. A. Morelli, Aircraft
+System Identification, 2nd ed., chapter 7; R. Pintelon and J. Schoukens, System Identification, 2nd ed., chapter 6):
+
+    (j w I - A) X = F - A X_m + d,    Y = C X + G - C X_m
+
+with F, G, X_m the transforms of f(x_m, u), g(x_m, u) and the measured motion x_m. A state that is not measured stands in x_m at
+its start value: there the model is linear. The bin w = 0 holds the means, from which come the constants.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from estimation.engine.data import FlightData, Segment
+from estimation.engine.kernel import Array
+from estimation.engine.simulate import Simulator
+from estimation.engine.trace import trace
+from estimation.engine.transforms import apply_transforms, transform_derivatives
+from estimation.estimators.frequency_domain.linearised import linearised
+from estimation.signals.fourier import Complex, curve, fine_times, finite_transform, longest_hole
+
+SINGULAR = 1e10  # condition of A from which the means say nothing (a free integrator)
+NYQUIST = 0.5  # periods of the highest frequency that a hole in an output may last
+
+
+@dataclass(frozen=True)
+class Band:
+    """Frequencies [Hz] that are compared, besides the mean."""
+
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Response:
+    """What the model makes of a stretch. y: (bins, ny); by_parameter: (bins, ny, n); by_ends: (bins, ny, nx)."""
+
+    y: Complex
+    by_parameter: Complex
+    by_ends: Complex
+
+
+@dataclass
+class _Remembered:
+    """Transforms of f, g and their slopes at one set of values, and the slopes over time that they belong to."""
+
+    values: Array
+    F: Complex
+    G: Complex
+    F_p: Complex
+    G_p: Complex
+    slopes: tuple[Array, Array]
+
+
+class Stretch:
+    """One segment of a flight. omega: (bins,) rad/s, the first zero; z: (bins, ny) NaN where an output is not
+    compared; duration s.
+
+    drift: (bins,) transform of a slow rise of one unit over the stretch, whose mean is zero.
+    """
+
+    def __init__(self, simulator: Simulator, flight: FlightData, segment: Segment, band: Band) -> None:
+        self._simulator = simulator
+        self._fine = fine_times(segment.time)
+        self._step = float(self._fine[1] - self._fine[0])
+        self.duration = float(segment.time[-1] - segment.time[0])
+        first = max(1, int(np.ceil(band.low * self.duration)))
+        last = int(np.floor(band.high * self.duration))
+        self._first, self._count = first, max(last - first + 1, 0)
+        self.omega = 2 * np.pi / self.duration * np.concatenate([[0], np.arange(first, first + self._count)])
+        self._x = self._states(flight, segment)
+        controls = [s.control or s.servo for s in simulator.model.inputs]
+        self._u = np.stack(
+            [curve(segment.time, segment.u[:, i], self._fine, edges=e) for i, e in enumerate(controls)], axis=1
+        ) if controls else np.zeros((self._fine.size, 0))  # fmt: skip
+        self._X = self._transform(self._x)
+        self.z = self._outputs(segment, band)
+        self._memory: _Remembered | None = None
+
+    @cached_property
+    def drift(self) -> Complex:
+        rise = (self._fine - self._fine[0]) / self.duration - 0.5
+        return self._transform(rise[:, None])[:, 0]
+
+    @property
+    def compared(self) -> NDArray[np.bool_]:
+        """(bins, ny) where something is compared."""
+        return np.isfinite(self.z.real)
+
+    def _states(self, flight: FlightData, segment: Segment) -> Array:
+        measured = flight.states[segment.first : segment.first + len(segment)]
+        columns = [curve(segment.time, measured[:, i], self._fine) for i in range(measured.shape[1])]
+        guesses = [np.full(self._fine.size, x) for x in segment.x0]
+        return np.stack([c if np.isfinite(c).all() else g for c, g in zip(columns, guesses, strict=True)], axis=1)
+
+    def _outputs(self, segment: Segment, band: Band) -> Complex:
+        z = np.full((segment.z.shape[1], self._fine.size), np.nan)
+        for i, column in enumerate(segment.z.T):
+            if longest_hole(segment.time, column) <= NYQUIST / band.high:
+                z[i] = curve(segment.time, column, self._fine)
+        return self._transform(z.T)
+
+    def transformed(self, time: Array, values: Array) -> Complex:
+        """(bins, ny, k) transforms of histories (N, ny, k) at the samples of the stretch."""
+        flat = CubicSpline(time, values.reshape(len(time), -1))(np.minimum(self._fine, time[-1]))
+        return self._transform(flat).reshape(self.omega.size, *values.shape[1:])
+
+    def _transform(self, values: Array) -> Complex:
+        """(bins, columns): the mean's bin, then the band."""
+        whole = np.isfinite(values).all(axis=0)
+        result = np.full((1 + self._count, values.shape[1]), np.nan + 0j)
+        spacing = 2 * np.pi / self.duration
+        chosen = values[:, whole]
+        result[:1, whole] = finite_transform(chosen, self._step, 0.0, spacing, 1)
+        result[1:, whole] = finite_transform(chosen, self._step, self._first * spacing, spacing, self._count)
+        return result
+
+    # ------------------------------------------------------------------------------------------------ the model
+    def response(self, values: Mapping[str, float], ends: Array) -> Response:
+        """Outputs and their slopes at parameter `values` and end differences d (nx,)."""
+        known = self._nonlinear(values)
+        linear = linearised(self._simulator, values, self._x.mean(axis=0), self._u.mean(axis=0))
+        nx = linear.A.shape[0]
+        system = 1j * self.omega[:, None, None] * np.eye(nx) - linear.A
+        told = self.means_told(linear.A)
+        if not told:
+            system[0] = np.eye(nx)
+        forcing = known.F - self._X @ linear.A.T + ends
+        inverse = _inverse(np.asarray(system, np.complex128))
+        X = np.einsum("kij,kj->ki", inverse, forcing)
+        off = X - self._X
+        y = X @ linear.C.T + known.G - self._X @ linear.C.T
+        X_p = np.einsum("kij,kjn->kin", inverse, known.F_p + np.einsum("nij,kj->kin", linear.A_p, off))
+        y_p = _slopes(linear.C, linear.C_p, X_p, known.G_p, off)
+        y_d = np.einsum("oi,kij->koj", linear.C, inverse)
+        if not told:
+            y[0] = np.nan
+        return self._delayed(values, Response(y, y_p, y_d))
+
+    @staticmethod
+    def means_told(A: Array) -> bool:
+        """Whether the means follow from the equations: not where a state only integrates."""
+        return bool(A.size and np.isfinite(A).all() and np.linalg.cond(A) < SINGULAR)
+
+    def _nonlinear(self, values: Mapping[str, float]) -> _Remembered:
+        """Transforms of f and g at the measured motion, and their slopes; remembered where parameters enter linearly."""
+        simulator = self._simulator
+        free = [simulator.model.parameter_names.index(n) for n in simulator.free]
+        at = np.array([values[n] for n in simulator.free])
+        u, du, names = self._driven(values)
+        f, f_p, y, y_p = simulator.kernel.evaluate(self._x, u, simulator.vector(values))
+        f_p, y_p = f_p[:, :, free], y_p[:, :, free]
+        if names:
+            f_p, y_p = self._by_transforms(values, u, du, names, f_p.copy(), y_p.copy())
+        old = self._memory
+        if old is not None and not names and _same(old.slopes, (f_p, y_p)):
+            change = at - old.values
+            return _Remembered(at, old.F + old.F_p @ change, old.G + old.G_p @ change, old.F_p, old.G_p, old.slopes)
+        F, G = self._transform(f), self._transform(y)
+        self._memory = _Remembered(at, F, G, self._slopes(f_p), self._slopes(y_p), (f_p, y_p))
+        return self._memory
+
+    def _slopes(self, values: Array) -> Complex:
+        """(bins, rows, n) transforms of slopes (M, rows, n), most of which are zero."""
+        count, rows, n = values.shape
+        flat = values.reshape(count, rows * n)
+        there = np.flatnonzero(np.abs(flat).max(axis=0) > 0.0)
+        result = np.zeros((1 + self._count, rows * n), complex)
+        result[:, there] = self._transform(flat[:, there])
+        return result.reshape(-1, rows, n)
+
+    def _driven(self, values: Mapping[str, float]) -> tuple[Array, Array, tuple[str, ...]]:
+        """Inputs as the equations see them, their slopes by the parameters of input transforms, and the names of those."""
+        model = self._simulator.model
+        names = tuple(dict.fromkeys(n for t in model.transforms for n in t.parameters if n in self._simulator.free))
+        if not model.transforms:
+            return self._u, np.zeros((*self._u.shape, 0)), names
+        u = apply_transforms(model.transforms, model.input_names, self._fine, self._u, values)
+        du = transform_derivatives(model.transforms, model.input_names, self._fine, self._u, values, names)
+        return u, du, names
+
+    def _by_transforms(
+        self, values: Mapping[str, float], u: Array, du: Array, names: tuple[str, ...], f_p: Array, y_p: Array
+    ) -> tuple[Array, Array]:
+        """Slopes with what the parameters of input transforms do through the inputs."""
+        simulator = self._simulator
+        traced = trace(simulator.model.structure)
+        p = simulator.vector(values)
+        for function, key, slopes in (
+            (traced.rates_by_input, "f_u", f_p), (traced.outputs_by_input, "y_u", y_p),
+        ):  # fmt: skip
+            rows, columns = traced.patterns[key]
+            entries = np.asarray(function.map(len(u))(self._x.T, u.T, np.tile(p[:, None], len(u))))
+            for k, (row, column) in enumerate(zip(rows, columns, strict=True)):
+                for t, name in enumerate(names):
+                    slopes[:, row, simulator.free.index(name)] += entries[k] * du[:, column, t]
+        return f_p, y_p
+
+    def _delayed(self, values: Mapping[str, float], response: Response) -> Response:
+        """Outputs that are shown later: a delay is a factor here (what it moves across the ends is neglected)."""
+        simulator = self._simulator
+        for output, name in simulator.model.output_delays.items():
+            c = simulator.model.output_names.index(output)
+            factor = np.exp(-1j * self.omega * values[name])
+            for part in (response.y, response.by_parameter, response.by_ends):
+                part[:, c] *= factor.reshape(-1, *(1,) * (part.ndim - 2))
+            if name in simulator.free:
+                response.by_parameter[:, c, simulator.free.index(name)] -= 1j * self.omega * response.y[:, c]
+        return response
+
+
+def _inverse(system: Complex) -> Complex:
+    """Inverses (bins, nx, nx); NaN, which ends a step there, where a frequency lies on an undamped mode."""
+    try:
+        return np.asarray(np.linalg.inv(system), np.complex128)
+    except np.linalg.LinAlgError:
+        return np.full_like(system, np.nan)
+
+
+def _slopes(C: Array, C_p: Array, X_p: Complex, G_p: Complex, off: Complex) -> Complex:
+    return np.asarray(np.einsum("oi,kin->kon", C, X_p) + G_p + np.einsum("noi,ki->kon", C_p, off))
+
+
+def _same(old: tuple[Array, Array], new: tuple[Array, Array]) -> bool:
+    return all(np.array_equal(a, b) for a, b in zip(old, new, strict=True))

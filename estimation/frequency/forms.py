@@ -1,0 +1,160 @@
+"""Forms of transfer functions: what their unknowns are called and which polynomials they make.
+
+Approximations of the classic modes (D. T. McRuer, I. Ashkenas and D. Graham, Aircraft Dynamics and Automatic Control, chapters 5
+and 6), each with a delay tau that stands for servos, sampling and all that is faster.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimation.errors import EstimationError
+from estimation.signals.fourier import Complex
+
+Array = NDArray[np.float64]
+
+HIGHEST = 6  # order of a general form
+SURFACE_OF = {"cmd_a": "delta_a", "cmd_e": "delta_e", "cmd_r": "delta_r"}
+
+
+@dataclass(frozen=True)
+class Form:
+    """orders: of numerator and denominator. mode: of a first-order ("roll") or second-order ("dutch-roll", "short-period")
+    denominator whose time constant or damping and frequency are the unknowns; else coefficients are. equation: as it
+    is written."""
+
+    name: str
+    orders: tuple[int, int]
+    mode: str = ""
+
+    @property
+    def _suffix(self) -> str:
+        return {"dutch-roll": "d", "short-period": "sp"}.get(self.mode, "")
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        m, n = self.orders
+        zeros = (
+            ("1/T_theta2",) if (self.mode, m) == ("short-period", 1) else tuple(f"b{k}" for k in range(m - 1, -1, -1))
+        )
+        if self.mode == "roll":
+            poles: tuple[str, ...] = ("T_R",)
+        elif self._suffix:
+            poles = (f"zeta_{self._suffix}", f"omega_{self._suffix}")
+        else:
+            poles = tuple(f"a{k}" for k in range(n - 1, -1, -1))
+        return ("K", *zeros, *poles, "tau")
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        m, n = self.orders
+        zeros = [_per_second(m - k) for k in range(m - 1, -1, -1)]
+        if self.mode == "roll":
+            poles = ["s"]
+        elif self._suffix:
+            poles = ["1", "rad/s"]
+        else:
+            poles = [_per_second(n - k) for k in range(n - 1, -1, -1)]
+        return ("output/input " + _per_second(n - m), *zeros, *poles, "s")
+
+    @property
+    def equation(self) -> str:
+        m, n = self.orders
+        zeros = self.names[1 : 1 + m]
+        top = "K" if not m else f"K ({_polynomial(m, zeros)})"
+        if self.mode == "roll":
+            bottom = "s + 1/T_R"
+        elif self._suffix:
+            bottom = f"s^2 + 2 zeta_{self._suffix} omega_{self._suffix} s + omega_{self._suffix}^2"
+        else:
+            bottom = _polynomial(n, self.names[1 + m : 1 + m + n])
+        return f"{top} exp(-tau s) / ({bottom})"
+
+    def polynomials(self, x: Array) -> tuple[Array, Array, float]:
+        """(numerator, denominator, delay [s]) of unknowns x in the order of `names`."""
+        m, _ = self.orders
+        numerator = x[0] * np.concatenate([[1.0], x[1 : 1 + m]])
+        poles = x[1 + m : -1]
+        if self.mode == "roll":
+            denominator = np.array([1.0, 1.0 / poles[0]]) if poles[0] else np.array([1.0, np.inf])
+        elif self._suffix:
+            denominator = np.array([1.0, 2.0 * poles[0] * poles[1], poles[1] ** 2])
+        else:
+            denominator = np.concatenate([[1.0], poles])
+        return numerator, denominator, float(x[-1])
+
+    def from_polynomials(self, numerator: Array, denominator: Array, delay: float) -> Array:
+        """Unknowns of a numerator and a monic denominator."""
+        gain = numerator[0] if numerator[0] else 1e-12
+        poles = denominator[1:]
+        if self.mode == "roll":
+            poles = np.array([1.0 / poles[0] if poles[0] > 0.0 else 1.0])
+        elif self._suffix:
+            omega = float(np.sqrt(abs(poles[1]))) or 1.0
+            poles = np.array([poles[0] / (2.0 * omega), omega])
+        return np.concatenate([[gain], numerator[1:] / gain, poles, [delay]])
+
+    def response(self, x: Array, omega: Array) -> Complex:
+        """(points,) H at omega [rad/s]."""
+        numerator, denominator, delay = self.polynomials(x)
+        s = 1j * omega
+        with np.errstate(all="ignore"):
+            ratio = np.polyval(numerator, s) / np.polyval(denominator, s)
+        return np.asarray(np.nan_to_num(ratio * np.exp(-s * delay), nan=1e30, posinf=1e30, neginf=-1e30), np.complex128)
+
+
+def _per_second(power: int) -> str:
+    return "1" if power == 0 else "1/s" if power == 1 else f"1/s^{power}"
+
+
+def _polynomial(order: int, names: tuple[str, ...]) -> str:
+    terms = []
+    for power, name in zip(range(order, -1, -1), ("", *names), strict=True):
+        s = "" if power == 0 else "s" if power == 1 else f"s^{power}"
+        terms.append(" ".join(filter(None, (name, s))))
+    return " + ".join(terms)
+
+
+ROLL = Form("roll", (0, 1), "roll")
+NAMED = {"roll": "roll", "dutch-roll": "dutch-roll", "short-period": "short-period"}
+
+
+def form_for(control: str, output: str, wanted: str = "auto") -> Form | None:
+    """The form of that name, or orders M/N; of `auto` the classic one of a control and an output, None where there is none.
+
+    Side and normal acceleration answer a surface at once, and roll rate the rudder by way of sideslip: their numerators
+    are of second order. Raises EstimationError for a form that is not known.
+    """
+    if wanted == "auto":
+        wanted = _classic(SURFACE_OF.get(control, control), output)
+        if not wanted:
+            return None
+    if wanted == "roll":
+        return ROLL
+    if wanted in NAMED:
+        return Form(wanted, (2 if output in ("ay", "az", "p") else 1, 2), wanted)
+    top, slash, bottom = wanted.partition("/")
+    if not (slash and top.isdecimal() and bottom.isdecimal() and len(wanted) < 8):
+        raise EstimationError(f"form {wanted!r}: give roll, dutch-roll, short-period, auto, or orders like 1/2")
+    m, n = int(top), int(bottom)
+    if not 0 <= m <= n or not 1 <= n <= HIGHEST:
+        raise EstimationError(
+            f"form {wanted}: the numerator's order may not be above the denominator's, which is 1 to {HIGHEST}"
+        )
+    return Form(f"{m}/{n}", (m, n))
+
+
+def general_forms() -> tuple[Form, ...]:
+    """What auto tries where no classic form is known."""
+    return tuple(Form(f"{m}/{n}", (m, n)) for m, n in ((0, 1), (0, 2), (1, 2), (2, 2), (2, 3)))
+
+
+def _classic(surface: str, output: str) -> str:
+    if (surface, output) == ("delta_a", "p"):
+        return "roll"
+    if surface == "delta_r" and output in ("r", "beta", "ay", "p"):
+        return "dutch-roll"
+    if surface == "delta_e" and output in ("q", "alpha", "az"):
+        return "short-period"
+    return ""

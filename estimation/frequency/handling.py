@@ -1,0 +1,272 @@
+"""Handling-quality numbers of a fit, each with its definition and source, and levels where the standard speaks of
+such an aircraft.
+
+MIL-F-8785C (1980): roll mode time constant 3.3.1.2, Dutch roll 3.3.1.1, short period 3.2.2.1, control anticipation parameter
+3.2.2.1.1 and figures 1 to 3. MIL-STD-1797A (1990): equivalent time delay and bandwidth, 4.2.1.2. All limits are of piloted
+aircraft, and of the response to the stick: here it is that to the measured surface, without the servo before it.
+"""
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimation.errors import EstimationError
+from estimation.frequency.forms import SURFACE_OF
+from estimation.frequency.response import FrequencyResponse
+from estimation.frequency.transfer import TransferFunction
+
+Array = NDArray[np.float64]
+
+G = 9.80665
+LIGHTEST = 150.0  # kg; the standards were drawn from aircraft with a pilot aboard
+CLASSES = ("I", "II", "III", "IV")
+CATEGORIES = ("A", "B", "C")
+
+# MIL-F-8785C table VII: largest roll mode time constant [s] of levels 1, 2, 3
+ROLL_MODE = {
+    ("A", True): (1.0, 1.4, 10.0), ("A", False): (1.4, 3.0, 10.0),
+    ("B", True): (1.4, 3.0, 10.0), ("B", False): (1.4, 3.0, 10.0),
+    ("C", True): (1.0, 1.4, 10.0), ("C", False): (1.4, 3.0, 10.0),
+}  # fmt: skip
+# table VI: least damping, least damping times frequency [rad/s], least frequency [rad/s] of levels 1, 2, 3
+DUTCH_ROLL = {
+    ("A", True): ((0.19, 0.35, 1.0), (0.02, 0.05, 0.4), (0.0, -math.inf, 0.4)),
+    ("A", False): ((0.19, 0.35, 0.4), (0.02, 0.05, 0.4), (0.0, -math.inf, 0.4)),
+    ("B", True): ((0.08, 0.15, 0.4), (0.02, 0.05, 0.4), (0.0, -math.inf, 0.4)),
+    ("B", False): ((0.08, 0.15, 0.4), (0.02, 0.05, 0.4), (0.0, -math.inf, 0.4)),
+    ("C", True): ((0.08, 0.15, 1.0), (0.02, 0.05, 0.4), (0.0, -math.inf, 0.4)),
+    ("C", False): ((0.08, 0.10, 0.4), (0.02, 0.05, 0.4), (0.0, -math.inf, 0.4)),
+}
+# table IV: damping of the short period, from and to, of levels 1, 2, 3
+SHORT_PERIOD = {
+    "A": ((0.35, 1.30), (0.25, 2.00), (0.15, math.inf)),
+    "B": ((0.30, 2.00), (0.20, 2.00), (0.15, math.inf)),
+    "C": ((0.35, 1.30), (0.25, 2.00), (0.15, math.inf)),
+}
+# figures 1 to 3: control anticipation parameter [1/(g s2)] of levels 1 and 2
+ANTICIPATION = {"A": ((0.28, 3.6), (0.16, 10.0)), "B": ((0.085, 3.6), (0.038, 10.0)), "C": ((0.16, 3.6), (0.096, 10.0))}
+DELAY = (0.10, 0.20, 0.25)  # s, MIL-STD-1797A: largest equivalent delay of levels 1, 2, 3
+
+
+@dataclass(frozen=True)
+class Craft:
+    """What levels are asked for. kind: class I to IV, or "" where none is named; category: of flight phase; mass: kg or NaN."""
+
+    kind: str = ""
+    category: str = "B"
+    mass: float = math.nan
+
+    def __post_init__(self) -> None:
+        if self.kind and self.kind not in CLASSES:
+            raise EstimationError(f"class {self.kind!r}: MIL-F-8785C knows {', '.join(CLASSES)}")
+        if self.category not in CATEGORIES:
+            raise EstimationError(f"category {self.category!r}: MIL-F-8785C knows {', '.join(CATEGORIES)}")
+
+    @property
+    def why_no_level(self) -> str:
+        """Why no level is told; empty where levels apply."""
+        if self.mass < LIGHTEST:
+            return (
+                "no levels: the limits of MIL-F-8785C and MIL-STD-1797 are of piloted aircraft, and this one weighs "
+                f"{self.mass:.3g} kg; "
+                "frequencies of a small aircraft are higher by about the root of its scale, so neither its numbers "
+                "nor its levels compare"
+            )
+        return "" if self.kind else "no levels: name the class of the aircraft with --class I, II, III or IV"
+
+    @property
+    def small_or_agile(self) -> bool:
+        return self.kind in ("I", "IV")
+
+
+@dataclass(frozen=True)
+class Number:
+    """One number. std: NaN where it has none. level: 1 to 3, 4 beyond them, None where none applies."""
+
+    name: str
+    value: float
+    std: float
+    unit: str
+    definition: str
+    source: str
+    level: int | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        return {
+            "name": self.name,
+            "value": self.value,
+            "std": self.std if math.isfinite(self.std) else None,
+            "unit": self.unit,
+            "definition": self.definition,
+            "source": self.source,
+            "level": self.level,
+        }
+
+
+def handling(response: FrequencyResponse, fit: TransferFunction, craft: Craft) -> tuple[Number, ...]:
+    """Numbers that the form and the band define; none beside them."""
+    return (*_of_mode(response, fit, craft), *_delay(fit, craft), *_bandwidth(response, fit))
+
+
+def _of_mode(response: FrequencyResponse, fit: TransferFunction, craft: Craft) -> Iterator[Number]:
+    p = fit.parameters
+    rated = not craft.why_no_level
+    if fit.form.mode == "roll":
+        T = p["T_R"]
+        level = _below(T.estimate, ROLL_MODE[craft.category, craft.small_or_agile]) if rated else None
+        yield Number(
+            "T_R", T.estimate, T.std, "s", "time constant of the roll mode", "MIL-F-8785C 3.3.1.2, table VII", level
+        )
+    elif fit.form.mode == "dutch-roll":
+        yield from _dutch_roll(fit, craft, rated)
+    elif fit.form.mode == "short-period":
+        yield from _short_period(response, fit, craft, rated)
+
+
+def _dutch_roll(fit: TransferFunction, craft: Craft, rated: bool) -> Iterator[Number]:
+    zeta, omega = fit.parameters["zeta_d"], fit.parameters["omega_d"]
+    product, spread = _derived(fit, lambda v: v["zeta_d"] * v["omega_d"])
+    told = (zeta.estimate, product, omega.estimate)
+    limits = DUTCH_ROLL[craft.category, craft.small_or_agile]
+    level = next((k + 1 for k, least in enumerate(limits) if all(a >= b for a, b in zip(told, least, strict=True))), 4)
+    source = "MIL-F-8785C 3.3.1.1, table VI"
+    shown = level if rated else None
+    yield Number("zeta_d", zeta.estimate, zeta.std, "1", "damping ratio of the Dutch roll", source, shown)
+    yield Number(
+        "omega_d", omega.estimate, omega.std, "rad/s", "undamped natural frequency of the Dutch roll", source, shown
+    )
+    yield Number("zeta_d omega_d", product, spread, "rad/s", "decay rate of the Dutch roll", source, shown)
+
+
+def _short_period(response: FrequencyResponse, fit: TransferFunction, craft: Craft, rated: bool) -> Iterator[Number]:
+    zeta, omega = fit.parameters["zeta_sp"], fit.parameters["omega_sp"]
+    level = _within(zeta.estimate, SHORT_PERIOD[craft.category]) if rated else None
+    yield Number(
+        "zeta_sp",
+        zeta.estimate,
+        zeta.std,
+        "1",
+        "damping ratio of the short period",
+        "MIL-F-8785C 3.2.2.1.2, table IV",
+        level,
+    )
+    yield Number(
+        "omega_sp",
+        omega.estimate,
+        omega.std,
+        "rad/s",
+        "undamped natural frequency of the short period",
+        "MIL-F-8785C 3.2.2.1.1",
+    )
+    lead = fit.parameters.get("1/T_theta2")
+    if response.output != "q" or lead is None or not lead.estimate > 0.0 or not math.isfinite(response.speed):
+        return
+    V = response.speed
+    load, load_std = _derived(fit, lambda v: V / G * v["1/T_theta2"])
+    yield Number(
+        "n/alpha",
+        load,
+        load_std,
+        "g/rad",
+        "V / (g T_theta2), steady normal acceleration per angle of attack",
+        "MIL-F-8785C 3.2.2.1.1",
+    )
+    cap, cap_std = _derived(fit, lambda v: v["omega_sp"] ** 2 * G / (V * v["1/T_theta2"]))
+    level = _within(cap, ANTICIPATION[craft.category]) if rated else None
+    yield Number(
+        "CAP",
+        cap,
+        cap_std,
+        "1/(g s2)",
+        "omega_sp^2 / (n/alpha), control anticipation parameter",
+        "MIL-F-8785C 3.2.2.1.1, figures 1-3",
+        level,
+    )
+
+
+def _delay(fit: TransferFunction, craft: Craft) -> Iterator[Number]:
+    tau = fit.parameters["tau"]
+    level = None if craft.why_no_level else _below(tau.estimate, DELAY)
+    yield Number(
+        "tau", tau.estimate, tau.std, "s", "equivalent time delay, surface to output", "MIL-STD-1797A 4.2.1.2", level
+    )
+
+
+def _derived(fit: TransferFunction, value: Callable[[dict[str, float]], float]) -> tuple[float, float]:
+    """A number of the parameters and its bound, to first order."""
+    at = {n: p.estimate for n, p in fit.parameters.items()}
+    slopes = np.zeros(len(at))
+    for i, (name, v) in enumerate(at.items()):
+        h = 1e-5 * max(abs(v), 1e-6)
+        slopes[i] = (value({**at, name: v + h}) - value({**at, name: v - h})) / (2 * h)
+    return value(at), float(np.sqrt(max(float(slopes @ fit.covariance @ slopes), 0.0)))
+
+
+def _below(value: float, limits: tuple[float, ...]) -> int:
+    return next((k + 1 for k, limit in enumerate(limits) if value <= limit), 4)
+
+
+def _within(value: float, limits: tuple[tuple[float, float], ...]) -> int:
+    return next((k + 1 for k, (low, high) in enumerate(limits) if low <= value <= high), len(limits) + 1)
+
+
+# ------------------------------------------------------------------------------------------------------- bandwidth
+
+
+def _bandwidth(response: FrequencyResponse, fit: TransferFunction) -> Iterator[Number]:
+    """Of the attitude that a rate is the slope of, from the fit within its own band; nothing where the phase does
+    not get there."""
+    control = SURFACE_OF.get(response.input, response.input)
+    if (control, response.output) not in (("delta_e", "q"), ("delta_e", "theta"), ("delta_a", "p"), ("delta_a", "phi")):
+        return
+    omega = np.geomspace(fit.omega[0], fit.omega[1], 2000)
+    H = fit.at(omega)
+    if response.output in ("p", "q"):
+        H = H / (1j * omega)
+    phase = np.unwrap(np.angle(H))
+    phase += -np.pi / 2 - phase[0] + _near_quarter(phase[0] + np.pi / 2)
+    crossing = _first(omega, phase, -np.pi)
+    by_phase = _first(omega, phase, -0.75 * np.pi)
+    if crossing is None or by_phase is None:
+        return
+    decibels = 20 * np.log10(np.abs(H))
+    by_gain = _first(omega, decibels, float(np.interp(crossing, omega, decibels)) + 6.0)
+    width = min(by_phase, by_gain if by_gain is not None else math.inf)
+    source = "MIL-STD-1797A 4.2.1.2"
+    yield Number(
+        "omega_BW",
+        width,
+        math.nan,
+        "rad/s",
+        "bandwidth of the attitude: 45 deg of phase or 6 dB of gain margin, the lower",
+        source,
+    )
+    if 2 * crossing <= omega[-1]:
+        late = -np.pi - float(np.interp(2 * crossing, omega, phase))
+        yield Number(
+            "tau_p",
+            late / (2 * crossing),
+            math.nan,
+            "s",
+            "phase delay of the attitude: (phase at w180 - phase at 2 w180) / 2 w180",
+            source,
+        )
+
+
+def _near_quarter(offset: float) -> float:
+    """A phase off -90 deg without the half turns that a gain's sign gives it."""
+    return offset - np.pi * round(offset / np.pi)
+
+
+def _first(omega: Array, values: Array, level: float) -> float | None:
+    """Where values first fall through a level."""
+    below = np.flatnonzero((values[1:] <= level) & (values[:-1] > level))
+    if not below.size:
+        return None
+    k = int(below[0])
+    share = (values[k] - level) / (values[k] - values[k + 1])
+    return float(omega[k] + share * (omega[k + 1] - omega[k]))

@@ -1,0 +1,267 @@
+"""The frequency response of an output to a control, composed of several window lengths.
+
+Long windows reach low frequencies and resolve peaks, short ones average more. At each frequency the lengths that hold
+at least two periods are weighted by (random error / least random error)^-4 (M. B. Tischler and R. K. Remple, Aircraft
+and Rotorcraft System Identification, 2nd ed., chapter 10). They share the same data: the error of the composite is the
+weighted mean of their errors, as if all were one.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter, uniform_filter1d
+
+from estimation.errors import DataError
+from estimation.frequency.feedback import feedback_note
+from estimation.frequency.records import Signals, collect
+from estimation.frequency.spectra import Grid, WindowResponse, respond
+from estimation.signals.fourier import Complex
+from groundstation.flight import Flight
+
+Array = NDArray[np.float64]
+
+PERIODS = 2.0  # of a frequency in a window: below, its transform holds the mean and the trend
+LENGTHS = 5  # windows, as CIFER takes
+SHORTER = 1.6  # from one length to the next
+SHORTEST = 1.5  # s
+LONGEST = 40.0  # s: beyond, no mode of an aircraft but the phugoid is narrower
+POINTS = 60  # frequencies
+PER_PERIOD = 4.0  # samples of a period of the highest frequency
+STEPS = 10.0  # of the zoomed grid to the lowest frequency
+WORST = 1.0 / 3.0  # random error over magnitude from which points are left out
+CHANCE = 1e-3  # that a point of no response at all is kept for its coherence
+INCOHERENT = 0.3  # coherence below which points are left out
+BESIDE = 7  # points over whose median both are judged: point by point, those that chance makes large would be kept
+LEFT_OVER = (
+    5.0  # of the square of what a window's shape did, relative to H: Dutch rolls damped 0.05 to 0.3, windows 4 to 30 s
+)
+MOST_LEFT = 1.2  # of it where windows are too short to resolve the mode at all
+NOISY_INPUT = 0.02  # of magnitude: bias of noise in the input that is worth a note
+
+
+@dataclass(frozen=True)
+class FrequencyResponse:
+    """Arrays over the frequencies kept. omega: rad/s. H: output over input, complex. std: of its real and of its imaginary part.
+    coherence: with the input asked for, the others taken off. length: mean length of the windows [s]. left_out: (frequency,
+    coherence) of the points that tell too little. inputs: the one asked for first."""
+
+    inputs: tuple[str, ...]
+    output: str
+    omega: Array
+    H: Complex
+    std: Array
+    coherence: Array
+    length: Array
+    left_out: tuple[tuple[float, float], ...]
+    windows: tuple[float, ...]
+    duration: float
+    speed: float
+    notes: tuple[str, ...] = ()
+    flights: tuple[str, ...] = ()
+
+    @property
+    def input(self) -> str:
+        return self.inputs[0]
+
+    @property
+    def magnitude(self) -> Array:
+        """Output's unit per input's."""
+        return np.asarray(np.abs(self.H))
+
+    @property
+    def phase(self) -> Array:
+        """Unwrapped from the lowest frequency on [rad], that of the first point between -pi and pi."""
+        return np.unwrap(np.angle(self.H))
+
+    @property
+    def std_phase(self) -> Array:
+        """rad; no more than a phase can be unknown by, pi / sqrt(3)."""
+        return np.asarray(np.minimum(self.std / np.maximum(self.magnitude, 1e-300), np.pi / np.sqrt(3.0)))
+
+    def to_json(self) -> dict[str, Any]:
+        return {
+            "version": 1,
+            "input": self.input,
+            "output": self.output,
+            "with": list(self.inputs[1:]),
+            "flights": list(self.flights),
+            "frequency": self.omega.tolist(),
+            "magnitude": self.magnitude.tolist(),
+            "phase": self.phase.tolist(),
+            "coherence": self.coherence.tolist(),
+            "std_magnitude": self.std.tolist(),
+            "std_phase": self.std_phase.tolist(),
+            "left_out": [{"frequency": f, "coherence": c} for f, c in self.left_out],
+            "windows_s": list(self.windows),
+            "duration_s": self.duration,
+            "notes": list(self.notes),
+        }
+
+
+@dataclass(frozen=True)
+class ResponseOptions:
+    """with_: other inputs whose share is taken off, None for all controls that moved. band: [Hz], by default what the windows and
+    samples allow. points: frequencies, evenly in their logarithm. windows: lengths [s], by default LENGTHS of them."""
+
+    with_: tuple[str, ...] | None = None
+    band: tuple[float, float] | None = None
+    points: int = POINTS
+    windows: tuple[float, ...] = field(default=())
+
+
+def frequency_response(
+    flights: Flight | Sequence[Flight], name: str, output: str, options: ResponseOptions | None = None
+) -> FrequencyResponse:
+    """Response of column `output` to column `name` over one flight or several.
+
+    Raises MissingColumnError for a column that is not there, DataError where the input did not move, no stretch holds windows
+    enough, or nothing of the output follows the input.
+    """
+    chosen = options or ResponseOptions()
+    read = [flights] if isinstance(flights, Flight) else list(flights)
+    signals = collect(read, name, output, chosen.with_)
+    lengths = _lengths(signals, chosen)
+    low, high = _band(signals, chosen, lengths[0])
+    grid = _grid(low, high, chosen.points)
+    found = [r for length in lengths if (r := respond(signals.stretches, length, grid)) is not None]
+    if not found:
+        raise DataError(_too_short(signals))
+    return _composed(signals, found, grid, tuple(f.name for f in read))
+
+
+def _too_short(signals: Signals) -> str:
+    inputs, count = ", ".join(signals.names), len(signals.stretches)
+    many = f"{count} stretch{'es' if count > 1 else ''}"
+    return (
+        f"{signals.duration:.3g} s in {many} hold too few windows to tell a "
+        f"response to {inputs} and its error; "
+        "fly longer, give more flights, or condition on fewer inputs with --with"
+    )
+
+
+def _lengths(signals: Signals, options: ResponseOptions) -> tuple[float, ...]:
+    """Window lengths, longest first: the longest leaves three windows' worth of data an input."""
+    longest = max(s.duration for s in signals.stretches)
+    if options.windows:
+        if not all(0.0 < w <= longest for w in options.windows):
+            raise DataError(f"windows must be positive and no longer than the longest stretch, {longest:.3g} s")
+        return tuple(sorted(options.windows, reverse=True))
+    top = min(LONGEST, longest, signals.duration / (1.0 + 2.0 * len(signals.names)))
+    every = [top / SHORTER**k for k in range(LENGTHS)]
+    kept = tuple(w for w in every if w >= max(SHORTEST, 8.0 * signals.step))
+    if not kept:
+        raise DataError(_too_short(signals))
+    return kept
+
+
+def _band(signals: Signals, options: ResponseOptions, longest: float) -> tuple[float, float]:
+    """(lowest, highest) frequency [Hz]."""
+    nyquist = 0.5 / signals.step
+    low, high = options.band or (PERIODS / longest, 2.0 * nyquist / PER_PERIOD)
+    if not 0.0 < low < high <= nyquist:
+        raise DataError(
+            f"band {low:.3g} to {high:.3g} Hz: two frequencies in order are needed, the higher at most "
+            f"{nyquist:.3g} Hz (half the rate)"
+        )
+    if low < PERIODS / longest * (1.0 - 1e-9):
+        raise DataError(
+            f"band from {low:.3g} Hz: the longest window, {longest:.3g} s, holds {PERIODS:g} periods from "
+            f"{PERIODS / longest:.3g} Hz on; "
+            "fly longer, or begin there"
+        )
+    return low, high
+
+
+def _grid(low: float, high: float, points: int) -> Grid:
+    if not 2 <= points <= 2000:
+        raise DataError(f"{points} points: give 2 to 2000")
+    spacing = low / max(STEPS, 2.0 * points * low / (high - low) if high / low < 2 else STEPS)
+    wanted = np.geomspace(low, high, points)
+    chosen = np.unique(np.round((wanted - low) / spacing).astype(np.intp))
+    chosen = chosen[low + spacing * chosen <= high * (1.0 + 1e-9)]
+    return Grid(2 * np.pi * low, 2 * np.pi * spacing, chosen)
+
+
+# ------------------------------------------------------------------------------------------------------- composite
+
+
+def _composed(
+    signals: Signals, found: Sequence[WindowResponse], grid: Grid, names: tuple[str, ...]
+) -> FrequencyResponse:
+    omega = grid.omega
+    holds = np.stack([omega >= (1.0 - 1e-9) * 2 * np.pi * PERIODS / r.length for r in found])
+    omega, holds = omega[holds.any(axis=0)], holds[:, holds.any(axis=0)]
+    if not omega.size:
+        raise DataError(_too_short(signals))
+    part = slice(len(grid.omega) - len(omega), None)
+    bias = _bias(found, part)
+    error = np.where(holds, np.hypot(np.stack([r.std[part] for r in found]), bias), np.inf)
+    weight = (np.maximum(error, 1e-300) / np.maximum(error.min(axis=0), 1e-300)) ** -4.0
+    weight /= weight.sum(axis=0)
+
+    def mean(values: Sequence[Any]) -> Any:
+        return np.sum(weight * np.stack([v[part] for v in values]), axis=0)
+
+    H, std = mean([r.H for r in found]), np.sum(weight * np.where(holds, error, 0.0), axis=0)
+    coherence, power = mean([r.coherence for r in found]), mean([r.power for r in found])
+    length = mean([np.full(grid.omega.shape, r.length) for r in found])
+    kept = _told(H, std, coherence, mean([r.freedom for r in found]))
+    out = tuple((float(w), float(c)) for w, c in zip(omega[~kept], coherence[~kept], strict=True))
+    if not kept.any():
+        raise DataError(
+            f"{', '.join(names)}: {signals.output} does not follow {signals.names[0]} anywhere from {omega[0]:.3g} to "
+            f"{omega[-1]:.3g} rad/s (coherence at most {float(coherence.max()):.2f}); is it the right output, and was the "
+            "input moved on purpose?"
+        )
+    notes = (*signals.notes, *_notes(signals, found, power[kept]))
+    return FrequencyResponse(
+        signals.names, signals.output, omega[kept], H[kept], std[kept], coherence[kept], length[kept], out,
+        tuple(r.length for r in found), signals.duration, signals.speed, notes, names,
+    )  # fmt: skip
+
+
+def _told(H: Complex, std: Array, coherence: Array, freedom: Array) -> NDArray[np.bool_]:
+    """(frequencies,) which points tell something, judged with their neighbours."""
+    by_chance = 1.0 - CHANCE ** (1.0 / np.maximum(freedom, 1.0))  # all but CHANCE of coherences of nothing lie below
+    spare = np.stack([coherence - np.maximum(INCOHERENT, by_chance), WORST * np.abs(H) - std])
+    return np.asarray(np.all(median_filter(spare, (1, BESIDE)) >= 0.0, axis=0) & (std <= np.abs(H)))
+
+
+def _bias(found: Sequence[WindowResponse], part: slice) -> Array:
+    """(lengths, frequencies) what the window's shape may still do to each response.
+
+    Where it was taken off, what is left goes with its square; where not, it is that of the next shorter window less
+    by length squared.
+    """
+    biases = []
+    for k, r in enumerate(found):
+        told = next((f for f in found[k:] if f.shift is not None), None)
+        if told is None or told.shift is None:
+            biases.append(np.zeros(r.H[part].shape))
+            continue
+        shift = uniform_filter1d(told.shift, BESIDE)[part] * (told.length / r.length) ** 2
+        share = np.minimum(LEFT_OVER * shift**2, MOST_LEFT * shift) if told is r else shift
+        biases.append(np.minimum(share, 1.0) * np.abs(r.H[part]))
+    return np.stack(biases)
+
+
+def _notes(signals: Signals, found: Sequence[WindowResponse], power: Array) -> list[str]:
+    notes = []
+    noise = signals.noise**2 * signals.step / np.maximum(power, 1e-300)
+    if np.any(noise > NOISY_INPUT):
+        notes.append(
+            f"noise of {signals.names[0]} ({signals.noise:.2g} rms) makes the magnitude up to "
+            f"{100 * float(noise.max()):.0f} % low where the "
+            "control moved least"
+        )
+    if not any(r.corrected for r in found):
+        notes.append(
+            "too few windows to correct for their shape: a lightly damped peak comes out low and broad, by up to "
+            "6.6 (decay time / window)^2; "
+            "fly longer or give more flights"
+        )
+    warning = feedback_note(signals)
+    return [*notes, warning] if warning else notes

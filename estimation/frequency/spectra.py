@@ -1,0 +1,169 @@
+"""Responses from windowed, overlapped transforms of one window length, with their random error.
+
+Every window k gives transforms X_k (one column an input) and Y_k = X_k H + V_k (P. D. Welch 1967); H is their least
+squares solution, which for one input is Gxy / Gxx and for several the conditioned response (J. S. Bendat and A. G.
+Piersol, Random Data, 4th ed., chapters 6 and 7). Windows overlap by four fifths and so share noise: with R their
+overlap correlations,
+
+    E v v* = S R,    cov H = S (X*X)^-1 X*R X (X*X)^-1,    S = v*v / tr((I - P) R),    P = X (X*X)^-1 X*
+
+which for n independent windows is Bendat and Piersol's random error (section 9.2), |H| sqrt(1 - g2) / (|g| sqrt(2 n)),
+with the freedom of the fit taken off. It needs no stationary input: doublets and sweeps, which fill few windows, count
+for what they are.
+
+A window w cuts responses short: the impulse response is seen through the window's own correlation, which broadens a lightly
+damped peak. Expanding w(t) about w(t - tau), F{w y} = H F{w x} + j H' F{w' x} - H''/2 F{w'' x} + ..., so the last two columns,
+where there are windows enough, take that bias off.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import czt
+from scipy.stats import t as student
+
+from estimation.frequency.records import Stretch
+from estimation.signals.fourier import Complex
+
+Array = NDArray[np.float64]
+
+OVERLAP = 0.8  # of a window, as CIFER takes (Tischler and Remple, chapter 7)
+MOST_WINDOWS = 1000  # of one length: beyond, they are spread wider, down to half overlap and less
+FEWEST_FREEDOM = 3.0  # complex degrees of freedom that an error can be told from
+NORMAL = 1.96  # of a normal distribution's 95 %
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Frequencies first + k spacing [rad/s]; chosen: indices k of those wanted, spaced evenly in their logarithm."""
+
+    first: float
+    spacing: float
+    chosen: NDArray[np.intp]
+
+    @property
+    def omega(self) -> Array:
+        return np.asarray(self.first + self.spacing * self.chosen)
+
+
+@dataclass(frozen=True)
+class WindowResponse:
+    """Of one window length [s], each (frequencies,). H: complex response to the first input; std: of its real and of
+    its imaginary part, such that +-1.96 of it covers 95 %; coherence: with the first input, the others taken off;
+    freedom: complex degrees of freedom; power: of the first input, a window's mean |X|^2 over the window's energy.
+    shift: what the window's shape had done to H, relative to it; None where there were too few windows to take that
+    off."""
+
+    length: float
+    H: Complex
+    std: Array
+    coherence: Array
+    freedom: Array
+    power: Array
+    shift: Array | None = None
+
+    @property
+    def corrected(self) -> bool:
+        return self.shift is not None
+
+
+@dataclass(frozen=True)
+class _Transforms:
+    """X: (terms, windows, frequencies, inputs), Y: (windows, frequencies), referred to one time; R: (windows, windows)."""
+
+    X: Complex
+    Y: Complex
+    R: Array
+
+
+def respond(stretches: Sequence[Stretch], length: float, grid: Grid) -> WindowResponse | None:
+    """The response by windows of `length` [s]; None where they are too few to tell an error."""
+    long = [s for s in stretches if s.duration >= length]
+    parts = [_transforms(s, length, grid, max(MOST_WINDOWS // len(long), 1)) for s in long]
+    if not parts:
+        return None
+    X = np.concatenate([p.X for p in parts], axis=1)
+    Y = np.concatenate([p.Y for p in parts])
+    R = _blocks([p.R for p in parts])
+    plain, corrected = _solved(X[:1], Y, R, length), _solved(X, Y, R, length)
+    if corrected is None or plain is None:
+        return plain
+    return replace(corrected, shift=np.abs(1.0 - plain.H / corrected.H))
+
+
+def windows(stretch: Stretch, length: float, most: int = MOST_WINDOWS) -> tuple[int, NDArray[np.intp]]:
+    """(samples of a window, first samples of all windows) of a stretch."""
+    size = min(round(length / stretch.step) + 1, len(stretch.y))
+    last = len(stretch.y) - size
+    count = min(1 + int(last / max((1.0 - OVERLAP) * size, 1.0)), most)
+    return size, np.unique(np.linspace(0, last, count).round().astype(np.intp))
+
+
+def tapers(size: int) -> Array:
+    """(3, size) Hann window and its first two derivatives by time in units of the window's length."""
+    at = 2 * np.pi * np.arange(size) / (size - 1)
+    return np.stack([0.5 * (1 - np.cos(at)), np.pi * np.sin(at), 2 * np.pi**2 * np.cos(at)])
+
+
+def _transforms(stretch: Stretch, length: float, grid: Grid, most: int) -> _Transforms:
+    size, starts = windows(stretch, length, most)
+    shapes = tapers(size)
+    cut = np.stack([np.concatenate([stretch.x, stretch.y[:, None]], axis=1)[s : s + size] for s in starts])
+    cut = cut - np.einsum("n,wnc->wc", shapes[0], cut)[:, None] / shapes[0].sum()
+    ratio, begin = np.exp(-1j * grid.spacing * stretch.step), np.exp(1j * grid.first * stretch.step)
+    count = int(grid.chosen[-1]) + 1
+    unit = np.sqrt(stretch.step / float(np.sum(shapes[0] ** 2)))  # power becomes that of a spectral density
+    turned = unit * np.exp(-1j * grid.omega * stretch.step * starts[:, None])  # referred to the stretch's first sample
+    found = []
+    for shape in shapes:
+        zoomed = czt(shape[:, None] * cut, m=count, w=ratio, a=begin, axis=1)
+        found.append(zoomed[:, grid.chosen] * turned[:, :, None])
+    X = np.stack(found)[..., :-1]
+    return _Transforms(X, found[0][..., -1], _overlap(shapes[0], starts))
+
+
+def _overlap(taper: Array, starts: NDArray[np.intp]) -> Array:
+    """(windows, windows) correlation that white noise has between windows."""
+    whole = np.correlate(taper, taper, "full")[taper.size - 1 :] / float(np.sum(taper**2))
+    lag = np.abs(starts[:, None] - starts[None, :])
+    return np.where(lag < taper.size, whole[np.minimum(lag, taper.size - 1)], 0.0)
+
+
+def _blocks(parts: Sequence[Array]) -> Array:
+    size = sum(len(p) for p in parts)
+    whole, at = np.zeros((size, size)), 0
+    for p in parts:
+        whole[at : at + len(p), at : at + len(p)] = p
+        at += len(p)
+    return whole
+
+
+def _solved(X: Complex, Y: Complex, R: Array, length: float) -> WindowResponse | None:
+    """Least squares at every frequency. X: (terms, windows, frequencies, inputs)."""
+    terms, count, frequencies, inputs = X.shape
+    columns = np.transpose(X, (2, 1, 0, 3)).reshape(frequencies, count, terms * inputs)
+    size = np.sqrt(np.mean(np.abs(columns) ** 2, axis=1, keepdims=True))
+    A, y = columns / np.maximum(size, 1e-300), Y.T
+    star = A.conj().transpose(0, 2, 1)
+    G = star @ A
+    if count <= terms * inputs + 1 or not np.all(np.linalg.cond(G) < 1e10):
+        return None
+    inverse = np.linalg.inv(G)
+    H = (inverse @ (star @ y[..., None]))[..., 0]
+    v = y - (A @ H[..., None])[..., 0]
+    shared, twice = star @ (R @ A), star @ (R @ (R @ A))
+    PR = inverse @ shared
+    left = count - np.trace(PR, axis1=1, axis2=2).real
+    spread = float(np.sum(R * R)) - 2 * np.trace(inverse @ twice, axis1=1, axis2=2).real
+    spread = spread + np.trace(PR @ PR, axis1=1, axis2=2).real
+    freedom = left**2 / np.maximum(spread, 1e-12)
+    if not np.all(freedom >= FEWEST_FREEDOM) or not np.all(left > 0.1):
+        return None
+    rest = np.sum(np.abs(v) ** 2, axis=1)
+    variance = rest / left * (PR @ inverse)[:, 0, 0].real
+    explained = np.abs(H[:, 0]) ** 2 / inverse[:, 0, 0].real
+    first = size[:, 0, 0]
+    std = np.sqrt(0.5 * variance) * student.ppf(0.975, 2 * freedom) / NORMAL
+    return WindowResponse(length, H[:, 0] / first, std / first, explained / (explained + rest), freedom, first**2)

@@ -1,0 +1,209 @@
+"""Low-order transfer functions with delay, fitted to a frequency response over the band of good coherence.
+
+Two fits of the same form: with the cost of CIFER's NAVFIT (M. B. Tischler and R. K. Remple, Aircraft and Rotorcraft System
+Identification, 2nd ed., chapter 11: magnitude in dB weighted 1, phase in degrees 0.01745, coherence [1.58 (1 - exp(-g2))]^2;
+J <= 100 is acceptable, <= 50 cannot be told from the data) and, for estimates with bounds, by maximum likelihood: complex
+differences over their random errors. Its bounds count that neighbouring points share windows, and widen where the
+form does not fit.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from estimation.errors import DataError, EstimationError
+from estimation.frequency.forms import Form, form_for, general_forms
+from estimation.frequency.response import FrequencyResponse
+from estimation.frequency.spectra import tapers
+from estimation.signals.fourier import Complex
+
+Array = NDArray[np.float64]
+
+GOOD = 0.6  # coherence from which a point is fitted (Tischler and Remple, chapter 7)
+PHASE_WEIGHT = 0.01745  # of one degree squared against one dB squared
+DELAYS = (0.0, 0.05, 0.1, 0.2, 0.4)  # s, from which searches begin
+SEARCHES = 2  # of the starts, the best
+ROUNDS = 8  # of Sanathanan and Koerner's iteration for a start
+SPARE = 2  # numbers beyond the unknowns that a fit needs
+SMALLEST_STEP = 1e-8
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """An estimate and its bound (one standard deviation)."""
+
+    estimate: float
+    std: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class TransferFunction:
+    """H = numerator / denominator exp(-delay s), coefficients from the highest power on. cost: CIFER's J at its own
+    optimum, whose values are `cifer`; misfit: rms of differences over their random errors at `parameters`. points:
+    fitted. covariance: in their order. omega: (2,) the band [rad/s]."""
+
+    form: Form
+    parameters: Mapping[str, Fitted]
+    cifer: Mapping[str, float]
+    cost: float
+    misfit: float
+    points: int
+    omega: tuple[float, float]
+    covariance: Array
+
+    @property
+    def values(self) -> Array:
+        return np.array([p.estimate for p in self.parameters.values()])
+
+    def at(self, omega: Array) -> Complex:
+        """H at frequencies (n,) rad/s."""
+        return self.form.response(self.values, omega)
+
+    def to_json(self) -> dict[str, Any]:
+        numerator, denominator, delay = self.form.polynomials(self.values)
+        return {
+            "form": self.form.name,
+            "equation": self.form.equation,
+            "numerator": numerator.tolist(),
+            "denominator": denominator.tolist(),
+            "delay": delay,
+            "parameters": {
+                n: {"estimate": p.estimate, "std": p.std if math.isfinite(p.std) else None, "unit": p.unit}
+                for n, p in self.parameters.items()
+            },
+            "cost": self.cost,
+            "cifer": dict(self.cifer),
+            "misfit": self.misfit,
+            "points": self.points,
+            "band": list(self.omega),
+        }
+
+
+def fit_transfer(response: FrequencyResponse, form: str | Form = "auto") -> TransferFunction:
+    """The transfer function of a form: roll, dutch-roll, short-period, orders M/N, or auto, which knows them from
+    input and output.
+
+    Raises EstimationError for an unknown form, DataError where fewer points are coherent than the form has unknowns.
+    """
+    good = response.coherence >= GOOD
+    if form == "auto" and form_for(response.input, response.output) is None:
+        return min((_fitted(response, good, f) for f in general_forms()), key=_information)
+    chosen = form if isinstance(form, Form) else form_for(response.input, response.output, form)
+    if chosen is None:
+        raise EstimationError(f"form {form!r}: give roll, dutch-roll, short-period, auto, or orders like 1/2")
+    return _fitted(response, good, chosen)
+
+
+def _information(found: TransferFunction) -> float:
+    """Bayes's criterion: misfit and what every unknown must earn."""
+    return 2.0 * found.points * found.misfit**2 + len(found.parameters) * math.log(2.0 * found.points)
+
+
+def _fitted(response: FrequencyResponse, good: NDArray[np.bool_], form: Form) -> TransferFunction:
+    names = form.names
+    if 2 * int(good.sum()) < len(names) + SPARE:
+        raise DataError(
+            f"{int(good.sum())} frequencies with a coherence of {GOOD:g} or more cannot settle the {len(names)} "
+            f"unknowns of form {form.name}: "
+            "fly longer or with more input, or fit a smaller form"
+        )
+    omega, H, g2 = response.omega[good], response.H[good], response.coherence[good]
+    std = np.maximum(response.std[good], 1e-9 * np.abs(H).max())
+    classic = _best(form, omega, H, lambda x: _navfit(form, x, omega, H, g2))
+    likely = least_squares(lambda x: _errors(form, x, omega, H, std), classic.x, x_scale=_scale(classic.x))
+    covariance, misfit = _covariance(likely.jac, likely.fun, omega, response.length[good])
+    spread = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    units = form.units
+    parameters = {n: Fitted(float(v), float(s), u) for n, v, s, u in zip(names, likely.x, spread, units, strict=True)}
+    return TransferFunction(
+        form, parameters, dict(zip(names, classic.x.tolist(), strict=True)), float(np.sum(classic.fun**2)), misfit,
+        int(good.sum()), (float(omega[0]), float(omega[-1])), covariance,
+    )  # fmt: skip
+
+
+def _scale(x: Array) -> Array:
+    return np.maximum(np.abs(x), 1e-3)
+
+
+def _best(form: Form, omega: Array, H: Complex, residuals: Any) -> Any:
+    """The best of searches from several delays."""
+    begun = []
+    for delay in DELAYS:
+        begin = form.from_polynomials(*_levy(form, omega, H * np.exp(1j * omega * delay)), delay)
+        if np.all(np.isfinite(begin)) and np.all(np.isfinite(residuals(begin))):
+            begun.append((float(np.sum(residuals(begin) ** 2)), begin))
+    if not begun:
+        raise DataError(f"form {form.name}: no start was found; try another form")
+    begun.sort(key=lambda b: b[0])
+    found = [least_squares(residuals, begin, x_scale=_scale(begin)) for _, begin in begun[:SEARCHES]]
+    return min(found, key=lambda f: float(f.cost))
+
+
+def _levy(form: Form, omega: Array, H: Complex) -> tuple[Array, Array]:
+    """Numerator and monic denominator by linear least squares, reweighted by the last denominator (Levy 1959; Sanathanan and
+    Koerner 1963)."""
+    m, n = form.orders
+    scale = float(np.exp(np.mean(np.log(omega))))
+    s = 1j * omega / scale
+    columns = np.concatenate(
+        [
+            np.stack([s**k for k in range(m, -1, -1)], axis=1),
+            -H[:, None] * np.stack([s**k for k in range(n - 1, -1, -1)], axis=1),
+        ],
+        axis=1,
+    )
+    right = H * s**n
+    weight = 1.0 / np.abs(H)
+    x = np.zeros(columns.shape[1])
+    for _ in range(ROUNDS):
+        A, b = columns * weight[:, None], right * weight
+        x = np.linalg.lstsq(np.concatenate([A.real, A.imag]), np.concatenate([b.real, b.imag]), rcond=None)[0]
+        denominator = np.concatenate([[1.0], x[m + 1 :]])
+        weight = 1.0 / np.maximum(np.abs(H) * np.abs(np.polyval(denominator, s)), 1e-12)
+    powers_n, powers_m = scale ** np.arange(n + 1.0), scale ** (n - m + np.arange(m + 1.0))
+    return x[: m + 1] * powers_m, np.concatenate([[1.0], x[m + 1 :]]) * powers_n
+
+
+def _navfit(form: Form, x: Array, omega: Array, H: Complex, coherence: Array) -> Array:
+    """Residuals whose sum of squares is CIFER's cost J."""
+    ratio = form.response(x, omega) / H
+    trust = np.sqrt(20.0 / omega.size) * 1.58 * (1.0 - np.exp(-coherence))
+    decibels = 20.0 * np.log10(np.maximum(np.abs(ratio), 1e-12))
+    degrees = np.degrees(np.angle(ratio))
+    return np.concatenate([trust * decibels, math.sqrt(PHASE_WEIGHT) * trust * degrees])
+
+
+def _errors(form: Form, x: Array, omega: Array, H: Complex, std: Array) -> Array:
+    off = (form.response(x, omega) - H) / std
+    return np.concatenate([off.real, off.imag])
+
+
+def _covariance(jacobian: Array, off: Array, omega: Array, length: Array) -> tuple[Array, float]:
+    """(covariance of the unknowns, rms of `off`). Neighbouring points share noise as far as their windows cannot
+    tell them apart."""
+    size = np.maximum(np.linalg.norm(jacobian, axis=0), SMALLEST_STEP)
+    J = jacobian / size
+    shared = _shared_noise(omega, length)
+    half = len(omega)
+    middle = J[:half].T @ shared @ J[:half] + J[half:].T @ shared @ J[half:]
+    inverse = np.linalg.pinv(J.T @ J, rcond=1e-10)
+    misfit = math.sqrt(float(np.mean(off**2)))
+    freedom = off.size / max(off.size - len(size), 1)
+    return inverse @ middle @ inverse * max(1.0, misfit**2 * freedom) / np.outer(size, size), misfit
+
+
+def _shared_noise(omega: Array, length: Array) -> Array:
+    """(points, points) correlation of noise between frequencies seen through Hann windows of those lengths."""
+    mean = np.sqrt(length[:, None] * length[None, :])
+    phase = np.abs(omega[:, None] - omega[None, :]) * mean
+    taper = tapers(201)[0] ** 2
+    at = np.linspace(-0.5, 0.5, 201)
+    table = np.linspace(0.0, 60.0, 601)
+    values = np.abs(np.exp(-1j * np.outer(table, at)) @ taper) / taper.sum()
+    return np.interp(phase, table, values, right=0.0)

@@ -1,0 +1,87 @@
+"""A model keeps what was flown to estimate it, and a prediction beyond that is told."""
+
+import json
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from estimation.commands.estimate import estimate
+from estimation.commands.match import match
+from estimation.errors import ModelError
+from estimation.models import load_model, write_model
+from estimation.models.load import read_model
+from estimation.session.flown import beyond, flown
+from groundstation.flight import Flight, write_flight
+
+LATERAL = load_model("lateral", "cdfp")
+
+
+def test_ranges_are_those_of_what_forces_depend_on(made_flights: list[Flight]) -> None:
+    found = flown(LATERAL, made_flights)
+    assert {"beta", "p", "r", "delta_a", "delta_r", "V", "alpha"} <= set(found)
+    assert not {"phi", "rho", "theta"} & set(found)
+    everything = np.concatenate([f["beta"] for f in made_flights])
+    low, high = found["beta"]
+    assert everything.min() <= low < np.quantile(everything, 0.02)
+    assert np.quantile(everything, 0.98) < high <= everything.max()
+
+
+def test_one_wild_value_is_no_range(made_flights: list[Flight]) -> None:
+    flight = made_flights[0]
+    beta = flight["beta"].copy()
+    beta[7] = 1.5
+    assert flown(LATERAL, [flight.with_columns(beta=beta)])["beta"][1] < 2.0 * flown(LATERAL, [flight])["beta"][1]
+
+
+def test_a_flight_of_half_the_size_stays_within_and_one_of_twice_does_not(made_flights: list[Flight]) -> None:
+    flight = made_flights[0]
+    model = replace(LATERAL, flown=flown(LATERAL, [flight]))
+    moving = ("beta", "p", "r", "delta_a", "delta_r")
+    for factor, told in ((0.5, set()), (2.0, set(moving))):
+        scaled = flight.with_columns(**{n: factor * flight[n] for n in moving})
+        assert {b.name for b in beyond(model, scaled)} == told
+    (first, *_) = beyond(model, flight.with_columns(beta=2.0 * flight["beta"]))
+    assert first.text.startswith("beta from ")
+    assert " deg, estimated from " in first.text
+    assert beyond(LATERAL, flight) == ()  # a model of which nobody says what was flown
+
+
+def test_from_the_command_line(made_flights: list[Flight], tmp_path: Path) -> None:
+    flight = made_flights[0]
+    fast = flight.with_columns(V=1.5 * flight["V"])
+    for name, one in (("a", flight), ("b", fast)):
+        write_flight(one, tmp_path / f"{name}.mcap")
+    run = CliRunner()
+    done = run.invoke(
+        estimate,
+        [str(tmp_path / "a.mcap"), "--aircraft", "cdfp", "--save-model", str(tmp_path / "m.toml")],
+        standalone_mode=False,
+    )
+    assert done.exception is None
+    assert set(tomllib.loads((tmp_path / "m.toml").read_text())["flown"]) >= {"beta", "V", "delta_a"}
+    told = run.invoke(
+        match, [str(tmp_path / "m.toml"), *(str(tmp_path / f"{n}.mcap") for n in "ab"), "--json", str(tmp_path / "p.json")],
+        standalone_mode=False,
+    )  # fmt: skip
+    assert "beyond what the model was estimated from: V from " in told.output
+    first, second = json.loads((tmp_path / "p.json").read_text())["flights"]
+    assert first["beyond"] == {}
+    assert second["beyond"]["V"]["here"][1] > second["beyond"]["V"]["flown"][1]
+
+
+def test_a_file_keeps_the_ranges_and_refuses_what_are_none(tmp_path: Path) -> None:
+    made = replace(LATERAL, flown={"beta": (-0.1, 0.12)})
+    write_model(made, tmp_path / "m.toml")
+    assert read_model(tmp_path / "m.toml") == made
+    assert read_model(tmp_path / "m.toml").with_starts(Cl_p=-0.4).flown == made.flown
+    assert LATERAL.digest == replace(made, flown={}).digest
+    text = (tmp_path / "m.toml").read_text()
+    for wrong in ("[1.0]", "[2.0, 1.0]", '["a", 1.0]', "3.0"):
+        broken = text[: text.index("beta = [", text.index("[flown]"))] + f"beta = {wrong}\n"
+        (tmp_path / "m.toml").write_text(broken)
+        with pytest.raises(ModelError, match=r"flown\.beta"):
+            read_model(tmp_path / "m.toml")

@@ -1,0 +1,1 @@
+"""Awkward flights of aircraft of many sizes, flown by JSBSim, with the truth about their derivatives."""
