@@ -246,6 +246,26 @@ class Criteria:
         "by hand; equals odds of exp(4), 55 to 1",
     )
 
+    # ---- a shape where no name stands
+    form_width: float = criterion(
+        1.0,
+        "rms of the coefficient",
+        "prior width of the smoothest part of a function that is added to it",
+        "the prototype's widths of .01 CY, .003 Cl, .001 Cn (2026-11-22) are 1.4, 1.8 and 1.0 of what these do in flight",
+    )
+    form_inside: float = criterion(
+        0.5,
+        "samples",
+        "of a flight, that lie in the range the others flew: with fewer it cannot confirm a shape",
+        "by hand: outside that range a spline is held and predicts nothing",
+    )
+    form_equal: float = criterion(
+        0.05,
+        "gap above the floor",
+        "a plain formula that closes no less than the spline, but for this, is offered",
+        "prototype (2026-11-22): a wrong formula of the right parity closed .83 and .96, the right one 1.00",
+    )
+
     # ---- the verdict
     closed_share: float = criterion(
         0.7,

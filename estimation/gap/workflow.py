@@ -13,8 +13,13 @@ from estimation.gap.effects.base import Effect
 from estimation.gap.effects.missing import missing_derivatives
 from estimation.gap.errors import GapError
 from estimation.gap.likelihood.baseline import fit_baseline
-from estimation.gap.likelihood.channel_noise import bank_error, channel_noise, filtered_attitudes, sample_interval
-from estimation.gap.likelihood.whitening import force_states
+from estimation.gap.likelihood.channel_noise import (
+    bank_error,
+    channel_noise,
+    filtered_attitudes,
+    pitch_error,
+    sample_interval,
+)
 from estimation.gap.random_streams import Stream
 from estimation.gap.records.candidate_model import with_dormant
 from estimation.gap.records.flight_records import FlightRecords, prepare_flights
@@ -26,6 +31,7 @@ from estimation.gap.tests_of_fit.kinematic_check import kinematic_check
 from estimation.gap.tests_of_fit.nulls import input_errors
 from estimation.gap.verdict.conclusion import concluded
 from estimation.models.base import Model
+from estimation.models.driven import force_states
 from groundstation.flight import Flight
 
 
@@ -43,7 +49,7 @@ def run_gap(
     """
     if not training:
         raise GapError("no training flight given; name at least one flight file before --holdout")
-    chosen = tuple(effects) if effects is not None else catalogue()
+    chosen = tuple(effects) if effects is not None else catalogue(model=model)
     chosen += missing_derivatives(model, {e.name for e in chosen})
     tell("preparing the flights", 0.0)
     prepared = prepare_flights(model, chosen, training, holdout, options.criteria)
@@ -52,7 +58,7 @@ def run_gap(
     tell("fitting the baseline", 0.05)
     search = run_rounds(setting, fit_baseline(setting.working, setting.clean, setting.prepared, setting.scatter))
     tell("kinematic check", 0.9)
-    check = kinematic_check(training, chosen, options.nulls, options.seed, options.criteria)
+    check = kinematic_check(training, chosen, options.nulls, options.seed, options.criteria, model)
     tell("measuring what is closed", 0.95)
     return concluded(setting, search, check)
 
@@ -61,7 +67,7 @@ def _setting(prepared: FlightRecords, effects: tuple[Effect, ...], options: Opti
     """The base model with what every fit carries along and all candidates dormant, and what is wrong with the inputs."""
     base, records = prepared.base, prepared.of(prepared.training)
     white = channel_noise(records)
-    scatter = bank_error(records, base.output_names, white)
+    scatter = pitch_error(records, base.output_names, bank_error(records, base.output_names, white))
     filtered = filtered_attitudes(records, base.output_names, white)
     noise = dict(zip(base.output_names, scatter, strict=True))
     clean = with_nuisance(base, noise, sample_interval(records), options.criteria, filtered)

@@ -6,6 +6,8 @@ from enum import StrEnum
 from typing import Any
 
 from estimation.engine.kernel import Array
+from estimation.gap.answer.rounded import rounded as _round
+from estimation.gap.answer.shape import Curve, Happened, Late
 from estimation.models.base import Model
 
 
@@ -91,8 +93,12 @@ class Weighed:
 
 @dataclass(frozen=True)
 class Step:
-    """One effect found. estimates: parameter -> (value, bound). followed: control -> time [s] by which the base had moved
-    it to follow the effect, where that is more than sampling leaves open; the gap before is then without it."""
+    """One effect found.
+
+    estimates: parameter -> (value, bound). followed: control -> time [s] by which the base had moved it to follow the effect,
+    where that is more than sampling leaves open; the gap before is then without it. shape: of an unknown, what could be said
+    of it beyond where it lives.
+    """
 
     effect: str
     title: str
@@ -113,10 +119,12 @@ class Step:
     practical: str = ""
     followed: Mapping[str, float] = field(default_factory=dict)
     text: str = ""
+    shape: Curve | Late | Happened | None = None
 
     def to_json(self) -> dict[str, Any]:
         return {
-            "effect": self.effect, "title": self.title, "form": self.form, "confidence": _round(self.confidence),
+            "effect": self.effect, "title": self.title,
+            "form": self.form if self.shape is None else self.shape.to_json(), "confidence": _round(self.confidence),
             "set": [{"effect": m.effect, "weight": _round(m.weight)} for m in self.members],
             "separate_by": self.separate_by,
             "parameters": {n: {"estimate": _round(v, 8), "std": _round(s, 8), "unit": self.units.get(n, "")}
@@ -219,9 +227,3 @@ class GapResult:
             "rejected": [{"effect": r.effect, "why": r.why} for r in self.rejected],
             "notes": list(self.notes), **dict(self.details.items()),
         }  # fmt: skip
-
-
-def _round(value: float, digits: int = 4) -> float:
-    """Rounded for a file; numbers that are not finite have no place in JSON and become None."""
-    value = float(value)
-    return round(value, digits) if value - value == 0.0 else None  # type: ignore[return-value]

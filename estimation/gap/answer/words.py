@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 from estimation.gap.answer.result import Step, Verdict
+from estimation.gap.answer.shape import Curve, Happened, Late
 from estimation.gap.effects.base import Effect
 
 EXAMPLES = (
@@ -19,15 +20,7 @@ FEW, NAMES, MANOEUVRES = 4, 8, 3  # examples, effects and manoeuvres in one para
 def describe_step(step: Step) -> str:
     """One or two sentences on one effect."""
     if step.effect == "unknown":
-        return (
-            f"Something the catalogue does not hold: it lives in {', '.join(step.where.channels)} ({step.where.regime})"
-            + (
-                f", for example at {step.where.segments[0][0]:.1f} to {step.where.segments[0][1]:.1f} s"
-                if step.where.segments
-                else ""
-            )
-            + ". No name is given, because none explains enough of it."
-        )
+        return describe_unknown(step)
     numbers = ", ".join(
         f"{n} = {v:.4g} +- {s:.2g} {step.units.get(n, '')}".rstrip() for n, (v, s) in step.estimates.items()
     )
@@ -41,6 +34,71 @@ def describe_step(step: Step) -> str:
         others = " or ".join(f"{m.effect} ({m.weight:.2f})" for m in step.members)
         text += f" These flights cannot tell {others} apart; to separate them: {step.separate_by}."
     return text
+
+
+def describe_unknown(step: Step) -> str:
+    """What is known of an effect the catalogue does not hold."""
+    if isinstance(step.shape, Curve):
+        return describe_curve(step.shape)
+    if isinstance(step.shape, Happened):
+        return describe_events(step.shape)
+    text = (
+        f"Something the catalogue does not hold: it lives in {', '.join(step.where.channels)} ({step.where.regime})"
+        + (
+            f", for example at {step.where.segments[0][0]:.1f} to {step.where.segments[0][1]:.1f} s"
+            if step.where.segments
+            else ""
+        )
+        + ". No name is given, because none explains enough of it."
+    )
+    if isinstance(step.shape, Late):
+        s = step.shape
+        text += (
+            f" No function of the motion closes the gap either; a part of {s.output} that follows {s.variable} some {s.time:g} s "
+            f"late gains (score {s.score:.1f} against {s.threshold:.1f})."
+        )
+    return text
+
+
+def describe_curve(curve: Curve) -> str:
+    """A nameless shape in words: where, how sure, in which range, what would settle it."""
+    by = " times ".join((f"a function of {curve.variables[0]}", *curve.variables[1:]))
+    text = (
+        "Something the catalogue does not hold, and no physical name is given to it: "
+        f"a part of {curve.output} that is {by}, known from {curve.low:.3g} to {curve.high:.3g} {curve.unit} and held outside "
+        f"({curve.regime}). It closes {curve.closed:.0%} of the gap above what nothing hidden would leave."
+    )
+    good = [c for c in curve.candidates if c[3]]
+    if good:
+        said = [
+            f"{formula} with " + ", ".join(f"{n} = {v:.4g} +- {s:.2g}" for n, (v, s) in found.items())
+            for formula, found, _, _ in good
+        ]
+        text += f" As good as the curve: {' or '.join(said)}."
+    else:
+        text += " No plain formula does as well as the curve."
+    if curve.rivals:
+        others = " or ".join(f"{o} by {' times '.join(v)} ({g:.2f} of the gain)" for o, v, g in curve.rivals)
+        text += f" Nearly as well: {others}."
+    return f"{text} To settle it: {curve.separate_by}."
+
+
+def describe_events(happened: Happened) -> str:
+    """What happened, when, and that it is no term of the model."""
+    said = []
+    for e in happened.events:
+        where = f"on {e.flight}" if e.flight else "on these flights"
+        size = ", ".join(f"{v:.2g} +- {s:.1g}" for v, s in e.sizes)
+        said.append({
+            "drift": f"{e.channel} drifts {where} by {size} {e.unit} over each",
+            "slip": f"{e.channel} jumps {where} at {e.start:.1f} s by {size} {e.unit}",
+            "burst": f"the motion is disturbed {where} from {e.start:.1f} to {e.end:.1f} s, as by a gust",
+        }[e.what])  # fmt: skip
+    return (
+        f"Something that goes with time and not with the motion: {'; '.join(said)}. Without it nothing is left that a term of "
+        "the model would have to explain: no model term is wrong. Look at the instrument or the weather there, or leave the "
+        "stretch out."
+    )
 
 
 def conclude(
@@ -84,9 +142,11 @@ def conclude(
         wanted = list(dict.fromkeys(e.separate_by for e in cannot))[:MANOEUVRES]
         parts.append(f"These flights cannot tell anything about {names} at their usual size; fly {'; '.join(wanted)}.")
     if tied and verdict in (Verdict.NO_GAP, Verdict.CANNOT_TELL):
-        parts.append(
-            "Not visible in any flight: "
-            + "; ".join(f"{e.name} cannot be told from {', '.join(e.tied_to)}" for e in tied)
-            + "; errors of mass, of Ixx and Izz or of air density scale all coefficients alike and cannot be told from them."
-        )
+        hidden = "; ".join(f"{e.name} cannot be told from {', '.join(e.tied_to)}" for e in tied)
+        if not any(
+            e.name == "rho_error" for e in tied
+        ):  # lateral: nothing but the derivatives carries mass and density
+            hidden += "; errors of mass, of Ixx and Izz or of air density scale all coefficients alike"
+            hidden += " and cannot be told from them"
+        parts.append(f"Not visible in any flight: {hidden}.")
     return " ".join(parts)

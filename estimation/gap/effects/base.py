@@ -80,8 +80,8 @@ class Form:
 
     @property
     def play(self) -> bool:
-        """Whether it is a play of a control: nothing happens until it is larger than the noise of the surface."""
-        return any(t.kind in ("backlash", "deadzone") for t in self.transforms)
+        """Whether it is a play of a control, or a limit of its rate: nothing happens until it is large enough."""
+        return any(t.kind in ("backlash", "deadzone", "rate_limit") for t in self.transforms)
 
     def obstacle(self, model: Model) -> str | None:
         """Why the form cannot be added to `model`, or None where it can."""

@@ -7,17 +7,21 @@ executed), or a Python file with a tuple `EFFECTS`; or installs it under the ent
 import importlib.metadata
 import importlib.util
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from daq.contract.input_files import read_toml
 from estimation.errors import ModelError
+from estimation.gap.effects import longitudinal_aerodynamic, longitudinal_hardware, longitudinal_propulsion
 from estimation.gap.effects.aerodynamic import DERIVATIVES, NONLINEAR, UNSTEADY
 from estimation.gap.effects.base import Effect, EffectParameter, Form, Group
+from estimation.gap.effects.cross_axis import CROSS_AXIS
+from estimation.gap.effects.cross_axis import INERTIAL as CROSS_INERTIAL
 from estimation.gap.effects.hardware import ACTUATOR, ENVIRONMENT, SENSOR
 from estimation.gap.effects.motion import INERTIAL, PROPULSION
 from estimation.gap.errors import EffectError
-from estimation.models.base import InputTransform, Signal
+from estimation.models.base import InputTransform, Model, Signal
 from estimation.models.expressions import parse
 
 ENTRY_POINTS = "sideslip.effects"
@@ -26,13 +30,35 @@ BUILT_IN: tuple[Effect, ...] = (
 )  # fmt: skip
 
 
-def catalogue(extra_files: Iterable[str | Path] = ()) -> tuple[Effect, ...]:
-    """Built-in effects, then those of installed packages, then those of `extra_files`; a later name takes the place of
-    an earlier one.
+LONGITUDINAL: tuple[Effect, ...] = (
+    *longitudinal_aerodynamic.UNSTEADY, *longitudinal_aerodynamic.NONLINEAR, *longitudinal_aerodynamic.DRAG,
+    *longitudinal_propulsion.PROPULSION, *longitudinal_hardware.ACTUATOR, *longitudinal_hardware.SENSOR,
+    *longitudinal_aerodynamic.TIED, *(e for e in CROSS_INERTIAL if e.name == "pitch_inertial_coupling"),
+    *(e for e in ENVIRONMENT if e.name == "gust"),
+)  # fmt: skip
+LATERAL_LINES, LONGITUDINAL_LINES = frozenset({"CY", "Cl", "Cn"}), frozenset({"CL", "CD", "Cm"})
+
+
+def built_in(model: Model | None = None) -> tuple[Effect, ...]:
+    """The built-in effects of the axes `model` has: lateral (also without a model), longitudinal, or both with what couples
+    them. Where two planes know an effect by one name, the one of all axes holds."""
+    lines = frozenset(model.definitions) if model is not None else frozenset()
+    if not lines & LONGITUDINAL_LINES:
+        return BUILT_IN
+    if not lines & LATERAL_LINES:
+        return LONGITUDINAL
+    # where the aircraft rolls and yaws in the equations, p r tells the moment of inertia that Cm_* carry otherwise
+    free = tuple(replace(e, tied_to=()) if e.name == "Iyy_error" else e for e in LONGITUDINAL)
+    return tuple({e.name: e for e in (*BUILT_IN, *free, *CROSS_AXIS)}.values())
+
+
+def catalogue(extra_files: Iterable[str | Path] = (), model: Model | None = None) -> tuple[Effect, ...]:
+    """Built-in effects of the axes of `model` (lateral where none is given), then those of installed packages, then those of
+    `extra_files`; a later name takes the place of an earlier one.
 
     Raises EffectError naming the file and key that does not fit.
     """
-    effects = {e.name: e for e in BUILT_IN}
+    effects = {e.name: e for e in built_in(model)}
     for point in importlib.metadata.entry_points(group=ENTRY_POINTS):
         for effect in _checked(point.load(), f"entry point {point.name}"):
             effects[effect.name] = effect

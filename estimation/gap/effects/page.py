@@ -1,34 +1,57 @@
 """The catalogue as a page of the documentation: `python -m estimation.gap.effects.page > docs/effects.md`."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 from estimation.gap.effects.base import Effect, EffectParameter, Group
-from estimation.gap.effects.catalogue import BUILT_IN
+from estimation.gap.effects.catalogue import BUILT_IN, LONGITUDINAL
+from estimation.gap.effects.cross_axis import CROSS_AXIS
 
 HEAD = """# Catalogue of candidate effects
 
-Generated from `estimation/gap/effects`; do not edit. `sideslip gap` asks every effect that applies to the given model.
-A laboratory adds its own in one short file: see [gap.md](gap.md#an-effect-of-your-own).
+Generated from `estimation/gap/effects`; do not edit. `sideslip gap` asks a model for the effects of the axes it has: a lateral
+one for those of the first part, `longitudinal` for those of the second, `six-dof` for all and for what couples the planes. Of
+these, every effect that applies is asked. A laboratory adds its own in one short file: see
+[gap.md](gap.md#an-effect-of-your-own).
+
+Two kinds are listed and never named. *Exactly carried*: the derivatives that are estimated anyway take the effect up whole (a
+wrong density, a wrong moment of inertia). *Without excitation*: what a flight does not move leaves nothing behind; with a
+throttle that never moves the tilt of the thrust line and the lag of thrust cannot be told, and its height, slipstream and size
+only a fifth as well.
 """
+PARTS: Mapping[str, Sequence[Effect]] = {
+    "Lateral": BUILT_IN,
+    "Longitudinal": LONGITUDINAL,
+    "Across the axes": CROSS_AXIS,
+}
 
 
-def page(effects: Sequence[Effect] = BUILT_IN) -> str:
+def page(parts: Mapping[str, Sequence[Effect]] = PARTS) -> str:
     """The page as Markdown."""
-    return "\n".join([HEAD, *_table(effects), *_entries(effects)]).rstrip() + "\n"
+    written = [HEAD]
+    seen: set[str] = set()
+    for title, effects in parts.items():
+        names = {e.name: e.name if e.name not in seen else f"{e.name} ({title.lower()})" for e in effects}
+        seen |= set(names)
+        written += [f"## {title}\n", *_table(effects, names), *_entries(effects, names)]
+    return "\n".join(written).rstrip() + "\n"
 
 
-def _table(effects: Sequence[Effect]) -> Iterator[str]:
+def _anchor(heading: str) -> str:
+    return heading.lower().replace(" ", "-").replace("(", "").replace(")", "")
+
+
+def _table(effects: Sequence[Effect], names: Mapping[str, str]) -> Iterator[str]:
     yield "| group | effects |"
     yield "|---|---|"
     for group in Group:
-        names = [f"[`{e.name}`](#{e.name.lower()})" for e in effects if e.group is group]
-        if names:
-            yield f"| {group.value} | {' '.join(names)} |"
+        found = [f"[`{e.name}`](#{_anchor(names[e.name])})" for e in effects if e.group is group]
+        if found:
+            yield f"| {group.value} | {' '.join(found)} |"
 
 
-def _entries(effects: Sequence[Effect]) -> Iterator[str]:
+def _entries(effects: Sequence[Effect], names: Mapping[str, str]) -> Iterator[str]:
     for effect in effects:
-        yield f"\n## {effect.name}\n\n**{effect.title}** ({effect.group.value})\n\n{effect.physics}\n"
+        yield f"\n### {names[effect.name]}\n\n**{effect.title}** ({effect.group.value})\n\n{effect.physics}\n"
         yield f"- equation: {effect.equation}"
         for form in effect.forms:
             yield f"- {form.label}: " + "; ".join(_parameter(p) for p in form.parameters)

@@ -19,7 +19,6 @@ from estimation.gap.likelihood.whitening import (
     Source,
     Whitener,
     estimate_noise,
-    force_states,
     linear_motion,
     shapes_of,
     whitener,
@@ -27,6 +26,7 @@ from estimation.gap.likelihood.whitening import (
 from estimation.gap.records.flight_records import FlightRecords, Record
 from estimation.gap.records.nuisance import RATE_OF
 from estimation.models.base import Model
+from estimation.models.driven import force_states
 
 PASSES = 3  # of noise and parameters in turn: the third changes neither by more than the nulls know them
 SPARE_PASSES = 3  # more of them where the fit has not come to rest

@@ -70,6 +70,35 @@ def bank_error(records: Sequence[Record], outputs: Sequence[str], scatter: Array
     return wider
 
 
+def pitch_error(records: Sequence[Record], outputs: Sequence[str], scatter: Array) -> Array:
+    """`scatter` with the noise of the pitch attitude replaced by its slow error where the attitude is a filter's: see
+    `bank_error`. Bank and yaw rate come from the outputs or the inputs, and are zero where neither has them."""
+    if "q" not in outputs or "theta" not in filtered_attitudes(records, outputs, scatter):
+        return scatter
+    q, theta = outputs.index("q"), outputs.index("theta")
+    errors = []
+    for record in records:
+        if not np.isfinite(record.z[:, [q, theta]]).all():
+            continue
+        bank, yaw = (_measured(record, outputs, n) for n in ("phi", "r"))
+        rate = record.z[:, q] * np.cos(bank) - yaw * np.sin(bank)
+        dt = np.diff(record.time)
+        integrated = np.concatenate([[0.0], np.cumsum(0.5 * dt * (rate[1:] + rate[:-1]))])
+        apart = record.z[:, theta] - integrated
+        errors.append(float(np.std(apart - np.polyval(np.polyfit(record.time, apart, 1), record.time))))
+    if not errors:
+        return scatter
+    wider = scatter.copy()
+    wider[theta] = max(scatter[theta], float(np.median(errors)))
+    return wider
+
+
+def _measured(record: Record, outputs: Sequence[str], name: str) -> Array:
+    if name in outputs:
+        return np.nan_to_num(record.z[:, outputs.index(name)])
+    return record.inputs.get(name, np.zeros(len(record)))
+
+
 def sample_interval(records: Sequence[Record]) -> float:
     """Median over the records of their sample interval [s]."""
     return float(np.median([np.median(np.diff(r.time)) for r in records]))

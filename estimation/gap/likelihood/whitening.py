@@ -24,8 +24,9 @@ from estimation.engine.kernel import Array
 from estimation.engine.simulate import Segment, Simulator
 from estimation.gap.criteria import Criteria
 from estimation.gap.records.nuisance import RATE_OF
+from estimation.gap.records.steady import steady_outputs, steady_state
 from estimation.models.base import Model
-from estimation.models.expressions import names_in
+from estimation.models.driven import force_states
 
 Complex = NDArray[np.complex128]
 
@@ -126,24 +127,10 @@ class Whitener:
         return series.reshape(residual.shape)
 
 
-def force_states(model: Model) -> tuple[str, ...]:
-    """States whose rate depends on a parameter: forces and moments act there, not in mere kinematics."""
-    parameters = set(model.parameter_names)
-
-    def reach(symbol: str, seen: set[str]) -> set[str]:
-        for name in names_in(model.definitions[symbol]) if symbol in model.definitions else ():
-            if name not in seen:
-                seen.add(name)
-                reach(name, seen)
-        return seen
-
-    return tuple(s for s in model.state_names if reach(f"{s}_dot", set()) & parameters)
-
-
 @dataclass(frozen=True)
 class Linear:
     """Small motion of one record about its mean inputs: x' = A x + B u, y = C x + D u over `controls`, dt [s] between samples;
-    scale: (ny,) rms of the measured outputs."""
+    scale: (ny,) rms of the measured outputs about their steady values."""
 
     A: Array
     B: Array
@@ -155,13 +142,13 @@ class Linear:
 
 
 def linear_motion(model: Model, simulator: Simulator, segment: Segment, values: Mapping[str, float]) -> Linear:
-    """Linearise a model at the mean inputs of a record and small motion."""
+    """Linearise a model at the mean inputs of a record and small motion about its steady state."""
     p = simulator.vector(values)
     nx = len(model.states)
     u0 = segment.u.mean(axis=0)
     controls = [i for i, s in enumerate(model.inputs) if s.control]
-    step = 1e-4  # rad, rad/s: rounding 1e-12 of the motion, curvature as little
-    points_x = np.concatenate(
+    step = 1e-4  # rad, rad/s, m/s: rounding 1e-12 of the motion, curvature as little
+    points_x = steady_state(model, segment) + np.concatenate(
         [np.zeros((1, nx)), step * np.eye(nx), -step * np.eye(nx), np.zeros((2 * len(controls), nx))]
     )
     points_u = np.repeat(u0[None], points_x.shape[0], axis=0)
@@ -181,7 +168,7 @@ def linear_motion(model: Model, simulator: Simulator, segment: Segment, values: 
         D=by_controls(y),
         controls=tuple(model.inputs[i].name for i in controls),
         dt=float(np.median(np.diff(segment.time))),
-        scale=np.maximum(np.sqrt(np.nanmean(segment.z**2, axis=0)), 1e-9),
+        scale=np.maximum(np.sqrt(np.nanmean((segment.z - steady_outputs(model, segment)) ** 2, axis=0)), 1e-9),
     )
 
 

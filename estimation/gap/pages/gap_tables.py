@@ -4,6 +4,7 @@ import re
 from collections.abc import Mapping, Sequence
 
 from estimation.gap.answer.result import Gap, GapResult, Step
+from estimation.gap.answer.shape import Curve
 from estimation.gap.effects.base import Effect
 from estimation.report.notes import collected
 from estimation.report.tables import Table, number, pair, significant
@@ -64,6 +65,20 @@ def step_migrated(step: Step) -> Table | None:
         return None
     rows = tuple((n, number(m.before), number(m.after), number(m.bounds, 1)) for n, m in step.migrated.items())
     return Table(f"migrated_{step.effect}", "Derivatives that had absorbed it", ("", *BEFORE_FLYING, MIGRATED), rows)
+
+
+def step_formulas(step: Step) -> Table | None:
+    """Plain formulas tried in place of a nameless curve."""
+    if not isinstance(step.shape, Curve) or not step.shape.candidates:
+        return None
+    rows = tuple(
+        (formula, ", ".join(f"{n} = {v:.4g} ± {s:.2g}" for n, (v, s) in found.items()), f"{100 * closed:.0f}",
+         "as good as the curve" if good else "worse")
+        for formula, found, closed, good in step.shape.candidates
+    )  # fmt: skip
+    head = ("formula", "unknowns", "closed [%]", "")
+    note = "Share of the whitened energy above the nulls' that is gone on the held-out flights, or on the training flights."
+    return Table("formulas", "Plain formulas in place of the curve", head, rows, symbols=False, texts=(1, 3), note=note)
 
 
 def missing_table(result: GapResult) -> Table:

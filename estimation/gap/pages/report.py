@@ -1,12 +1,14 @@
 """The gap report: one self-contained HTML page that tells the story to a flight-test engineer."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from estimation.gap.answer.result import GapResult, Histories, Step
+from estimation.gap.answer.shape import Curve
 from estimation.gap.effects import catalogue
 from estimation.gap.effects.base import Effect
 from estimation.gap.pages import gap_tables
@@ -35,6 +37,7 @@ class Told:
     step: Step
     tables: tuple[Table, ...]
     equation: "Markup | None"
+    curve: Picture | None = None
 
 
 def write_gap_report(result: GapResult, folder: Path, effects: Sequence[Effect] = ()) -> Path:
@@ -47,7 +50,7 @@ def write_gap_report(result: GapResult, folder: Path, effects: Sequence[Effect] 
         "missing": gap_tables.missing_table(result) if result.views else None,
         "repeat": gap_tables.repeat_table(result), "ties": gap_tables.ties_table(result),
         "cannot": gap_tables.cannot_table(result), "rejected": gap_tables.rejected_table(result),
-        "sizes": gap_tables.sizes_table(result, effects or catalogue()),
+        "sizes": gap_tables.sizes_table(result, effects or catalogue(model=result.model_before)),
         "notes": notes_table(_of_flight(n) for n in result.notes),
     }  # fmt: skip
     write_all(
@@ -63,6 +66,17 @@ def write_gap_report(result: GapResult, folder: Path, effects: Sequence[Effect] 
     )  # fmt: skip
 
 
+def gap_figures(result: GapResult) -> dict[str, Callable[[], Picture]]:
+    """What draws each figure of the page, by name: scores, where the disagreement lives, every flight before and after."""
+    drawn: dict[str, Callable[[], Picture]] = {"scores": partial(score_figure, result)}
+    if result.views:
+        drawn["residual_maps"] = partial(residual_maps, result)
+    for step in result.steps:
+        if isinstance(step.shape, Curve):
+            drawn[f"nameless_{step.shape.output}"] = partial(curve_figure, step.shape)
+    return drawn | {f"history_{h.flight}": partial(history_figure, h, result) for h in result.histories}
+
+
 def _of_flight(note: str) -> tuple[str, str]:
     """(flight, sentence) of a note; one of no flight is of all."""
     flight, found, text = note.partition(": ")
@@ -75,8 +89,11 @@ def _told(step: Step) -> Told:
         gap_tables.step_parameters(step),
         gap_tables.step_members(step),
         gap_tables.step_migrated(step),
+        gap_tables.step_formulas(step),
     )
-    return Told(step, tuple(t for t in tables if t is not None), typeset(step.equation) if step.equation else None)
+    curve = curve_figure(step.shape) if isinstance(step.shape, Curve) else None
+    shown = tuple(t for t in tables if t is not None)
+    return Told(step, shown, typeset(step.equation) if step.equation else None, curve)
 
 
 def typeset(equation: str) -> "Markup":
@@ -116,6 +133,30 @@ def history_figure(h: Histories, result: GapResult) -> Picture:
         f"history_{h.flight}",
         f"{h.flight}{held}: measured, model before and model after, and what is left.",
         points,
+    )
+
+
+def curve_figure(curve: Curve) -> Picture:
+    """A nameless part of a coefficient with its band, two standard deviations to either side, over the range flown."""
+    from matplotlib.figure import Figure
+
+    variable, *by = curve.variables
+    k, unit = face(variable, curve.unit)
+    output = f"{curve.output} per {by[0]}" if by else curve.output
+    with styled():
+        figure = Figure(figsize=(6.4, 3.2), layout="constrained")
+        axis = figure.subplots()
+        x = k * curve.grid
+        axis.fill_between(x, curve.value - 2 * curve.std, curve.value + 2 * curve.std, color=BAND, alpha=0.35, lw=0)
+        axis.plot(x, curve.value, color=AFTER)
+        axis.axhline(0.0, color=MEASURED, lw=0.6)
+        axis.set_xlabel(axis_label(variable, unit))
+        axis.set_ylabel(f"nameless part of {output}")
+    return picture(
+        figure,
+        f"nameless_{curve.output}_{variable}",
+        f"The part of {output} without a name, by {variable}, with two standard deviations to either side; constant and slope "
+        "are the base model's where it has them.",
     )
 
 

@@ -5,15 +5,17 @@ candidate could bring in is prepared once; a model then takes the columns it nee
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from estimation.engine.data import prepare
 from estimation.engine.kernel import Array
 from estimation.engine.simulate import Segment
 from estimation.gap.criteria import Criteria
 from estimation.gap.effects.base import Effect, Form
+from estimation.gap.records.raw_steps import with_raw_steps
 from estimation.models.base import Model, Signal
 from estimation.signals.preprocess import noise_level
 from groundstation.flight import Flight
@@ -26,7 +28,7 @@ class Record:
     flight: index of the flight. first: index of the first sample in it. inputs: name -> (N,) de-noised; z: (N, ny)
     measured outputs, NaN where not measured; x0: (nx,) guess of the initial state; both in the base model's order.
     input_noise: name -> standard deviation of the noise found on an input. louder: (ny,) variance of the outputs' white
-    noise over the usual one, where this flight's is larger.
+    noise over the usual one, where this flight's is larger. raw: control -> (N,) where its measured value is used as it is.
     """
 
     flight: int
@@ -37,6 +39,7 @@ class Record:
     x0: Array
     input_noise: Mapping[str, float]
     louder: Array | None = None
+    raw: Mapping[str, NDArray[np.bool_]] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return int(self.time.size)
@@ -115,7 +118,8 @@ def prepare_flights(
         noise = {name: level for name, (level, _) in data.noise.items()}
         for segment in data.segments:
             inputs = {n: np.ascontiguousarray(segment.u[:, i]) for i, n in enumerate(probe.input_names)}
-            records.append(Record(index, segment.first, segment.time, inputs, segment.z, segment.x0, noise))
+            raw = _raw_steps(base, flight, segment.first, inputs, noise, criteria)
+            records.append(Record(index, segment.first, segment.time, inputs, segment.z, segment.x0, noise, raw=raw))
     return FlightRecords(
         base=base,
         names=tuple(f.name for f in flights),
@@ -126,6 +130,21 @@ def prepare_flights(
         notes=tuple(notes),
         criteria=criteria,
     )
+
+
+def _raw_steps(
+    base: Model, flight: Flight, first: int, inputs: dict[str, Array], noise: Mapping[str, float], criteria: Criteria
+) -> dict[str, NDArray[np.bool_]]:
+    """Put the measured values of the controls by their steps into `inputs`, where the model pitches; where that was."""
+    taken = {}
+    for signal in base.inputs if "Cm" in base.definitions else ():
+        level = noise.get(signal.name, 0.0)
+        if signal.control and level > 0.0 and flight.measured(signal.source):
+            measured = flight.columns[signal.source][first : first + inputs[signal.name].size]
+            inputs[signal.name], taken[signal.name] = with_raw_steps(
+                inputs[signal.name], measured, level, criteria.surface_step
+            )
+    return taken
 
 
 def with_own_noise(records: Sequence[Record], training: int, criteria: Criteria) -> tuple[Record, ...]:

@@ -15,6 +15,7 @@ from dataclasses import replace
 from estimation.gap.criteria import Criteria
 from estimation.models.base import InputTransform, Model, Parameter, ParameterRole
 
+GRAVITY = 9.80665
 RATE_OF = {"phi": "p", "theta": "q", "psi": "r"}  # attitude -> the rate a filter integrates to it
 
 
@@ -62,6 +63,8 @@ def _sampled(model: Model, attitude: str, sample_interval: float, criteria: Crit
     }
     if attitude == "phi":
         widths["plumb_phi"] = ("beta", "1", criteria.plumb_share)
+    if attitude == "theta":  # speeding up along the path is taken for gravity, as slipping is in bank
+        widths["plumb_theta"] = ("V_dot", "s2/m", criteria.plumb_share / GRAVITY)
     for name, (follows, unit, width) in widths.items():
         if follows in known and name not in model.parameter_names:
             model = model.plus(

@@ -1,6 +1,6 @@
 """When a fitted hypothesis becomes an effect: significant, better than nameless, repeated, and held on unseen flights."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -17,11 +17,16 @@ from estimation.gap.tests_of_fit.measure import predictive_cost
 from estimation.gap.tests_of_fit.omnibus import Omnibus
 
 
-def accept(setting: Setting, round_: Round, choice: Choice, omnibus: Omnibus) -> tuple[Finding | None, list[Rejected]]:
-    """The best candidate that is significant, explains what a nameless term can, and holds on flights it was not fitted to."""
+def accept(
+    setting: Setting, round_: Round, choice: Choice, omnibus: Omnibus, shapes: Callable[[], float] = lambda: 0.0
+) -> tuple[Finding | None, list[Rejected]]:
+    """The best candidate that is significant, explains what a nameless term or shape can, and holds on flights it was not fitted
+    to. shapes: what the best nameless function of the motion gains, asked only where a candidate is significant."""
     said: list[Rejected] = []
     refused: set[tuple[str, str]] = set()
     nameless = max((s.gain for s in omnibus.leading if s.kind == "term"), default=0.0)
+    if any(c.score >= round_.threshold for c in choice.candidates):
+        nameless = max(nameless, shapes())
     for candidate in choice.candidates:
         if candidate.score < round_.threshold:
             break
@@ -110,4 +115,6 @@ def held_gain(parent: Baseline, child: Baseline, prepared: FlightRecords) -> flo
     """Twice the log-likelihood the child gains on the held-out flights, both weighed with the child's noise, the fitted
     parameters uncertain as the training flights leave them."""
     before, after = predictive_cost(parent, prepared, child.noise), predictive_cost(child, prepared, child.noise)
-    return None if before is None or after is None else 2.0 * (before - after)
+    if before is None or after is None:
+        return None
+    return 0.0 if before == after else 2.0 * (before - after)  # both infinite: neither can be asked there

@@ -1,6 +1,11 @@
 """Rounds of nulls, screen, full fits and acceptance, until nothing is significant."""
 
+from functools import partial
+
 from estimation.gap.answer.result import Rejected
+from estimation.gap.errors import GapError
+from estimation.gap.form.places import Flown, places_of
+from estimation.gap.form.screen import rank
 from estimation.gap.likelihood.baseline import Baseline
 from estimation.gap.search.accept import accept
 from estimation.gap.search.backward_check import backward_check
@@ -10,20 +15,35 @@ from estimation.gap.tests_of_fit.calibration import Round
 from estimation.gap.tests_of_fit.omnibus import examine
 
 
+def shape_gain(setting: Setting, round_: Round) -> float:
+    """What the best function of one variable without a name gains about a fitted model (twice the log-likelihood); nothing where
+    none stands out of the nulls."""
+    flown = Flown.of(round_.baseline.problem, round_.baseline.fit)
+    return rank(flown, round_, places_of(setting.base)).best_gain
+
+
 def run_rounds(setting: Setting, baseline: Baseline) -> SearchState:
     """Add one effect after the other to `baseline` as long as one is accepted; what is left is examined at the end."""
     findings: list[Finding] = []
     rounds: list[Round] = []
     rejected: list[Rejected] = []
     while True:
-        round_ = setting.screened(baseline, len(rounds))
+        try:
+            round_ = setting.screened(baseline, len(rounds))
+        except GapError as error:  # what was found before it stands
+            if not findings:
+                raise
+            rejected.append(
+                Rejected(findings.pop().candidate.hypothesis.label, f"the model with it cannot be examined: {error}")
+            )
+            break
         rounds.append(round_)
         omnibus = examine(round_)
         if len(findings) == setting.options.most:
             break
         setting.tell(f"round {len(rounds)}: full fits", 0.1 + 0.8 * len(rounds) / (setting.options.most + 1))
         choice = choose(round_, setting.prepared)
-        finding, words = accept(setting, round_, choice, omnibus)
+        finding, words = accept(setting, round_, choice, omnibus, partial(shape_gain, setting, round_))
         rejected += [*choice.rejected, *words]
         if finding is None:
             break

@@ -105,6 +105,9 @@ def material(candidate: Candidate, interval: float, criteria: Criteria) -> Candi
     be late by so little of the sample `interval` [s] that nobody sampled it finely enough to tell."""
     if candidate.why_not:
         return candidate
+    tied = candidate.hypothesis.effect.tied_to
+    if tied:  # what is left of its signature is the curvature of the equations, which anything bent explains as well
+        return replace(candidate, why_not=f"cannot be told from {', '.join(tied)}")
     if candidate.size < criteria.immaterial:
         return replace(candidate, why_not=f"fits {candidate.size:.0%} of its usual size: too small to matter")
     late = [t.parameters[0] for t in candidate.hypothesis.form.transforms if t.kind in ("delay", "lag")]

@@ -2,7 +2,8 @@
 
 Flight-path reconstruction without any aerodynamics: sideslip and bank integrated from measured rates and side
 acceleration must agree with the vane and the attitude. Scale, lag, position and timing errors of instruments show here;
-aerodynamic, inertial and actuator effects cannot. Scored and calibrated on nulls like everything else.
+aerodynamic, inertial and actuator effects cannot. Scored and calibrated on nulls like everything else. A model that pitches
+is asked the same of airspeed, angle of attack and pitch attitude; one of all axes both, and the clearer answer counts.
 """
 
 from collections.abc import Sequence
@@ -16,14 +17,16 @@ from estimation.gap.effects.base import Effect, Group
 from estimation.gap.errors import GapError
 from estimation.gap.likelihood.baseline import fit_baseline
 from estimation.gap.likelihood.channel_noise import channel_noise, filtered_attitudes, sample_interval
-from estimation.gap.likelihood.whitening import force_states
 from estimation.gap.random_streams import KINEMATIC, Stream
 from estimation.gap.records.candidate_model import with_dormant
 from estimation.gap.records.flight_records import prepare_flights
 from estimation.gap.records.nuisance import with_nuisance
 from estimation.gap.tests_of_fit.calibration import Round, kinematic_threshold, screen_round
 from estimation.gap.tests_of_fit.nulls import input_errors
+from estimation.gap.tests_of_fit.pitch_kinematics import NEEDED as NEEDED_TO_PITCH
+from estimation.gap.tests_of_fit.pitch_kinematics import pitch_kinematic_model
 from estimation.models.base import Model, Parameter, ParameterRole, Signal
+from estimation.models.driven import force_states
 from groundstation.flight import Flight
 
 GRAVITY = 9.80665
@@ -86,14 +89,44 @@ class KinematicCheck:
 
 
 def kinematic_check(
-    flights: Sequence[Flight], effects: Sequence[Effect], nulls: int, seed: int, criteria: Criteria
+    flights: Sequence[Flight],
+    effects: Sequence[Effect],
+    nulls: int,
+    seed: int,
+    criteria: Criteria,
+    model: Model | None = None,
 ) -> KinematicCheck:
-    """Score every instrument error on the kinematics of the training flights alone, on `nulls` of them at the most."""
-    lacking = sorted({n for f in flights for n in NEEDED if not f.measured(n)})
+    """Score every instrument error on the kinematics of the training flights alone, on `nulls` of them at the most. model: whose
+    planes are asked; without one the lateral."""
+    lines = model.definitions if model is not None else {}
+    asked = []
+    if "Cm" not in lines or "CY" in lines:
+        asked.append(_checked(kinematic_model(criteria), NEEDED, flights, effects, nulls, seed, criteria))
+    if "Cm" in lines:
+        asked.append(
+            _checked(pitch_kinematic_model(criteria), NEEDED_TO_PITCH, flights, effects, nulls, seed, criteria)
+        )
+    return clearest(asked)
+
+
+def clearest(checks: Sequence[KinematicCheck]) -> KinematicCheck:
+    """The answer of the plane whose score stands highest over its threshold; one that could not say gives way to one that can."""
+    return max(checks, key=lambda c: (c.origin != "undecided", c.score / c.threshold if c.threshold > 0.0 else 0.0))
+
+
+def _checked(
+    base: Model,
+    needed: Sequence[str],
+    flights: Sequence[Flight],
+    effects: Sequence[Effect],
+    nulls: int,
+    seed: int,
+    criteria: Criteria,
+) -> KinematicCheck:
+    lacking = sorted({n for f in flights for n in needed if not f.measured(n)})
     if lacking:
         return KinematicCheck("undecided", "", 0.0, 0.0, f"not measured: {', '.join(lacking)}")
     instruments = tuple(e for e in effects if e.group is Group.SENSOR and not e.tied_to)
-    base = kinematic_model(criteria)
     prepared = prepare_flights(base, instruments, flights, (), criteria)
     scatter = channel_noise(prepared.records)
     filtered = filtered_attitudes(prepared.records, base.output_names, scatter)

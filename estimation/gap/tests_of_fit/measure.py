@@ -8,6 +8,7 @@ import numpy as np
 from estimation.engine.kernel import Array
 from estimation.estimators.arrow import eliminated, solved
 from estimation.gap.criteria import Criteria
+from estimation.gap.errors import GapError
 from estimation.gap.likelihood.baseline import WORK, Baseline, whiteners_for
 from estimation.gap.likelihood.fitting import Fit, Problem, fit, local_prior
 from estimation.gap.likelihood.whitening import NoiseModel
@@ -48,8 +49,9 @@ def _plainly(problem: Problem, found: Fit, index: int, residuals: Array, scatter
 def _plain_rows(problem: Problem, found: Fit, index: int, residuals: Array, scatter: Array) -> Array:
     """(N ny, m) residuals over noise after the record's own unknowns were fitted to them."""
     linear = problem.linearised(index, {**problem.starts(), **found.values}, found.locals[index])
-    assert linear is not None, "a converged fit can be linearised"
     finite = np.isfinite(problem.coarse[index].z)
+    if linear is None:  # a motion so touchy that its initial state cannot be bettered: measured as it stands
+        return (residuals / scatter[None, :, None] * finite[:, :, None]).reshape(-1, residuals.shape[2])
     own = linear[1][:, :, len(problem.free) :] / scatter[None, :, None] * finite[:, :, None]
     rows = (residuals / scatter[None, :, None] * finite[:, :, None]).reshape(-1, residuals.shape[2])
     J = own.reshape(rows.shape[0], -1)
@@ -78,13 +80,17 @@ def predictive_cost(baseline: Baseline, prepared: FlightRecords, noise: NoiseMod
     """Whitened cost of the held-out flights given the training flights.
 
     Parameters may move within what training left uncertain: without that a barely stable motion, which multiplies small
-    errors of the parameters, would condemn every model. None where there is no held-out flight.
+    errors of the parameters, would condemn every model. None where there is no held-out flight; infinite where the motion runs
+    away on one.
     """
     held = on_holdout(baseline, prepared, noise)
     if held is None:
         return None
     problem, found = held
-    grams = [reduce_record(problem, found, i, (), ()).gram for i in range(len(problem.records))]
+    try:
+        grams = [reduce_record(problem, found, i, (), ()).gram for i in range(len(problem.records))]
+    except GapError:
+        return np.inf
     gram = np.sum(grams, axis=0)
     n = len(problem.free)
     gram[:n, :n] += baseline.fit.hessian
@@ -102,6 +108,11 @@ class Floors:
     def covers(self, gap: float) -> bool:
         """Whether a training gap is one that nothing hidden would leave."""
         return gap <= float(np.quantile(self.training, self.criteria.floor_level))
+
+    @property
+    def highest(self) -> float:
+        """Gap on the held-out flights (training flights where there are none) that nothing hidden would leave."""
+        return float(np.quantile(self.holdout if self.holdout.size else self.training, self.criteria.floor_level))
 
     @property
     def training_median(self) -> float:
@@ -148,6 +159,12 @@ def _after_refit(
     """(nulls,) sums of squares over noise of null residuals (N, ny, nulls) after the shared parameters moved by `shift`
     (n, nulls) and the record's own unknowns were fitted; and the number of values in each sum."""
     linear = problem.linearised(index, {**problem.starts(), **found.values}, found.locals[index])
-    assert linear is not None, "a converged fit can be linearised"
+    if linear is None:
+        return _plainly(problem, found, index, np.nan_to_num(residuals), scatter), _values(problem, index)
     moved = np.nan_to_num(residuals) - np.einsum("tyn,nm->tym", linear[1][:, :, : len(problem.free)], shift)
-    return _plainly(problem, found, index, moved, scatter), float(np.isfinite(problem.coarse[index].z).sum())
+    return _plainly(problem, found, index, moved, scatter), _values(problem, index)
+
+
+def _values(problem: Problem, index: int) -> float:
+    """Measured values of one record."""
+    return float(np.isfinite(problem.coarse[index].z).sum())

@@ -53,6 +53,8 @@ def input_errors(record: Record, model: Model, rng: np.random.Generator) -> Inpu
         noisy = [clean + sigma * rng.standard_normal(clean.size) for _ in range(BANK)]
         done = denoise_many(noisy, order=1 if signal.control else 2, noise=sigma)
         bank[signal.name] = np.stack([d.values - clean for d in done])
+        if signal.name in record.raw:  # by its steps a control is used as it was measured, noise and all
+            bank[signal.name] = np.where(record.raw[signal.name], np.stack(noisy) - clean, bank[signal.name])
     return InputErrors(bank)
 
 

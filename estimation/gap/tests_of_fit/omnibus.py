@@ -144,15 +144,15 @@ def whitened(problem: Problem, found: Fit, round_: Round) -> list[Array]:
     """Per record (N, ny, 1 + nulls): whitened residuals of the data and the nulls, local unknowns taken out."""
     result = []
     for i in range(len(problem.records)):
+        stack = np.stack([found.residuals[i], *(null[i] for null in round_.null_residuals)], axis=2)
+        left = np.nan_to_num(stack)
         linear = problem.linearised(i, found.values, found.locals[i])
-        assert linear is not None, "a converged fit can be linearised"
-        residual, dy = linear
-        stack = np.concatenate([residual[:, :, None], *(null[i][:, :, None] for null in round_.null_residuals)], axis=2)
-        stack = np.nan_to_num(stack)
-        rows = problem.whiteners[i].rows(np.concatenate([dy, stack], axis=2))
-        J = rows[:, : dy.shape[2]]
-        theta = solved(J.T @ J, J.T @ rows[:, dy.shape[2] :])
-        left = stack - np.einsum("tyn,nm->tym", dy, theta)
+        if linear is not None:  # else the local unknowns stay where they are, on data and nulls alike
+            dy = linear[1]
+            rows = problem.whiteners[i].rows(np.concatenate([dy, left], axis=2))
+            J = rows[:, : dy.shape[2]]
+            theta = solved(J.T @ J, J.T @ rows[:, dy.shape[2] :])
+            left = left - np.einsum("tyn,nm->tym", dy, theta)
         result.append(problem.whiteners[i].series(left))
     return result
 

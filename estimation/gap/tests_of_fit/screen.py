@@ -13,6 +13,7 @@ from scipy.stats import chi2, norm
 
 from estimation.engine.kernel import Array
 from estimation.estimators.arrow import eliminated, solved
+from estimation.gap.errors import GapError
 from estimation.gap.likelihood.fitting import Fit, Problem, prior_terms
 from estimation.gap.tests_of_fit.hypotheses import Column, Hypothesis, one_sided, sensitivity
 
@@ -160,10 +161,17 @@ def shared_prior(problem: Problem, fit: Fit, size: int, k: int) -> Array:
 
 
 def reduce_record(problem: Problem, fit: Fit, index: int, changes: Sequence[Array], extra: Sequence[Array]) -> Reduced:
-    """Gram matrix of one record with its own unknowns eliminated; residual columns: the data's, then `extra`."""
+    """Gram matrix of one record with its own unknowns eliminated; residual columns: the data's, then `extra`.
+
+    Raises GapError where the fitted motion cannot be linearised.
+    """
     shared = len(problem.free)
     found = problem.linearised(index, fit.values, fit.locals[index])
-    assert found is not None, "a converged fit can be linearised"
+    if found is None:
+        raise GapError(
+            f"model {problem.base.name}: the motion runs away from the smallest change of a parameter; cut the flights into "
+            "shorter segments"
+        )
     residual, dy = found
     missing = ~np.isfinite(residual)
     block = np.concatenate(

@@ -6,22 +6,34 @@ from dataclasses import replace
 import numpy as np
 
 from estimation.gap.answer.result import Gap, GapResult, Histories, Rejected, Step, Verdict
+from estimation.gap.answer.shape import Late
 from estimation.gap.answer.words import conclude, describe_step
 from estimation.gap.effects.base import Effect
+from estimation.gap.form.search import Shape, ShapeSearch
 from estimation.gap.likelihood.baseline import Baseline
 from estimation.gap.search.search_state import Finding, SearchState, Setting
 from estimation.gap.tests_of_fit.calibration import Round
 from estimation.gap.tests_of_fit.kinematic_check import KinematicCheck
 from estimation.gap.tests_of_fit.measure import Floors, floors, on_holdout, rms_over_noise
 from estimation.gap.tests_of_fit.repeatability import repeatability
-from estimation.gap.verdict.decide import Decision, Facts, Named, decide
+from estimation.gap.verdict.decide import Decision, Facts, Named, decide, with_event, with_shape
 from estimation.gap.verdict.disagreement import views
 from estimation.gap.verdict.lineage import fitted
+from estimation.gap.verdict.nameless import (
+    event_step,
+    happened,
+    late_of,
+    searched,
+    shaped_step,
+    standing_round,
+    why_not,
+)
 from estimation.gap.verdict.steps import step_of, unknown_step
 from estimation.gap.verdict.tables import detectable_sizes, effect_scores, nominal_threshold, ties_of, undetectable
 from estimation.models.base import Model
 
 BAND = 20  # nulls from which the band of the floor in pictures is taken
+NOT_SEARCHED = ShapeSearch(None, ())
 LEFT = 5  # nameless signals in the JSON file
 
 
@@ -34,16 +46,26 @@ def concluded(setting: Setting, search: SearchState, check: KinematicCheck) -> G
     left = rms_over_noise(last.baseline.problem, last.baseline.fit, setting.scatter)
     cannot = undetectable(first)
     decision = decide(facts_of(search, named, floor.covers(left), cannot), setting.options.criteria)
-    steps = told(decision, named, search, check, left, floor)
     kept = search.findings[: decision.kept]
-    after = kept[-1].child if kept else first.baseline
-    seen = views(first.baseline, after, prepared, bool(kept))
+    standing = kept[-1].child if kept else first.baseline
+    found, event, unnamed = NOT_SEARCHED, None, None
+    if not kept or decision.verdict is Verdict.UNKNOWN:
+        about = standing_round(setting, search, kept)
+        found = searched(setting, search, about, decision)
+        event = happened(setting, about) if found.shape is None else None
+    if found.shape is not None:
+        decision, unnamed = with_shape(decision), shaped_step(found.shape, standing, setting)
+    elif event is not None:
+        decision, unnamed = with_event(decision), event_step(event, Gap(left, left, floor.training_median))
+    steps = told(decision, named, search, check, left, floor, unnamed, late_of(found))
+    after = standing if found.shape is None else found.shape.measured.child
+    seen = views(first.baseline, after, prepared, after is not first.baseline)
     detectable = detectable_sizes(last)
     repeats = repeatability(last, prepared.names)
     asked = {h.effect.name for h in first.screen.hypotheses}
     tied = tuple(e for e in setting.effects if e.tied_to and e.name in asked)
     odd = [r.flight for r in repeats if r.odd]
-    before_model, after_model = models(setting.base, first.baseline, kept)
+    before_model, after_model = models(setting.base, first.baseline, kept, found.shape)
     return GapResult(
         verdict=decision.verdict,
         text=conclude(decision.verdict, steps, detectable, cannot, tied, bool(prepared.holdout), odd),
@@ -52,7 +74,11 @@ def concluded(setting: Setting, search: SearchState, check: KinematicCheck) -> G
         scores=effect_scores(first),
         threshold=first.threshold,
         nominal_threshold=nominal_threshold(len(first.screen.hypotheses), setting.options.criteria),
-        rejected=(*search.rejected, *(Rejected(effect, why) for effect, why in decision.withdrawn)),
+        rejected=(
+            *search.rejected,
+            *(Rejected(effect, why) for effect, why in decision.withdrawn),
+            *(Rejected(t.place.words, why_not(t)) for t in found.tried),
+        ),
         ties=ties_of(first),
         model_before=before_model,
         model_after=after_model,
@@ -95,28 +121,45 @@ def facts_of(search: SearchState, named: Sequence[Step], covered: bool, cannot: 
 
 
 def told(
-    decision: Decision, named: Sequence[Step], search: SearchState, check: KinematicCheck, left: float, floor: Floors
+    decision: Decision,
+    named: Sequence[Step],
+    search: SearchState,
+    check: KinematicCheck,
+    left: float,
+    floor: Floors,
+    unnamed: Step | None = None,
+    late: Late | None = None,
 ) -> tuple[Step, ...]:
-    """The steps of the answer in words: those of the names that stand, and the nameless rest where that is the verdict. The
-    kinematic check saw the flights as they are: it speaks of the first."""
+    """The steps of the answer in words: those of the names that stand, and the nameless rest where that is the verdict.
+
+    unnamed: the rest with a shape or a time, where one was found; late: a lag that gains where none was. The kinematic check saw
+    the flights as they are: it speaks of the first.
+    """
     steps = list(named[: decision.kept])
-    if decision.verdict is Verdict.UNKNOWN:
-        steps.append(unknown_step(search.omnibus, Gap(left, left, floor.training_median)))
+    if unnamed is not None:
+        steps.append(unnamed)
+    elif decision.verdict is Verdict.UNKNOWN:
+        steps.append(replace(unknown_step(search.omnibus, Gap(left, left, floor.training_median)), shape=late))
     if steps:
         steps[0] = replace(steps[0], where=replace(steps[0].where, origin=check.origin))
     return tuple(replace(s, text=describe_step(s)) for s in steps)
 
 
-def models(base: Model, first: Baseline, kept: Sequence[Finding]) -> tuple[Model, Model]:
-    """The base as fitted, and the child with the effects that stand (the same where none does)."""
+def models(base: Model, first: Baseline, kept: Sequence[Finding], shape: Shape | None = None) -> tuple[Model, Model]:
+    """The base as fitted, and the child with the effects that stand and a nameless shape (the same where there is neither)."""
     before = fitted(base, first.fit.values)
-    if not kept:
+    if not kept and shape is None:
         return before, before
     child = base
     for f in kept:
         child = f.candidate.hypothesis.form.added_to(child)
-    names = "+".join(f.candidate.hypothesis.effect.name for f in kept)
-    return before, replace(fitted(child, kept[-1].child.fit.values), name=f"{base.name}+{names}")
+    names = [base.name, *(f.candidate.hypothesis.effect.name for f in kept)]
+    values = kept[-1].child.fit.values if kept else first.fit.values
+    if shape is not None:
+        values = shape.measured.child.fit.values
+        child = shape.fitted.increment.written_into(child, values)
+        names.append("nameless")
+    return before, replace(fitted(child, values), name="+".join(names))
 
 
 def histories(setting: Setting, before: Baseline, after: Baseline, last: Round) -> tuple[Histories, ...]:

@@ -5,7 +5,7 @@ a decision, and the words are written from that.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from estimation.gap.answer.result import Gap, Verdict
 from estimation.gap.criteria import Criteria
@@ -69,6 +69,16 @@ def decide(facts: Facts, criteria: Criteria) -> Decision:
     found = (rest, kept > 0, closed, blind)
     verdict = next(row[-1] for row in TABLE if all(w is ANY or w == f for w, f in zip(row[:-1], found, strict=True)))
     return Decision(verdict, kept, withdrawn)
+
+
+def with_shape(decision: Decision) -> Decision:
+    """The decision where a nameless shape was found for the rest: the gap is smaller, and it still has no name."""
+    return replace(decision, verdict=Verdict.GAP_REDUCED)
+
+
+def with_event(decision: Decision) -> Decision:
+    """The decision where something happened at one time: known when and where, and nothing of the model is wrong."""
+    return replace(decision, verdict=Verdict.UNKNOWN)
 
 
 def rest_matters(facts: Facts, criteria: Criteria) -> bool:

@@ -20,7 +20,6 @@ from estimation.gap.likelihood.whitening import (
     NoiseModel,
     NoisePart,
     Source,
-    force_states,
     linear_motion,
     shapes_of,
     spectral_matrix,
@@ -28,6 +27,7 @@ from estimation.gap.likelihood.whitening import (
 from estimation.gap.records.flight_records import FlightRecords
 from estimation.gap.tests_of_fit.measure import plain_residuals
 from estimation.gap.verdict.effect_location import signals_of
+from estimation.models.driven import force_states
 
 LINES = {"beta": "CY", "p": "Cl", "r": "Cn", "alpha": "CL", "q": "Cm"}
 

@@ -124,6 +124,8 @@ def worth_in_words(worth: Mapping[str, float], criteria: Criteria) -> str:
     bands = {
         "p": (criteria.tolerance_rate, "deg/s"), "r": (criteria.tolerance_rate, "deg/s"),
         "beta": (criteria.tolerance_sideslip, "deg"), "phi": (criteria.tolerance_bank, "deg"),
+        "q": (criteria.tolerance_rate, "deg/s"), "alpha": (criteria.tolerance_sideslip, "deg"),
+        "theta": (criteria.tolerance_bank, "deg"),
     }  # fmt: skip
     judged = [(n, worth[n], *bands[n]) for n in bands if n in worth]
     words = [f"{n} {w:.2g} against {b:g} {unit}" + (" (beyond it)" if w > b else "") for n, w, b, unit in judged]

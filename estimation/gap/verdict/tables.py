@@ -44,7 +44,7 @@ def detectable_sizes(round_: Round) -> dict[str, float]:
             if name not in sizes and len(round_.screen.hypotheses[column.hypothesis].effect.forms) == 1
             else column.parameter.name
         )
-        sizes[key] = round_.threshold / float(np.sqrt(information))
+        sizes[key] = round_.threshold / float(np.sqrt(information)) if information > 0.0 else np.inf
     return sizes
 
 

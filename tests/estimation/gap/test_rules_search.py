@@ -11,6 +11,7 @@ from estimation.engine.kernel import Array
 from estimation.gap.answer.result import Rejected
 from estimation.gap.criteria import AS_SET
 from estimation.gap.effects.base import Effect, EffectParameter, Form, Group
+from estimation.gap.errors import GapError
 from estimation.gap.search import accept as accepting
 from estimation.gap.search import backward_check as checking
 from estimation.gap.search import rounds as searching
@@ -249,6 +250,47 @@ def test_the_first_candidate_that_is_confirmed_becomes_the_effect(monkeypatch: p
 def test_nothing_below_the_threshold_is_asked() -> None:
     rivals = (candidate(score=3.9),)
     assert accept(stub(), ROUND, Choice(rivals, {}, ()), REST) == (None, [])
+
+
+@pytest.mark.parametrize(("shape", "nameless"), [(30.0, 80.0), (900.0, 900.0)])
+def test_a_name_is_held_against_a_shape_without_one(
+    monkeypatch: pytest.MonkeyPatch, shape: float, nameless: float
+) -> None:
+    asked: list[float] = []
+
+    def confirmed(setting: Any, round_: Any, one: Candidate, nameless: float) -> tuple[Any, str]:
+        asked.append(nameless)
+        return None, "no"
+
+    monkeypatch.setattr(accepting, "confirmed", confirmed)
+    accept(stub(), ROUND, Choice((candidate(evidence=50.0),), {}, ()), REST, lambda: shape)
+    assert asked == [nameless]
+    accept(stub(), ROUND, Choice((candidate(score=3.9),), {}, ()), REST, lambda: pytest.fail("asked for nothing"))
+
+
+def test_a_model_that_cannot_be_examined_is_withdrawn_and_what_was_found_before_it_stands(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    found = iter([finding("a"), finding("b")])
+    monkeypatch.setattr(searching, "examine", lambda round_: REST)
+    monkeypatch.setattr(searching, "choose", lambda *given: Choice((), {}, ()))
+    monkeypatch.setattr(searching, "backward_check", lambda *given: None)
+    monkeypatch.setattr(searching, "accept", lambda *given: (next(found), []))
+
+    def screened(baseline: Any, number: int) -> Any:
+        if number == 2:
+            raise GapError("barely stable")
+        return ROUND
+
+    setting: Any = stub(screened=screened, options=Options(most=4), tell=lambda *given: None, prepared=None)
+    left = run_rounds(setting, stub())
+    assert [f.candidate.hypothesis.label for f in left.findings] == ["a"]
+    assert [r.effect for r in left.rejected] == ["b"]
+    assert "barely stable" in left.rejected[0].why
+    assert len(left.rounds) == 2
+    setting.screened = lambda baseline, number: screened(baseline, 2)
+    with pytest.raises(GapError):
+        run_rounds(setting, stub())
 
 
 # ------------------------------------------------------------------------------------------------ earlier effects again

@@ -1,0 +1,105 @@
+"""What can be said of an effect without a name: a curve, a memory, or something that happened at one time."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from estimation.engine.kernel import Array
+from estimation.gap.answer.rounded import rounded
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A nameless part of a coefficient as a function of what the data chose.
+
+    output: the coefficient. variables: one, or two where it is a function of the first times the second. grid: (n,) values of
+    the first; value, std: (n,) the part there and its standard deviation (per unit of the second). unit: of the grid. low, high:
+    range flown, outside which it is held. closed: share of the held-out gap above what nothing hidden would leave, by whitened
+    energy or plain. analytic: a formula that does as well, or None; candidates: (formula, unknown -> (estimate, bound), share of
+    the whitened energy closed, whether that is as good). rivals: (coefficient, variables, share of this one's gain). left_out:
+    (training flight, share of it in the range of the others, twice the log-likelihood gained where it is predicted from them).
+    """
+
+    output: str
+    variables: tuple[str, ...]
+    grid: Array
+    value: Array
+    std: Array
+    unit: str
+    low: float
+    high: float
+    closed: float
+    analytic: str | None
+    candidates: tuple[tuple[str, Mapping[str, tuple[float, float]], float, bool], ...]
+    rivals: tuple[tuple[str, tuple[str, ...], float], ...]
+    left_out: tuple[tuple[str, float, float], ...]
+    regime: str
+    separate_by: str
+
+    def to_json(self) -> dict[str, Any]:
+        return {
+            "kind": "function", "nameless": True, "output": self.output, "variables": list(self.variables),
+            "grid": [[rounded(x, 6) for x in self.grid]], "value": [rounded(v, 9) for v in self.value],
+            "std": [rounded(v, 9) for v in self.std], "unit": self.unit, "range": [rounded(self.low, 6), rounded(self.high, 6)],
+            "closed": rounded(self.closed), "analytic": self.analytic,
+            "candidates": [{"analytic": text, "closed": rounded(closed), "as_good": good,
+                            "parameters": {n: {"estimate": rounded(v, 9), "std": rounded(s, 9)} for n, (v, s) in found.items()}}
+                           for text, found, closed, good in self.candidates],
+            "alternatives": [{"output": o, "variables": list(v), "share_of_gain": rounded(g, 3)} for o, v, g in self.rivals],
+            "left_out": [{"flight": n, "inside": rounded(i, 3), "gain": rounded(g, 1)} for n, i, g in self.left_out],
+            "regime": self.regime, "separate_by": self.separate_by,
+        }  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Late:
+    """Where no function of the motion closes the gap: a coefficient that follows a variable with a lag gains. time: s."""
+
+    output: str
+    variable: str
+    time: float
+    score: float
+    threshold: float
+
+    def to_json(self) -> dict[str, Any]:
+        return {
+            "kind": "memory", "nameless": True, "output": self.output, "variables": [self.variable],
+            "time_constant": self.time, "score": rounded(self.score, 2), "threshold": rounded(self.threshold, 2),
+        }  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Happening:
+    """One event. what: drift | slip | burst. channel: the output, "" for a disturbance of the motion. flight: its name, "" for
+    all of them. start, end: s on the flight's clock. sizes: (estimate, bound) in `unit`: of a drift the change over each flight,
+    of a slip the step, of a burst the peak rates it adds to the force equations."""
+
+    what: str
+    channel: str
+    flight: str
+    start: float
+    end: float
+    sizes: tuple[tuple[float, float], ...]
+    unit: str
+    score: float
+    threshold: float
+
+    def to_json(self) -> dict[str, Any]:
+        return {
+            "what": self.what, "channel": self.channel, "flight": self.flight, "start": rounded(self.start, 3),
+            "end": rounded(self.end, 3), "size": [{"estimate": rounded(v, 6), "std": rounded(s, 6)} for v, s in self.sizes],
+            "unit": self.unit, "score": rounded(self.score, 2), "threshold": rounded(self.threshold, 2),
+        }  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Happened:
+    """Events that leave nothing else to explain, first the one that stands out most."""
+
+    events: Sequence[Happening]
+
+    def to_json(self) -> dict[str, Any]:
+        first = self.events[0]
+        return {
+            "kind": "event", "nameless": True, **first.to_json(), "events": [e.to_json() for e in self.events],
+        }  # fmt: skip

@@ -1,0 +1,174 @@
+"""An increment fitted inside the output error together with everything else, and asked of flights it was not fitted to."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from estimation.engine.kernel import Array
+from estimation.estimators.arrow import pseudo_inverse
+from estimation.gap.criteria import Criteria
+from estimation.gap.form import spline
+from estimation.gap.form.places import Flown, Place, spread_of
+from estimation.gap.form.spline import KEPT, Range, basis, lines, polynomial
+from estimation.gap.likelihood.baseline import Baseline
+from estimation.gap.likelihood.fitting import Fit, Problem, fit
+from estimation.models.base import Model, Parameter
+
+TAG = "form"
+EDGES = ("low", "high", "middle", "half")
+POINTS = 61  # of the curve in the answer
+ACROSS = 5  # values of the second variable in the answer
+
+
+@dataclass(frozen=True)
+class Increment:
+    """A part of a coefficient as a function of a variable, bound to what was flown. reach: largest size of the second variable,
+    in units of which it multiplies. spread: (columns,) prior standard deviations of the weights."""
+
+    place: Place
+    flown: Range
+    reach: float
+    spread: Array
+
+    @classmethod
+    def of(cls, place: Place, flown: Flown, criteria: Criteria) -> "Increment":
+        reach = flown.reach(place.by) if place.by else 1.0
+        return cls(place, flown.range_of(place.variable), reach, spread_of(place, flown.scale[place.line], criteria))
+
+    @property
+    def weights(self) -> tuple[str, ...]:
+        """Names of the unknowns."""
+        extra = [f"{TAG}_line"] * self.place.lacks_line + [f"{TAG}_constant"] * self.place.lacks_constant
+        return (*(f"{TAG}_w{j}" for j in range(1, KEPT + 1)), *extra)
+
+    def edges(self, held: Range | None = None) -> dict[str, float]:
+        """Values of the parameters that scale the variable and hold it at the ends of `held` (default: of what was flown)."""
+        ends = held or self.flown
+        low, high = max(ends.low, self.flown.low), min(ends.high, self.flown.high)
+        return dict(zip((f"{TAG}_{e}" for e in EDGES), (low, high, self.flown.middle, self.flown.half), strict=True))
+
+    def added_to(self, model: Model) -> Model:
+        """`model` with the increment, its unknowns at nothing and with their priors."""
+        text = list(lines(TAG, self.place.variable, self.text_weights))
+        term = TAG
+        edges = self.edges()
+        if self.place.by:
+            term, edges = f"{TAG}*{self.place.by}/{TAG}_reach", edges | {f"{TAG}_reach": self.reach}
+        unknowns = [
+            Parameter(n, "1", prior_mean=0.0, prior_std=float(s))
+            for n, s in zip(self.weights, self.spread, strict=True)
+        ]
+        fixed = [Parameter(n, "1", start=v, fixed=True) for n, v in edges.items()]
+        return model.plus(lines=text, terms={self.place.line: term}, parameters=[*unknowns, *fixed])
+
+    @property
+    def text_weights(self) -> tuple[str, ...]:
+        """What multiplies the columns in the text: those of the spline, u and 1; a number where there is no unknown."""
+        line = f"{TAG}_line" if self.place.lacks_line else "0"
+        constant = f"{TAG}_constant" if self.place.lacks_constant else "0"
+        return (*(f"{TAG}_w{j}" for j in range(1, KEPT + 1)), line, constant)
+
+    def columns(self, x: Array) -> Array:
+        """(N, unknowns) at x (N,)."""
+        u = np.clip(self.flown.scaled(x), -1.0, 1.0)
+        extra = [
+            c for c, wanted in ((u, self.place.lacks_line), (np.ones_like(u), self.place.lacks_constant)) if wanted
+        ]
+        return np.column_stack([basis().columns(u), *extra])
+
+    def vector(self, values: Mapping[str, float]) -> Array:
+        return np.array([values[n] for n in self.weights])
+
+    def written_into(self, model: Model, values: Mapping[str, float]) -> Model:
+        """`model` with the curve as numbers: what a person reads and any simulation can take over."""
+        w = self.vector(values)
+        rest = dict(zip(self.weights[KEPT:], w[KEPT:], strict=True))
+        powers = polynomial(w[:KEPT], (rest.get(f"{TAG}_line", 0.0), rest.get(f"{TAG}_constant", 0.0)))
+        name = f"{self.place.line}_nameless"
+        text = spline.written(name, self.place.variable, self.flown, powers)
+        term = f"{name}*{self.place.by}/{self.reach:.17g}" if self.place.by else name
+        return model.plus(lines=text, terms={self.place.line: term}, title=f"{model.title}, with a nameless part")
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """An increment fitted with the base. gain: twice the log-likelihood over the base with the same noise."""
+
+    increment: Increment
+    problem: Problem
+    fit: Fit
+    gain: float
+
+    def curve(self, inflation: float = 1.0) -> tuple[Array, Array, Array]:
+        """(x, value, standard deviation) over the range flown; inflation: of the variance, from nulls."""
+        x = np.linspace(self.increment.flown.low, self.increment.flown.high, POINTS)
+        columns = self.increment.columns(x)
+        at = [self.fit.free.index(n) for n in self.increment.weights]
+        covariance = pseudo_inverse(self.fit.hessian)[0][np.ix_(at, at)]
+        variance = np.einsum("ij,jk,ik->i", columns, covariance, columns)
+        return x, columns @ self.increment.vector(self.fit.values), np.sqrt(np.maximum(variance * inflation, 0.0))
+
+
+def fit_increment(baseline: Baseline, increment: Increment) -> Fitted | None:
+    """Base and increment fitted together on the training flights; None where that runs away."""
+    problem = replace(baseline.problem, model=increment.added_to(baseline.model))
+    found = fit(problem, baseline.fit.values, baseline.fit.locals)
+    if found.diverged:
+        return None
+    return Fitted(increment, problem, found, 2.0 * (baseline.fit.cost - found.cost))
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """A training flight predicted from the others. inside: share of it in the range they flew. gain: twice the log-likelihood
+    by which the increment, held at the ends of that range, predicts it better than the base does."""
+
+    flight: int
+    inside: float
+    gain: float
+
+
+def left_out(baseline: Baseline, fitted: Fitted, flown: Flown) -> list[LeftOut]:
+    """Every training flight predicted from the others, with and without the increment."""
+    flights = [r.flight for r in baseline.problem.records]
+    made = []
+    for flight in dict.fromkeys(flights):
+        others = [i for i, f in enumerate(flights) if f != flight]
+        own = [i for i, f in enumerate(flights) if f == flight]
+        if not others:
+            continue
+        variable = fitted.increment.place.variable
+        reached = Range.of([flown.courses[i][variable] for i in others])
+        inside = float(np.mean([reached.inside(flown.courses[i][variable]) for i in own]))
+        without = predicted(baseline.problem, baseline.fit, others, own, {})
+        with_ = predicted(fitted.problem, fitted.fit, others, own, fitted.increment.edges(reached))
+        gain = -np.inf if with_ is None else np.inf if without is None else 2.0 * (without - with_)
+        made.append(LeftOut(flight, inside, float(gain)))
+    return made
+
+
+def predicted(
+    problem: Problem, found: Fit, others: Sequence[int], own: Sequence[int], edges: Mapping[str, float]
+) -> float | None:
+    """Whitened cost of the records `own` with what the records `others` tell; None where the motion runs away."""
+    told = fit(only(problem, others), found.values, [found.locals[i] for i in others])
+    if told.diverged:
+        return None
+    asked = fit(only(problem, own), {**told.values, **edges}, [found.locals[i] for i in own], frozen=True)
+    return None if asked.diverged else asked.cost
+
+
+def only(problem: Problem, records: Sequence[int]) -> Problem:
+    """The problem of some of its records."""
+    return replace(
+        problem,
+        records=tuple(problem.records[i] for i in records),
+        whiteners=tuple(problem.whiteners[i] for i in records),
+    )
+
+
+def confirmed(found: Sequence[LeftOut], criteria: Criteria) -> bool:
+    """Whether every flight that lies in the range of the others is predicted better, and there is one."""
+    asked = [f for f in found if f.inside >= criteria.form_inside]
+    return bool(asked) and all(f.gain > 0.0 for f in asked)

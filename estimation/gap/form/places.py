@@ -1,0 +1,167 @@
+"""Where an unknown part of the model may sit: coefficient by variable, read from the model's own equations."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from estimation.engine.kernel import Array
+from estimation.engine.simulate import Segment, Simulator
+from estimation.gap.criteria import Criteria
+from estimation.gap.form.spline import Range, basis
+from estimation.gap.likelihood.baseline import WORK
+from estimation.gap.likelihood.fitting import Fit, Problem
+from estimation.models.base import Model, ParameterRole, Signal
+from estimation.models.expressions import names_in, products_in
+
+INCREMENT = "increment_{}"
+EXTRA_INPUTS = ("alpha",)  # an input that no term of the model has, yet coefficients depend on
+EXTRA_STATES = ("alpha", "V")
+SMALL = 0.05  # of the prior width: steps in which the motion is linear
+FLOWN = 1e-9  # of anything: a smaller range is none
+
+
+@dataclass(frozen=True)
+class Place:
+    """A coefficient and the variable of which a part of it is a function. by: a second variable that multiplies it.
+
+    lacks_line, lacks_constant: the base has no parameter that carries a line in the variable (a constant), so that the increment
+    has to.
+    """
+
+    line: str
+    variable: str
+    lacks_line: bool
+    lacks_constant: bool
+    by: str = ""
+
+    @property
+    def extra(self) -> int:
+        """Columns beside those of the spline."""
+        return int(self.lacks_line) + int(self.lacks_constant)
+
+    @property
+    def words(self) -> str:
+        return f"{self.line} by {self.variable}" + (f" times {self.by}" if self.by else "")
+
+
+def coefficient_lines(model: Model) -> tuple[str, ...]:
+    """Lines that hold derivatives of the aircraft: its coefficients, or its rates where the model names none."""
+    own = {p.name for p in model.parameters if p.role in (ParameterRole.DERIVATIVE, ParameterRole.CONSTANT)}
+    return tuple(
+        line
+        for line, text in model.definitions.items()
+        if names_in(text) & own and not line.endswith("_measured") and line not in model.output_names
+    )
+
+
+def variables_of(model: Model, lines: Sequence[str]) -> tuple[str, ...]:
+    """What the coefficients' own terms multiply, angle of attack, and airspeed where it is a state."""
+    known = {*model.parameter_names, *model.constants, *lines}
+    moving = {*model.state_names, *model.input_names, *model.definitions}
+    found = [n for line in lines for product in products_in(model.definitions[line]) for n in sorted(product)]
+    chosen = [n for n in dict.fromkeys(found) if n in moving and n not in known]
+    more = [n for n in EXTRA_STATES if n in model.state_names] + [n for n in EXTRA_INPUTS if n in model.input_names]
+    return tuple(dict.fromkeys([*chosen, *more]))
+
+
+def places_of(model: Model) -> tuple[Place, ...]:
+    """Every coefficient by every variable."""
+    lines = coefficient_lines(model)
+    variables = variables_of(model, lines)
+    return tuple(_place(model, line, v) for line in lines for v in variables)
+
+
+def products_of(model: Model) -> tuple[Place, ...]:
+    """Every coefficient by a function of one variable times another."""
+    lines = coefficient_lines(model)
+    variables = variables_of(model, lines)
+    return tuple(_place(model, line, v, by) for line in lines for v in variables for by in variables if v != by)
+
+
+def _place(model: Model, line: str, variable: str, by: str = "") -> Place:
+    """Constant and line of a one-variable increment are the base's own constant and derivative, where it has them free; of a
+    product the constant is the derivative by the second variable."""
+    free = set(model.free_names)
+    terms = products_in(model.definitions[line])
+    carried = [product - free for product in terms if len(product & free) == 1]
+    single = bool((names_in(model.definitions[line]) - frozenset().union(*terms)) & free)
+    alone = {n for product in carried if len(product) == 1 for n in product}
+    if by:
+        return Place(line, variable, True, by not in alone, by)
+    return Place(line, variable, variable not in alone, not single)
+
+
+@dataclass(frozen=True)
+class Flown:
+    """A fitted model's own motion: variables and coefficients along every record on its fine grid, and what a part of a
+    coefficient changes in the outputs. courses: per record, name -> (2N - 1,). scale: line -> rms about its mean."""
+
+    problem: Problem
+    fit: Fit
+    simulator: Simulator
+    segments: tuple[Segment, ...]
+    shown: tuple[Array, ...]
+    courses: tuple[dict[str, Array], ...]
+    scale: dict[str, float]
+
+    @classmethod
+    def of(cls, problem: Problem, fit: Fit) -> "Flown":
+        model = problem.model
+        lines = coefficient_lines(problem.base)
+        variables = variables_of(problem.base, lines)
+        names = tuple(dict.fromkeys((*variables, *lines)))
+        probe = model.plus(
+            inputs=[Signal(INCREMENT.format(n)) for n in lines],
+            terms={n: INCREMENT.format(n) for n in lines},
+            observed=[Signal(n) for n in names if n not in model.output_names],
+        )
+        simulator = Simulator.build(probe, (), substeps=1, work=WORK, hold="linear")
+        segments, shown, courses = [], [], []
+        for i, local in enumerate(fit.locals):
+            driven = problem.driven(problem.grids[i], fit.values)
+            still = np.zeros((driven.u.shape[0], len(lines)))
+            segment = replace(driven, u=np.ascontiguousarray(np.concatenate([driven.u, still], axis=1)))
+            y = simulator.run(segment, {**fit.values, **local.parameters}, local.x0).y
+            segments.append(segment)
+            shown.append(y[::2, : len(model.outputs)])
+            courses.append({n: y[:, probe.output_names.index(n)] for n in names})
+        scale = {n: float(np.std(np.concatenate([c[n] for c in courses]))) for n in lines}
+        return cls(problem, fit, simulator, tuple(segments), tuple(shown), tuple(courses), scale)
+
+    def range_of(self, variable: str) -> Range:
+        return Range.of([c[variable] for c in self.courses])
+
+    def moves(self, variable: str) -> bool:
+        """Whether a variable was flown over any range at all."""
+        flown = self.range_of(variable)
+        return flown.half > FLOWN * max(abs(flown.middle), FLOWN)
+
+    def columns(self, place: Place, index: int, flown: Range) -> Array:
+        """(2N - 1, columns) of an increment along one record."""
+        u = np.clip(flown.scaled(self.courses[index][place.variable]), -1.0, 1.0)
+        made = basis().columns(u)
+        extra = [c for c, wanted in ((u, place.lacks_line), (np.ones_like(u), place.lacks_constant)) if wanted]
+        made = np.column_stack([made, *extra])
+        if place.by:
+            made *= (self.courses[index][place.by] / self.reach(place.by))[:, None]
+        return np.ascontiguousarray(made)
+
+    def reach(self, variable: str) -> float:
+        """Largest size of a variable: what a multiplier is counted in."""
+        return max(float(np.abs(c[variable]).max()) for c in self.courses)
+
+    def change(self, line: str, index: int, course: Array, step: float) -> Array:
+        """(N, ny) change of the outputs by a part `course` (2N - 1,) of a coefficient, per unit of it."""
+        segment = self.segments[index]
+        u = segment.u.copy()
+        u[:, self.simulator.model.input_names.index(INCREMENT.format(line))] += step * course
+        local = self.fit.locals[index]
+        motion = self.simulator.run(replace(segment, u=u), {**self.fit.values, **local.parameters}, local.x0)
+        shown = self.shown[index]
+        return np.nan_to_num((motion.y[::2, : shown.shape[1]] - shown) / step)
+
+
+def spread_of(place: Place, scale: float, criteria: Criteria) -> Array:
+    """(columns,) prior standard deviations of the weights of an increment of a coefficient whose rms is `scale`."""
+    return criteria.form_width * scale * np.concatenate([basis().spread, np.ones(place.extra)])

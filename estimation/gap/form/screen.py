@@ -1,0 +1,81 @@
+"""Which coefficient as a function of which variable would explain what is left, by linear theory, against simulated nulls."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from estimation.engine.kernel import Array
+from estimation.estimators.arrow import solved
+from estimation.gap.criteria import Criteria
+from estimation.gap.form.places import SMALL, Flown, Place, spread_of
+from estimation.gap.tests_of_fit.calibration import Round, upper_quantile
+from estimation.gap.tests_of_fit.screen import Projected, reduce_record, shared_prior
+
+NOTHING = 1e-300
+
+
+@dataclass(frozen=True)
+class Ranked:
+    """Places by what a spline gains there. gains: (places,) twice the log-likelihood with the penalty counted; scores: (places,)
+    root of the gain over its median on the nulls; threshold: family-wise, from the largest score of every null."""
+
+    places: tuple[Place, ...]
+    gains: Array
+    scores: Array
+    threshold: float
+
+    @property
+    def order(self) -> list[int]:
+        """Indices of the places whose score passes the threshold, largest gain first."""
+        return [int(i) for i in np.argsort(-self.gains) if self.scores[i] > self.threshold]
+
+    @property
+    def best_gain(self) -> float:
+        """Largest gain of a place that passes the threshold; 0 where none does."""
+        return float(self.gains[self.order[0]]) if self.order else 0.0
+
+
+def rank(flown: Flown, round_: Round, places: Sequence[Place]) -> Ranked:
+    """Score every place on the residuals of a round's baseline and on its nulls."""
+    problem, found, criteria = flown.problem, flown.fit, round_.criteria
+    usable = [p for p in places if flown.moves(p.variable) and flown.scale[p.line] > 0.0]
+    spans: list[range] = []
+    changes: list[list[Array]] = [[] for _ in problem.records]
+    weights: list[Array] = []
+    for place in usable:
+        spread = spread_of(place, flown.scale[place.line], criteria)
+        limits = flown.range_of(place.variable)
+        begin = len(changes[0])
+        for i in range(len(problem.records)):
+            columns = flown.columns(place, i, limits)
+            changes[i] += [flown.change(place.line, i, c, SMALL * s) for c, s in zip(columns.T, spread, strict=True)]
+        spans.append(range(begin, len(changes[0])))
+        weights.append(1.0 / spread**2)
+    grams = [
+        reduce_record(problem, found, i, changes[i], [null[i] for null in round_.null_residuals]).gram
+        for i in range(len(problem.records))
+    ]
+    gram = np.sum(grams, axis=0)
+    k = len(changes[0])
+    gram += shared_prior(problem, found, len(gram), k)
+    projected = Projected.of(gram, len(problem.free), k)
+    every = np.array([penalised(projected, span, w) for span, w in zip(spans, weights, strict=True)])
+    return ranked(usable, every, criteria)
+
+
+def penalised(projected: Projected, span: Sequence[int], weight: Array) -> Array:
+    """(residual columns,) twice the log-likelihood that columns gain under a Gaussian prior of precision `weight`."""
+    index = list(span)
+    b = projected.b[index]
+    return np.asarray(np.sum(b * solved(projected.B[np.ix_(index, index)] + np.diag(weight), b), axis=0))
+
+
+def ranked(places: Sequence[Place], gains: Array, criteria: Criteria) -> Ranked:
+    """gains: (places, 1 + nulls). The threshold is raised like that of a name."""
+    if not places:
+        return Ranked((), np.zeros(0), np.zeros(0), 0.0)
+    usual = np.maximum(np.median(gains[:, 1:], axis=1), NOTHING)  # a mean is made by the few nulls that run away
+    scores = np.sqrt(gains / usual[:, None])
+    limit = criteria.null_margin * upper_quantile(scores[:, 1:].max(axis=0), criteria.null_level)
+    return Ranked(tuple(places), gains[:, 0], scores[:, 0], limit)

@@ -1,0 +1,206 @@
+"""The search for a shape: screen, fit, ask the flights left out, measure what is closed, look for a plain formula."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from estimation.gap.answer.result import Gap
+from estimation.gap.criteria import Criteria
+from estimation.gap.errors import GapError
+from estimation.gap.form.analytic import Plain, plain_formulas
+from estimation.gap.form.closure import asked, closed, floor_energy, refitted_with
+from estimation.gap.form.fitted import Fitted, Increment, LeftOut, confirmed, fit_increment, left_out
+from estimation.gap.form.memory import Memory, find_memory
+from estimation.gap.form.places import Flown, Place, places_of, products_of
+from estimation.gap.form.screen import Ranked, rank
+from estimation.gap.likelihood.baseline import Baseline, fit_baseline
+from estimation.gap.records.flight_records import FlightRecords
+from estimation.gap.tests_of_fit.calibration import Round
+from estimation.gap.tests_of_fit.measure import Floors, on_holdout, rms_over_noise
+from estimation.gap.tests_of_fit.nulls import InputErrors
+
+FITTED = 3  # places that get a fit
+
+
+@dataclass(frozen=True)
+class Task:
+    """What a search needs of the run. errors: of the inputs of every record; screened: nulls and screen about a fitted model;
+    floors: what the plain gap measures on them."""
+
+    prepared: FlightRecords
+    errors: Sequence[InputErrors]
+    seed: int
+    screened: Callable[[Baseline], Round]
+    floors: Callable[[Round], Floors]
+
+
+@dataclass(frozen=True)
+class Tried:
+    """A place that was fitted and why it was not taken."""
+
+    place: Place
+    gain: float
+    why: str
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A model with an increment, fitted with its own noise, on its own nulls.
+
+    gap, holdout: plain, before and after. before, after, floor: whitened energy on the held-out flights, where there are any.
+    highest: plain gap there that nothing hidden would leave.
+    """
+
+    child: Baseline
+    round_: Round
+    gap: Gap
+    holdout: Gap | None
+    before: float
+    after: float
+    floor: float
+    highest: float
+
+    @property
+    def energy_closed(self) -> float:
+        """Share of the whitened energy above the floor that is gone."""
+        return closed(self.before, self.after, self.floor)
+
+    @property
+    def closed(self) -> float:
+        """Share of the gap that is gone, of what nothing hidden would leave; by the plain gap or by whitened energy, whichever
+        sees it better: the one counts the gusts of the day, the other every small error of the base."""
+        plain = self.holdout or self.gap
+        return max(self.energy_closed, closed(plain.before**2, plain.after**2, self.highest**2))
+
+    def by(self, plain: Plain, task: Task) -> float:
+        """The same for a formula in place of the increment."""
+        problem, found = refitted_with(plain.problem, plain.fit, self.child)
+        if found.diverged:
+            return 0.0
+        return closed(self.before, asked(problem, found, self.child, task.prepared, self.child.noise), self.floor)
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A part of a coefficient that closes the gap. others: every training flight left out. rivals: other places that do nearly as
+    well on the training flights. plain, refused: formulas that close no less than it does, and the others, with what they close.
+    score, threshold: of the place by linear theory."""
+
+    fitted: Fitted
+    measured: Measured
+    others: tuple[LeftOut, ...]
+    rivals: tuple[Fitted, ...]
+    plain: tuple[tuple[Plain, float], ...]
+    refused: tuple[tuple[Plain, float], ...]
+    score: float
+    threshold: float
+
+
+@dataclass(frozen=True)
+class ShapeSearch:
+    """What was found, what was tried; memory: a lag that gains where no shape was found."""
+
+    shape: Shape | None
+    tried: tuple[Tried, ...]
+    memory: Memory | None = None
+
+
+def find_shape(round_: Round, task: Task, at_length: bool) -> ShapeSearch:
+    """A function of one variable; at length also one of two, and, where none closes the gap, whether a memory gains."""
+    baseline = round_.baseline
+    flown = Flown.of(baseline.problem, baseline.fit)
+    singles = places_of(task.prepared.base)
+    ranking = rank(flown, round_, singles)
+    shape, tried = _best(round_, task, flown, ranking)
+    if shape is not None or not at_length:
+        return ShapeSearch(shape, tuple(tried))
+    if ranking.order:
+        line = ranking.places[ranking.order[0]].line
+        products = [p for p in products_of(task.prepared.base) if p.line == line]
+        shape, more = _best(round_, task, flown, rank(flown, round_, products))
+        tried += more
+    memory = find_memory(flown, round_, singles) if shape is None else None
+    return ShapeSearch(shape, tuple(tried), memory)
+
+
+def _best(round_: Round, task: Task, flown: Flown, ranking: Ranked) -> tuple[Shape | None, list[Tried]]:
+    """The first of the leading places that holds on flights left out and closes the gap."""
+    baseline, criteria = round_.baseline, round_.criteria
+    fits: dict[int, Fitted] = {}
+    tried: list[Tried] = []
+    for i in ranking.order[:FITTED]:
+        fitted = fit_increment(baseline, Increment.of(ranking.places[i], flown, criteria))
+        if fitted is None:
+            tried.append(Tried(ranking.places[i], float(ranking.gains[i]), "the fit runs away"))
+        else:
+            fits[i] = fitted
+    for i in sorted(fits, key=lambda k: -fits[k].gain):
+        fitted = fits[i]
+        others = left_out(baseline, fitted, flown)
+        if not confirmed(others, criteria):
+            why = "does not predict every training flight better than the base where that is left out"
+            tried.append(Tried(ranking.places[i], fitted.gain, why))
+            continue
+        measured = _measured(task, baseline, fitted)
+        if measured is None:
+            tried.append(Tried(ranking.places[i], fitted.gain, "the model with it runs away"))
+            continue
+        if measured.closed < criteria.closed_share:
+            tried.append(Tried(ranking.places[i], fitted.gain, f"closes only {measured.closed:.0%} of the gap"))
+            continue
+        rivals = runners_up(fitted, [f for k, f in fits.items() if k != i], criteria)
+        formulas = [(p, measured.by(p, task)) for p in plain_formulas(baseline, fitted, flown)]
+        offered, refused = as_good(formulas, measured.energy_closed, criteria)
+        score = float(ranking.scores[i])
+        shape = Shape(
+            fitted, measured, tuple(others), tuple(rivals), tuple(offered), tuple(refused), score, ranking.threshold
+        )
+        return shape, tried
+    return None, tried
+
+
+def runners_up(best: Fitted, others: Sequence[Fitted], criteria: Criteria) -> list[Fitted]:
+    """Other places that gain nearly as much, most first."""
+    near = [f for f in others if f.gain >= criteria.named_share * best.gain]
+    return sorted(near, key=lambda f: -f.gain)
+
+
+def as_good(
+    plain: Sequence[tuple[Plain, float]], closed: float, criteria: Criteria
+) -> tuple[list[tuple[Plain, float]], list[tuple[Plain, float]]]:
+    """Formulas that close no less than the spline does, but for a little, best first; and the others."""
+    ordered = sorted(plain, key=lambda p: (-p[1], -p[0].gain))
+    good = [p for p in ordered if p[1] >= closed - criteria.form_equal]
+    return good, [p for p in ordered if p not in good]
+
+
+def _measured(task: Task, baseline: Baseline, fitted: Fitted) -> Measured | None:
+    """None where the model with the increment runs away, in the fit, on a null or on a held-out flight."""
+    try:
+        return _measure(task, baseline, fitted)
+    except GapError:
+        return None
+
+
+def _measure(task: Task, baseline: Baseline, fitted: Fitted) -> Measured | None:
+    prepared, scatter = task.prepared, baseline.scatter
+    child = fit_baseline(
+        fitted.problem.model, baseline.clean, prepared, scatter, fitted.fit.values, fitted.fit.locals, baseline.noise
+    )
+    own = task.screened(child)
+    same = refitted_with(baseline.problem, baseline.fit, child)
+    if same[1].diverged:
+        return None
+    floor = task.floors(own)
+    gap = Gap(
+        rms_over_noise(baseline.problem, baseline.fit, scatter), rms_over_noise(child.problem, child.fit, scatter),
+        floor.training_median,
+    )  # fmt: skip
+    before, after = on_holdout(baseline, prepared), on_holdout(child, prepared)
+    held = None
+    if before is not None and after is not None and floor.holdout_median is not None:
+        held = Gap(rms_over_noise(*before, scatter), rms_over_noise(*after, scatter), floor.holdout_median)
+    return Measured(
+        child, own, gap, held, asked(*same, baseline, prepared, child.noise),
+        asked(child.problem, child.fit, child, prepared, child.noise),
+        floor_energy(child, prepared, task.errors, task.seed), floor.highest,
+    )  # fmt: skip

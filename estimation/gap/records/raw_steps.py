@@ -1,0 +1,33 @@
+"""Controls at their steps as they were measured.
+
+Taking noise off a control rounds the corners of its steps a little: there the smoothed course is no nearer the truth than the
+measured one (0.077 against 0.069 deg rms on flights of the second truth, away from steps 0.033 against 0.070), and it errs to
+one side, late by a hundredth of a sample. An elevator turns so light a body so fast that pitch rate shows even that, and it
+looks like a lag of the elevator or a moment that goes with the rate of angle of attack. From three samples before a step to
+six behind it the measured value is taken; everywhere would be too much: the noise of a quiet control looks like play.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimation.engine.kernel import Array
+
+AROUND = range(
+    -3, 7
+)  # samples, from the one before a step: its rounded corner, and the tail of a servo of 35 ms at 20 Hz
+
+
+def near_steps(values: Array, noise: float, step: float) -> NDArray[np.bool_]:
+    """(N,) whether a sample of a de-noised control (N,) lies by a change of more than `step` times its noise."""
+    moves = np.flatnonzero(np.abs(np.diff(values)) > step * noise)
+    near = np.zeros(values.size, dtype=bool)
+    for shift in AROUND:
+        near[np.clip(moves + shift, 0, values.size - 1)] = True
+    return near
+
+
+def with_raw_steps(smooth: Array, measured: Array, noise: float, step: float) -> tuple[Array, NDArray[np.bool_]]:
+    """The de-noised control with its measured values by its steps, and where they were taken. All (N,), measured NaN where
+    nothing was."""
+    near = near_steps(smooth, noise, step) & np.isfinite(measured)
+    return np.where(near, np.nan_to_num(measured), smooth), near

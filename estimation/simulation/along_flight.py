@@ -1,0 +1,191 @@
+"""A simulation along measured flights: its coefficients and their slopes at what was flown, as columns of the flight.
+
+At each sample the coefficients C and, by central differences, their slopes J with each variable x that the model knows are
+taken at the measured (de-noised) motion x_m. The columns hold J and C - J x_m, so that a model has C + J (x - x_m) of its own
+motion x: exact where it flies as measured, and to second order beside it. Control surfaces are among the variables: what an
+effect does to a surface, it does to the simulation too.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from estimation.aircraft import GRAVITY
+from estimation.engine.data import FlightData, Preparation, prepare
+from estimation.engine.derived import bridged
+from estimation.models.base import Model, Signal
+from estimation.signals.preprocess import denoise
+from estimation.simulation.oracle import COEFFICIENTS, VARIABLES, Array, Simulation, SimulationError, States
+from groundstation.flight import Flight
+
+STEPS: Mapping[str, float] = {
+    "alpha": 0.005, "beta": 0.005, "delta_e": 0.005, "delta_a": 0.005, "delta_r": 0.005,
+    "p": 0.05, "q": 0.05, "r": 0.05,
+}  # fmt: skip
+"""Of the central differences [rad, rad/s]: a third of a degree, narrow beside the cells of a wind tunnel's table, and still a
+thousand times what rounding leaves. Of airspeed and thrust `SHARE` of their mean."""
+SHARE = 0.01
+LEAST = 1e-9  # a slope smaller everywhere is rounding
+UNITS = {"V": "m/s", "alpha": "rad", "beta": "rad", "p": "rad/s", "q": "rad/s", "r": "rad/s", "thrust": "N"}
+WITHOUT_DRAWS = Preparation(draws=0)  # nobody asks what is left of the noise here
+STABILITY = ("CL", "CD")
+
+
+@dataclass(frozen=True)
+class Along:
+    """What a simulation says along several flights.
+
+    columns: of each flight, name -> (samples,), NaN where the flight cannot be used: `sim_<C>_0` and `sim_<C>_<variable>` [per
+    rad, rad/s, m/s or N]. names: of all columns. means: (coefficient, variable) -> mean slope.
+    unmeasured: variables taken as zero because no flight has them.
+    """
+
+    columns: tuple[Mapping[str, Array], ...]
+    names: tuple[str, ...]
+    means: Mapping[tuple[str, str], float]
+    speed: float
+    unmeasured: tuple[str, ...]
+
+
+def along(
+    simulation: Simulation,
+    plain: Model,
+    flights: Sequence[Flight],
+    moved: Sequence[Mapping[str, Array]] = (),
+    preparation: Preparation = WITHOUT_DRAWS,
+    names: Sequence[str] | None = None,
+) -> Along:
+    """Evaluate a simulation along flights for the coefficients and variables of `plain`, a model with lines for them.
+
+    moved: of each flight, variable -> (samples,) motion to take in place of the measured one, NaN where it says nothing. names:
+    the columns that are wanted, of a model that is written already; by default those that are not zero throughout. A slope that
+    is not among them stays in the constant part, as it is at the motion. Raises SimulationError where the simulation lacks a
+    coefficient of the model, DataError or MissingColumnError for a flight that cannot feed it.
+    """
+    wanted = coefficients_in(plain)
+    known = {*plain.state_names, *plain.input_names}
+    by = [v for v in VARIABLES if v in known]
+    slopes: list[dict[str, Array]] = []
+    asked, absent = [], set(VARIABLES)
+    for i, flight in enumerate(flights):
+        states, usable, lacking = motion(plain, flight, moved[i] if i < len(moved) else {}, preparation)
+        absent &= lacking
+        at, by_variable = _asked(simulation, states, wanted, by)
+        asked.append((states, usable, at))
+        slopes.append(by_variable)
+    if names is None:
+        kept = [n for n in slopes[0] if any(np.max(np.abs(s[n])) > LEAST for s in slopes)]
+        names = (*kept, *(column_name(c) for c in wanted))
+    columns = []
+    for (states, usable, at), own in zip(asked, slopes, strict=True):
+        table = {n: _placed(own[n], usable) for n in names if n in own}
+        for k, c in enumerate(wanted):
+            inside = [own[column_name(c, v)] * states.values[v] for v in by if column_name(c, v) in table]
+            table[column_name(c)] = _placed(at[:, k] - sum(inside, np.zeros(len(states))), usable)
+        columns.append(table)
+    means = {(c, v): float(np.mean([np.mean(s[column_name(c, v)]) for s in slopes])) for c in wanted for v in by}
+    speed = float(np.mean([np.mean(states.values["V"]) for states, _, _ in asked]))
+    return Along(tuple(columns), tuple(names), means, speed, tuple(v for v in VARIABLES if v in absent))
+
+
+def column_name(coefficient: str, variable: str = "0") -> str:
+    """Name of a column: of a slope, or of the coefficient itself where all variables are zero."""
+    return f"sim_{coefficient}_{variable}"
+
+
+def coefficients_in(model: Model) -> tuple[str, ...]:
+    """The coefficients that a model has lines for: lift and drag go before body axes."""
+    lines = model.definitions
+    forces = [c for c in STABILITY if c in lines]
+    body = [c for c in COEFFICIENTS if c in lines and not (forces and c in ("CX", "CZ"))]
+    return (*forces, *body)
+
+
+def motion(
+    model: Model, flight: Flight, moved: Mapping[str, Array], preparation: Preparation
+) -> tuple[States, np.ndarray, set[str]]:  # type: ignore[type-arg]
+    """De-noised states of a flight where it can be used, which samples these are, and the variables that it does not measure."""
+    own = {s.name for s in (*model.inputs, *model.states)}
+    more = [
+        Signal(v, UNITS.get(v, "rad"), control=v.startswith("delta_"), optional=True) for v in VARIABLES if v not in own
+    ]
+    probe = model.plus(inputs=[*more, *([Signal("rho", "kg/m3")] if "rho" not in own else [])])
+    data = prepare(probe, flight, preparation)
+    usable = np.zeros(data.samples, bool)
+    values = {name: np.zeros(data.samples) for name in (*VARIABLES, "rho", "alpha_dot")}
+    for segment in data.segments:
+        s = slice(segment.first, segment.first + len(segment))
+        usable[s] = True
+        for name in (*VARIABLES, "rho"):
+            measured = _course(probe, data, s, segment.u, name)
+            told = moved.get(name)
+            values[name][s] = measured if told is None else np.where(np.isfinite(told[s]), told[s], measured)
+        values["alpha_dot"][s] = _alpha_rate(flight, s, segment.time, {n: v[s] for n, v in values.items()})
+    if not (values["V"][usable] > 0.0).all():
+        raise SimulationError(
+            f"{flight.name}: V is not above zero everywhere; cut the flight to where it flies (--segments)"
+        )
+    lacking = {v for v in VARIABLES if not flight.measured(v)}
+    kept = {n: values[n][usable] for n in VARIABLES}
+    return States(kept, values["rho"][usable], values["alpha_dot"][usable]), usable, lacking
+
+
+def _alpha_rate(flight: Flight, s: slice, time: Array, x: Mapping[str, Array]) -> Array:
+    """(n,) rate of alpha [rad/s]: by the equation of motion from accelerometers and attitude where the flight has them, for a
+    slope of a vane between samples misses what steps of the elevator do; else that slope."""
+    needed = ("ax", "az", "theta")
+    if not all(flight.measured(n) for n in needed):
+        return np.gradient(x["alpha"], time)
+    ax, az, theta = (bridged(flight[n][s]) for n in needed)
+    phi = bridged(flight["phi"][s]) if flight.measured("phi") else np.zeros(time.size)
+    gx, gz = ax - GRAVITY * np.sin(theta), az + GRAVITY * np.cos(theta) * np.cos(phi)
+    c, t = np.cos(x["alpha"]), np.sin(x["alpha"])
+    rate = x["q"] - np.tan(x["beta"]) * (x["p"] * c + x["r"] * t) + (gz * c - gx * t) / (x["V"] * np.cos(x["beta"]))
+    return denoise(rate, order=2).values
+
+
+def _course(probe: Model, data: FlightData, s: slice, u: Array, name: str) -> Array:
+    if name in probe.input_names:
+        return np.asarray(u[:, probe.input_names.index(name)])
+    return np.nan_to_num(data.states[s, probe.state_names.index(name)])
+
+
+def _asked(
+    simulation: Simulation, states: States, wanted: Sequence[str], by: Sequence[str]
+) -> tuple[Array, dict[str, Array]]:
+    """(N, wanted) coefficients of one flight; column -> (N,) slopes."""
+    steps = {v: STEPS.get(v) or SHARE * max(float(np.mean(np.abs(states.values[v]))), 1.0) for v in by}
+    asked = [states, *(states.moved(v, sign * steps[v]) for v in by for sign in (1.0, -1.0))]
+    at, *moved = np.split(_of(simulation, States.joined(asked), wanted), len(asked))
+    slopes = {
+        column_name(c, v): (moved[2 * j][:, k] - moved[2 * j + 1][:, k]) / (2.0 * steps[v])
+        for k, c in enumerate(wanted)
+        for j, v in enumerate(by)
+    }
+    return at, slopes
+
+
+def _placed(values: Array, usable: np.ndarray) -> Array:  # type: ignore[type-arg]
+    result = np.full(usable.size, np.nan)
+    result[usable] = values
+    return result
+
+
+def _of(simulation: Simulation, states: States, wanted: Sequence[str]) -> Array:
+    """(N, wanted) coefficients, lift and drag turned out of body axes by the angle of attack."""
+    body = simulation.oracle.coefficients(states)
+    alpha = states.values["alpha"]
+    X, Z = body[:, 0], body[:, 2]
+    made = {
+        **{c: body[:, i] for i, c in enumerate(COEFFICIENTS)},
+        "CL": X * np.sin(alpha) - Z * np.cos(alpha),
+        "CD": -X * np.cos(alpha) - Z * np.sin(alpha),
+    }
+    lacking = [c for c in wanted if not np.isfinite(made[c]).all()]
+    if lacking:
+        raise SimulationError(
+            f"simulation {simulation.spec}: gives no {', '.join(lacking)}, which this model needs;"
+            " choose a --model that does without"
+        )
+    return np.column_stack([made[c] for c in wanted])

@@ -1,0 +1,166 @@
+"""What a verb with `--simulation` does first: the simulation along the flights, and the model that stands on it."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from daq.contract.errors import UserError
+from estimation.aircraft import Aircraft
+from estimation.aircraft.of_flight import aircraft_of
+from estimation.estimators.output_error import OutputErrorOptions, output_error
+from estimation.models.base import Model
+from estimation.models.library import BUILDERS
+from estimation.models.load import load_model, read_model
+from estimation.simulation.along_flight import Along, along
+from estimation.simulation.base_model import Free, base_model
+from estimation.simulation.oracle import COEFFICIENTS, VARIABLES, Array, Simulation, SimulationError
+from estimation.simulation.spec import simulation_of
+from groundstation.flight import Flight
+
+MOST = 6  # renewals; each squares what is left of the distance, so that more would not help
+SETTLED = 1e-3  # of a motion's own scatter: far below any noise beside it
+
+
+@dataclass(frozen=True)
+class Attached:
+    """A model on a simulation with flights that carry its columns. notes: what of the simulation is held or not measured."""
+
+    simulation: Simulation
+    aircraft: Aircraft
+    model: Model
+    flights: tuple[Flight, ...]
+    notes: tuple[str, ...]
+
+    def training(self, count: int) -> list[Flight]:
+        """The first `count` flights."""
+        return list(self.flights[:count])
+
+    def holdout(self, count: int) -> list[Flight]:
+        """The flights after the first `count`."""
+        return list(self.flights[count:])
+
+
+def attach(
+    spec: str, which: str, flights: Sequence[Flight], given: str | None = None, free: Free = Free.FACTORS
+) -> Attached:
+    """The simulation `spec` under the model `which`: a built-in name, or a MODEL.toml that was found on a simulation.
+
+    given: the aircraft asked for; else the one the flights carry or name, else the simulation's own. Raises SimulationError,
+    ModelError, AircraftError or DataError (one sentence each).
+    """
+    simulation = simulation_of(spec)
+    craft = aircraft_for(simulation, flights, given)
+    if which in BUILDERS:
+        told = along(simulation, load_model(which, craft), flights)
+        model = base_model(simulation, which, craft, told, free)
+    else:
+        model = _standing_on(which)
+        told = along(simulation, without_simulation(model), flights, names=computed(model))
+    return Attached(simulation, craft, model, carrying(flights, told), (*simulation.notes, *_unmeasured(told)))
+
+
+def renewed(attached: Attached, fitted: Model | None = None) -> Attached:
+    """The same with the simulation evaluated at the motion that `fitted` (by default the model as it stands) makes of each
+    flight, instead of at the measured one.
+
+    A model that predicts a flight leaves the measured motion by degrees, where slopes taken there no longer hold. Where only the
+    initial states are fitted and that does not converge, the measured motion stays. The means that derivatives begin at stay too.
+    """
+    moving = fitted or attached.model
+    told = along(
+        attached.simulation, without_simulation(attached.model), attached.flights,
+        [_motion_of(moving, flight) for flight in attached.flights], names=computed(attached.model),
+    )  # fmt: skip
+    return replace(attached, flights=carrying(attached.flights, told))
+
+
+def settled(attached: Attached) -> Attached:
+    """The same with the simulation at the motion that the model predicts with it, renewed until that motion stays where it is."""
+    before = [_motion_of(attached.model, flight) for flight in attached.flights]
+    for _ in range(MOST):
+        attached = renewed(attached)
+        after = [_motion_of(attached.model, flight) for flight in attached.flights]
+        if all(_same(one, two) for one, two in zip(before, after, strict=True)):
+            break
+        before = after
+    return attached
+
+
+def estimated_about_its_motion(attached: Attached) -> Attached:
+    """The same with the simulation at the motion of its own best fit to all flights; the measured one where that fit fails."""
+    try:
+        first = output_error(attached.model, attached.flights)
+    except (UserError, ArithmeticError, np.linalg.LinAlgError):
+        return attached
+    return renewed(attached, first.fitted_model) if first.converged else attached
+
+
+def aircraft_for(simulation: Simulation, flights: Sequence[Flight], given: str | None) -> Aircraft:
+    """Mass and inertia of the aircraft that is asked for, or that the flights name, else of the simulation; area, span and chord
+    of the simulation where it has them, for its coefficients are referred to these."""
+    own = simulation.aircraft
+    if given is None and own is not None and not any(f.provenance.aircraft for f in flights):
+        return own
+    craft = aircraft_of(flights, given)
+    if own is None or any(np.isnan(v) for v in (own.area, own.span, own.chord)):
+        return craft
+    return craft.with_values(area=own.area, span=own.span, chord=own.chord)
+
+
+def without_simulation(model: Model) -> Model:
+    """A model with nothing for coefficients: it decides which variables are known and which columns a flight must have."""
+    inputs = tuple(s for s in model.inputs if not s.computed)
+    nothing = [f"{n} = 0" if n.endswith("_sim") and n.removesuffix("_sim") in _lines(model) else f"{n} = {text}"
+               for n, text in model.definitions.items()]  # fmt: skip
+    return replace(model, inputs=inputs, equations=tuple(nothing))
+
+
+def _lines(model: Model) -> tuple[str, ...]:
+    return tuple(c for c in ("CL", "CD", *COEFFICIENTS) if c in model.definitions)
+
+
+def _standing_on(which: str) -> Model:
+    """A model file that has inputs of a simulation."""
+    if not which.endswith(".toml"):
+        raise SimulationError(
+            f"--simulation with model {which!r}: choose a built-in model ({', '.join(BUILDERS)}),"
+            " or a MODEL.toml found on a simulation"
+        )
+    model = read_model(which)
+    if not any(s.computed for s in model.inputs):
+        raise SimulationError(
+            f"{which}: this model stands on no simulation; leave --simulation away, or name a built-in model"
+        )
+    return model
+
+
+def computed(model: Model) -> tuple[str, ...]:
+    """Names of the columns of a simulation that a model reads."""
+    return tuple(s.name for s in model.inputs if s.computed)
+
+
+def carrying(flights: Sequence[Flight], told: Along) -> tuple[Flight, ...]:
+    """Flights with the columns of a simulation."""
+    return tuple(flight.with_columns(**columns) for flight, columns in zip(flights, told.columns, strict=True))
+
+
+def _unmeasured(told: Along) -> tuple[str, ...]:
+    surfaces = [v for v in told.unmeasured if v != "thrust"]
+    return (f"no flight measures {', '.join(surfaces)}: the simulation has them at zero",) if surfaces else ()
+
+
+def _motion_of(model: Model, flight: Flight) -> Mapping[str, Array]:
+    """Motion of a flight by the model as it stands, only its initial state fitted; nothing where that does not converge."""
+    frozen = model.fixed(*model.parameter_names)
+    result = output_error(frozen, flight, options=OutputErrorOptions(improve_start=False))
+    if not result.converged:
+        return {}
+    shown = dict(zip(result.model.output_names, result.flights[0].outputs.T, strict=True))
+    return {n: shown[n] for n in model.state_names if n in VARIABLES and n in shown}
+
+
+def _same(before: Mapping[str, Array], after: Mapping[str, Array]) -> bool:
+    return before.keys() == after.keys() and all(
+        np.nanstd(after[n] - before[n]) <= SETTLED * np.nanstd(after[n]) for n in after
+    )

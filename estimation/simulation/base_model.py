@@ -1,0 +1,81 @@
+"""The base model around a simulation: our equations of motion, its coefficients, and what may be wrong with them.
+
+Each coefficient is
+
+    C = k_C C_sim + C_0 + (C_x - mean_C_x) x + ...
+
+with C_sim the simulation's along the flight (`along_flight`), a factor k_C (1) and an increment C_0 (0). C_x are derivatives as
+the field writes them (per rad, rates non-dimensional), beginning at `mean_C_x`, the simulation's own mean slope over the flights:
+what an estimate of C_x differs from it by is the increment that the simulation lacks. Effects add their terms behind these.
+"""
+
+from dataclasses import replace
+from enum import StrEnum
+
+from estimation.aircraft import Aircraft
+from estimation.models.base import Model, Parameter, Signal
+from estimation.models.load import load_model
+from estimation.models.parts import usual_role
+from estimation.simulation.along_flight import Along, coefficients_in, column_name
+from estimation.simulation.oracle import VARIABLES, Simulation
+
+REGRESSORS = {
+    "alpha": ("alpha", "alpha"), "beta": ("beta", "beta"), "p": ("p_hat", "p"), "q": ("q_hat", "q"), "r": ("r_hat", "r"),
+    "de": ("delta_e", "delta_e"), "da": ("delta_a", "delta_a"), "dr": ("delta_r", "delta_r"),
+}  # fmt: skip
+"""Ending of a derivative's name -> what it multiplies, the variable behind that."""
+DESCRIPTION = "Base: the simulation {}"
+
+
+class Free(StrEnum):
+    """What of a simulation is estimated: factors and constants (for the search for effects, which frees derivatives one by one),
+    derivatives and constants (to say what each is by the flights), or nothing."""
+
+    FACTORS = "factors"
+    DERIVATIVES = "derivatives"
+    NOTHING = "nothing"
+
+
+def base_model(simulation: Simulation, which: str, aircraft: Aircraft, told: Along, free: Free) -> Model:
+    """The built-in model `which` with the coefficients of a simulation as it was evaluated along the flights."""
+    plain = load_model(which, aircraft)
+    wanted = coefficients_in(plain)
+    kept = {*plain.state_names, *plain.input_names}
+    lines, parameters, constants = dict(plain.definitions), [], dict(plain.constants)
+    for c in wanted:
+        zero = f"{c}_0"
+        derivatives = [p.name for p in plain.parameters if p.name.startswith(f"{c}_") and p.name != zero]
+        mine = [d for d in derivatives if d.removeprefix(f"{c}_") in REGRESSORS]
+        terms = [f"k_{c}*{c}_sim", zero]
+        parameters.append(Parameter(f"k_{c}", "1", 1.0, reference=1.0, fixed=free is not Free.FACTORS,
+                                    description=f"factor on the simulation's {c}"))  # fmt: skip
+        parameters.append(Parameter(zero, "1", fixed=free is Free.NOTHING, role=usual_role(zero), reference=0.0,
+                                    description=f"increment to the simulation's {c}"))  # fmt: skip
+        for name in mine:
+            regressor, variable = REGRESSORS[name.removeprefix(f"{c}_")]
+            mean = _derivative(told, c, variable, aircraft)
+            constants[f"mean_{name}"] = mean
+            terms.append(f"({name} - mean_{name})*{regressor}")
+            parameters.append(Parameter(name, "1/rad", mean, fixed=free is not Free.DERIVATIVES, reference=mean,
+                                        reference_source=f"simulation {simulation.name}"))  # fmt: skip
+        slopes = [f"{column_name(c, v)}*{v}" for v in VARIABLES if v in kept and column_name(c, v) in told.names]
+        offset = [column_name(c)] if column_name(c) in told.names else []
+        lines[f"{c}_sim"] = " + ".join([*offset, *slopes]) or "0"
+        lines[c] = " + ".join(terms)
+    return replace(
+        plain,
+        name=f"{plain.name}-{simulation.name}",
+        title=f"{plain.title}; coefficients of the simulation {simulation.name}",
+        description=DESCRIPTION.format(simulation.spec),
+        inputs=(*plain.inputs, *(Signal(n, description="of the simulation", computed=True) for n in told.names)),
+        parameters=tuple(parameters),
+        constants=constants,
+        equations=tuple(f"{name} = {text}" for name, text in lines.items()),
+    )
+
+
+def _derivative(told: Along, coefficient: str, variable: str, aircraft: Aircraft) -> float:
+    """Mean slope as the derivative is written: per rad, or per rate times length over twice the mean airspeed."""
+    slope = told.means.get((coefficient, variable), 0.0)
+    length = {"p": aircraft.span, "q": aircraft.chord, "r": aircraft.span}.get(variable)
+    return slope if length is None else slope * 2.0 * told.speed / length

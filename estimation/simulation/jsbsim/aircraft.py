@@ -1,0 +1,146 @@
+"""A JSBSim aircraft as coefficients at any state: initial conditions set, `run_ic`, forces and moments read.
+
+Its flight control is off (it would overwrite the surfaces) and no engine runs, so nothing but aerodynamics is asked. What
+JSBSim calls alphadot is that of its own last step; so each state is asked twice, at two attitudes, between which alphadot
+differs and the air does not, and the coefficients are taken on the straight line at the alphadot that is meant.
+"""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+
+from estimation.aircraft import Aircraft
+from estimation.simulation.jsbsim.library import FOOT, SLUG, SLUG_FOOT2, aircraft_file, known, loaded
+from estimation.simulation.jsbsim.surfaces import EXPORTED, Surfaces, surfaces_of
+from estimation.simulation.oracle import COEFFICIENTS, SURFACES, Array, Simulation, SimulationError, States
+
+ATTITUDES = (0.0, 1.0)  # rad of pitch: gravity across the flow differs by 0.46 g, and alphadot by that over V
+GROUND = -30_000.0  # ft: far below, so that nothing flies in ground effect or stands on its wheels
+LARGEST = math.radians(85.0)  # of alpha and beta
+AGREES = 1e-6  # rad and relative: by which JSBSim's own alpha, beta, V may differ from what was set
+SWITCHED_OFF = tuple(f"simulation/models/{name}/enabled" for name in ("FGFCS", "FGPropulsion"))
+FORCES = tuple(f"forces/fb{axis}-aero-lbs" for axis in "xyz")
+MOMENTS = tuple(f"moments/{axis}-aero-lbsft" for axis in "lmn")
+SETTINGS = {
+    "alpha": "ic/alpha-rad",
+    "beta": "ic/beta-rad",
+    "p": "ic/p-rad_sec",
+    "q": "ic/q-rad_sec",
+    "r": "ic/r-rad_sec",
+}
+
+
+@dataclass(frozen=True)
+class JsbsimOracle:
+    """See `estimation.simulation.oracle.Oracle`. fdm: the executive, which remembers nothing from one state to the next but
+    alphadot."""
+
+    path: Path
+    fdm: Any
+    surfaces: Surfaces
+
+    def coefficients(self, states: States) -> Array:
+        area, span, chord = (self.fdm[f"metrics/{n}"] for n in ("Sw-sqft", "bw-ft", "cbarw-ft"))
+        lengths = np.array([1.0, 1.0, 1.0, span, chord, span])
+        result = np.empty((len(states), len(COEFFICIENTS)))
+        for i in range(len(states)):
+            result[i] = self._at({n: float(v[i]) for n, v in states.values.items()}, float(states.rho[i]),
+                                 float(states.alpha_dot[i])) / (area * lengths)  # fmt: skip
+        return result
+
+    def _at(self, state: dict[str, float], rho: float, alpha_dot: float) -> Array:
+        """Forces and moments over dynamic pressure [ft2, ft3] of one state."""
+        if not (
+            state["V"] > 0.0
+            and max(abs(state["alpha"]), abs(state["beta"])) < LARGEST
+            and _finite(state, rho, alpha_dot)
+        ):
+            self._refuse(state)  # before JSBSim is asked: it never comes back from such a state
+        first, slow = self._asked(state, rho, ATTITUDES[0])
+        if not self.surfaces.rates:
+            return first
+        second, fast = self._asked(state, rho, ATTITUDES[1])
+        return np.asarray(first + (second - first) * (alpha_dot - slow) / (fast - slow))
+
+    def _asked(self, state: dict[str, float], rho: float, attitude: float) -> tuple[Array, float]:
+        fdm = self.fdm
+        fdm["ic/h-sl-ft"] = density_altitude(rho) / FOOT
+        fdm["ic/vt-fps"] = state["V"] / FOOT
+        fdm["ic/theta-rad"] = attitude
+        for name, setting in SETTINGS.items():
+            fdm[setting] = state[name]
+        for name, (column, follows) in self.surfaces.writes.items():
+            fdm[name] = follows(state[column])
+        for _ in range(2 if self.surfaces.lift_squared else 1):
+            fdm.run_ic()
+        self._check(state)
+        pressure = fdm["aero/qbar-psf"]
+        return np.array([fdm[n] for n in (*FORCES, *MOMENTS)]) / pressure, fdm["aero/alphadot-rad_sec"]
+
+    def _check(self, state: dict[str, float]) -> None:
+        """Raise SimulationError where JSBSim did not take the state that was set."""
+        speed = self.fdm["velocities/vt-fps"] * FOOT
+        off = max(abs(speed / state["V"] - 1.0),
+                  *(abs(self.fdm[f"aero/{n}-rad"] - state[n]) for n in ("alpha", "beta")))  # fmt: skip
+        if not off < AGREES:
+            self._refuse(state)
+
+    def _refuse(self, state: dict[str, float]) -> NoReturn:
+        raise SimulationError(
+            f"{self.path}: JSBSim cannot be put at V {state['V']:.3g} m/s, alpha {math.degrees(state['alpha']):.3g} deg, beta"
+            f" {math.degrees(state['beta']):.3g} deg; are these columns in SI units and radians?"
+        )
+
+
+def _finite(state: dict[str, float], rho: float, alpha_dot: float) -> bool:
+    return all(math.isfinite(v) for v in (*state.values(), rho, alpha_dot)) and rho > 0.0
+
+
+def density_altitude(rho: float) -> float:
+    """Height [m] at which the standard atmosphere's troposphere has density `rho` [kg/m3] (ICAO Doc 7488)."""
+    return (1.0 - (rho / 1.225) ** (1.0 / 4.25588)) / 2.25577e-5
+
+
+def jsbsim_simulation(which: str) -> Simulation:
+    """The aircraft `which` (a name of JSBSim's own, a folder or a file). Raises SimulationError."""
+    path = aircraft_file(which)
+    surfaces = surfaces_of(path)
+    fdm = loaded(path)
+    for name in (*SWITCHED_OFF, "ic/terrain-elevation-ft", *surfaces.writes):
+        if not known(fdm, name):
+            raise SimulationError(f"{path}: JSBSim knows no property {name}, which its aerodynamics reads")
+    for name in SWITCHED_OFF:
+        fdm[name] = 0
+    fdm["ic/terrain-elevation-ft"] = GROUND
+    notes = []
+    unread = [n for n in SURFACES if n not in {column for column, _ in surfaces.writes.values()}]
+    if unread:
+        notes.append(
+            f"the aerodynamics of {path.stem} reads no position that is known as {', '.join(unread)}: without effect there"
+        )
+    if surfaces.held:
+        notes.append(f"the aerodynamics of {path.stem} also reads {', '.join(surfaces.held)}: held as JSBSim starts")
+    behind = [n for n in surfaces.writes if n.startswith(f"fcs/{EXPORTED}")]
+    if behind:
+        notes.append(f"{', '.join(behind)}: given as measured, without the actuator that was exported before it")
+    oracle = JsbsimOracle(path, fdm, surfaces)
+    return Simulation(f"jsbsim:{which}", path.stem, oracle, aircraft_as_loaded(fdm, path.stem), tuple(notes))
+
+
+def aircraft_as_loaded(fdm: Any, name: str) -> Aircraft:
+    """Geometry, mass and inertia as JSBSim has them after `run_ic`, with the fuel and loads of the file.
+
+    JSBSim's property ixz is the element of the inertia matrix; ours stands in the equations, with the other sign.
+    """
+    fdm["ic/vt-fps"] = 100.0
+    fdm.run_ic()
+    inertia = {axis: fdm[f"inertia/{axis}-slugs_ft2"] * SLUG_FOOT2 for axis in ("ixx", "iyy", "izz", "ixz")}
+    return Aircraft(
+        name, span=fdm["metrics/bw-ft"] * FOOT, area=fdm["metrics/Sw-sqft"] * FOOT**2,
+        chord=fdm["metrics/cbarw-ft"] * FOOT, mass=fdm["inertia/mass-slugs"] * SLUG,
+        Ixx=inertia["ixx"], Iyy=inertia["iyy"], Izz=inertia["izz"], Ixz=-inertia["ixz"],
+        title=f"JSBSim aircraft {name}",
+    )  # fmt: skip

@@ -1,0 +1,141 @@
+"""What an effect does to a surface, or remembers of the motion, as components of a JSBSim flight control."""
+
+import ast
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+from estimation.models.base import InputTransform
+from estimation.models.expressions import parse
+from estimation.simulation.jsbsim.forces import OURS
+from estimation.simulation.jsbsim.functions import PROPERTIES, Term, Translator, node, product, prop, total
+from estimation.simulation.jsbsim.increments import Increments
+from estimation.simulation.jsbsim.surfaces import SIGNS, surfaces_of
+from estimation.simulation.oracle import SURFACES, SimulationError
+
+Maker = Callable[..., ET.Element]
+USUAL = {"delta_e": "fcs/elevator-pos-rad", "delta_a": "fcs/left-aileron-pos-rad", "delta_r": "fcs/rudder-pos-rad"}
+
+
+def surfaces_read(source: Path, chains: Mapping[str, str]) -> dict[str, ET.Element]:
+    """Our surfaces as the aerodynamics reads them, with our signs."""
+    behind = {old: new for new, old in chains.items()}
+    read = surfaces_of(source).writes
+    made = {}
+    for column in SURFACES:
+        name = next(
+            (n for n, (c, _) in read.items() if c == column and n.endswith("-rad") and "mag-" not in n), USUAL[column]
+        )
+        sign = SIGNS[name.removeprefix("fcs/").removesuffix("-pos-rad")][1]
+        made[column] = prop(behind.get(name, name), sign)
+    return made
+
+
+def chains_of(
+    found: Increments, values: Mapping[str, float], source: Path, rate: float
+) -> tuple[dict[str, str], list[ET.Element]]:
+    """Components behind the positions of surfaces that an effect changes; new property -> position."""
+    chains: dict[str, str] = {}
+    components: list[ET.Element] = []
+    for column in SURFACES:
+        acting = [t for t in found.transforms if t.input == column and not _idle(t, values)]
+        names = [n for n, (c, _) in surfaces_of(source).writes.items() if c == column] or [USUAL[column]]
+        for name in names if acting else ():
+            if not name.endswith("-rad") or "mag-" in name:
+                raise SimulationError(
+                    f"{source}: its aerodynamics reads {name}, behind which {acting[0].kind} of {column} cannot be written; only"
+                    " positions in rad can"
+                )
+            sign = SIGNS[name.removeprefix("fcs/").removesuffix("-pos-rad")][1]
+            at = name
+            for t in acting:
+                made = _component(
+                    t, values[t.parameters[0]], at, sign, f"fcs/{OURS}/{name.removeprefix('fcs/')}-{t.kind}", rate
+                )
+                components += made
+                at = made[-1].get("name", "") if made else at
+            chains[at] = name
+    return chains, components
+
+
+def _idle(transform: InputTransform, values: Mapping[str, float]) -> bool:
+    return values[transform.parameters[0]] == (1.0 if transform.kind == "scale" else 0.0)
+
+
+def _component(t: InputTransform, size: float, at: str, sign: float, name: str, rate: float) -> list[ET.Element]:
+    """Components that do to a position what a transform does to a column. A deadband's and a play's width are the whole ones."""
+
+    def made(tag: str, ending: str, *inside: ET.Element, inputs: tuple[str, ...] = (at,)) -> ET.Element:
+        element = ET.Element(tag, name=f"{name}{ending}")
+        element.extend([node("input", i) for i in inputs])
+        element.extend(inside)
+        return element
+
+    match t.kind:
+        case "lag":
+            return [made("lag_filter", "", node("c1", repr(1.0 / size)))]
+        case "deadzone":
+            return [made("deadband", "", node("width", repr(2.0 * abs(size))), node("gain", "1"))]
+        case "backlash":
+            return [made("actuator", "", node("hysteresis_width", repr(abs(size))))]
+        case "scale":
+            return [made("pure_gain", "", node("gain", repr(size)))]
+        case "bias":
+            return [made("summer", "", node("bias", repr(sign * size)))]
+    if size < 0.0:
+        raise SimulationError(f"{t.input}: a delay of {size:g} s is none that a simulation can have")
+    whole, part = divmod(size * rate, 1.0)
+    late = [_late(made, "-early", int(whole)), _late(made, "-late", int(whole) + 1)]
+    gains = [
+        _gain(f"{name}{end}-share", source.get("name", ""), share)
+        for end, source, share in (("-early", late[0], 1.0 - part), ("-late", late[1], part))
+    ]
+    return [*late, *gains, made("summer", "", inputs=tuple(g.get("name", "") for g in gains))]
+
+
+def _late(made: Maker, ending: str, frames: int) -> ET.Element:
+    """A whole number of frames; an actuator's delay of n is one of n - 1."""
+    if frames == 0:
+        return made("pure_gain", ending, node("gain", "1"))
+    delay = node("delay", str(frames + 1))
+    delay.set("type", "frames")
+    return made("actuator", ending, delay)
+
+
+def _gain(name: str, at: str, gain: float) -> ET.Element:
+    element = ET.Element("pure_gain", name=name)
+    element.extend([node("input", at), node("gain", repr(gain))])
+    return element
+
+
+def states_of(found: Increments, translator: Translator, rate: float, known: dict[str, Term]) -> list[ET.Element]:
+    """Lag filters for states of effects of the form x_dot = (input - x)/tau; they enter `known`."""
+    made: list[ET.Element] = []
+    # flight control sees the motion of the step before: it is carried on by its own rate
+    carried = {
+        n: total(prop(PROPERTIES[n][0]), product(1.0 / rate, prop(PROPERTIES[f"{n}_dot"][0])))
+        for n in ("alpha", "beta", "p", "q", "r")
+    }
+    ahead = replace(translator, known={**translator.known, **carried})
+    for state in found.states:
+        match parse(found.physical.definitions[f"{state}_dot"]):
+            case ast.BinOp(
+                left=ast.BinOp(left=given, op=ast.Sub(), right=ast.Name(id=name)), op=ast.Div(), right=tau
+            ) if name == state:
+                seconds = translator.of(tau, ())
+            case _:
+                seconds = math.nan
+        if not isinstance(seconds, float | int) or not seconds > 0.0:
+            raise SimulationError(
+                f"model {found.physical.name}: the state {state} is no lag of first order, and only these"
+                " can be written for JSBSim"
+            )
+        function = ET.Element("fcs_function", name=f"fcs/{OURS}/{state}-input")
+        function.append(node("function", ahead.of(given, ())))
+        lag = ET.Element("lag_filter", name=f"fcs/{OURS}/{state}")
+        lag.extend([node("input", f"fcs/{OURS}/{state}-input"), node("c1", repr(1.0 / seconds))])
+        made += [function, lag]
+        known[state] = prop(f"fcs/{OURS}/{state}")
+    return made

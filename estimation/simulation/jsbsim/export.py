@@ -1,0 +1,166 @@
+"""A model found on a JSBSim aircraft, written back: a folder with the aircraft and what was found in it.
+
+Each term of a moment is a function in its axis. Terms of forces act in body and stability axes at the centre of gravity; JSBSim's
+LIFT, DRAG and SIDE are wind axes and act at AERORP: so they are turned, and their moment about that point is taken off again.
+What an effect does to a surface stands as components behind its position, which the whole aerodynamics then reads.
+"""
+
+import shutil
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+from estimation.models.base import Model
+from estimation.simulation.jsbsim.aircraft import aircraft_as_loaded
+from estimation.simulation.jsbsim.components import chains_of, states_of, surfaces_read
+from estimation.simulation.jsbsim.forces import OURS, Base, write_functions
+from estimation.simulation.jsbsim.functions import Term, Translator
+from estimation.simulation.jsbsim.increments import Increments, increments_of
+from estimation.simulation.jsbsim.library import SLUG_FOOT2, loaded, tree_of
+from estimation.simulation.oracle import SimulationError
+
+SAME_MASS = 1e-3  # relative: by which the model's mass may differ from the aircraft's as loaded
+
+
+@dataclass(frozen=True)
+class Exported:
+    """file: the aircraft's XML. terms: names of the functions and components that were added. left_out: what is no aircraft's."""
+
+    file: Path
+    terms: tuple[str, ...]
+    left_out: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Written:
+    """An aircraft's XML with what was found. chains: property that the aerodynamics reads now -> the position behind it."""
+
+    root: ET.Element
+    terms: tuple[str, ...]
+    chains: Mapping[str, str]
+
+
+def export_aircraft(
+    model: Model, source: Path, folder: Path, lineage: str, rate: float
+) -> tuple[Exported, Written, Increments]:
+    """Write NAME-sideslip/NAME-sideslip.xml into `folder`, NAME the aircraft `source`. rate: steps per second it is meant for, in
+    which delays are counted. Raises SimulationError for what cannot be written, before anything is."""
+    found = increments_of(model)
+    made = written(found, source, rate, lineage)
+    name = f"{source.stem}-{OURS}"
+    target = folder / name
+    if target.exists() and (target / f"{source.stem}.xml").resolve() == source:
+        raise SimulationError(f"{target}: that is the aircraft to start from; choose another --out")
+    shutil.rmtree(target, ignore_errors=True)
+    shutil.copytree(source.parent, target)
+    (target / source.name).unlink()
+    made.root.set("name", name)
+    ET.indent(made.root)
+    ET.ElementTree(made.root).write(target / f"{name}.xml", encoding="utf-8", xml_declaration=True)
+    return Exported(target / f"{name}.xml", made.terms, found.left_out), made, found
+
+
+def written(found: Increments, source: Path, rate: float, lineage: str) -> Written:
+    """The XML of the aircraft `source` with increments."""
+    root = inlined(source)
+    aerodynamics = _child(root, "aerodynamics")
+    strange = {a.get("name", "").upper() for a in aerodynamics.iter("axis")} - {
+        "LIFT",
+        "DRAG",
+        "SIDE",
+        "ROLL",
+        "PITCH",
+        "YAW",
+    }
+    if strange:
+        raise SimulationError(
+            f"{source}: its aerodynamics is in axes {', '.join(sorted(strange))}; only wind axes can be added to"
+        )
+    values = _values(found.physical)
+    chains, channel = chains_of(found, values, source, rate)
+    for element in list(aerodynamics.iter()):
+        text = (element.text or "").strip()
+        for new, old in chains.items():
+            if text.lstrip("-") == old:
+                element.text = f"{'-' if text.startswith('-') else ''}{new}"
+    base = Base(aerodynamics)
+    known: dict[str, Term] = {**base.coefficients(), **surfaces_read(source, chains)}
+    translator = Translator(found.physical, known, values)
+    channel += states_of(found, translator, rate, known)
+    terms = write_functions(found, translator, aerodynamics, base)
+    if channel:
+        control = _child(root, "flight_control")
+        if not control.get("name"):
+            control.set("name", OURS)
+        section = ET.SubElement(control, "channel", name=OURS)
+        section.extend(channel)
+        terms += [e.get("name", "") for e in channel]
+    terms += _inertia(found.physical, root, source)
+    header = _child(root, "fileheader", first=True)
+    ET.SubElement(header, "note").text = lineage
+    return Written(root, tuple(terms), chains)
+
+
+def inlined(source: Path) -> ET.Element:
+    """The aircraft's XML with aerodynamics and flight control that stand in files of their own."""
+    root = tree_of(source)
+    for tag in ("aerodynamics", "flight_control"):
+        section = root.find(tag)
+        if section is not None and section.get("file"):
+            beside = source.parent / f"{section.get('file', '').removesuffix('.xml')}.xml"
+            own = tree_of(beside)
+            del section.attrib["file"]
+            section.attrib.update({k: v for k, v in own.attrib.items() if k != "file"})
+            section.extend(list(own))
+    return root
+
+
+def _child(root: ET.Element, tag: str, first: bool = False) -> ET.Element:
+    found = root.find(tag)
+    if found is None:
+        found = ET.Element(tag)
+        if first:
+            root.insert(0, found)
+        elif tag == "flight_control" and (after := root.find("aerodynamics")) is not None:
+            root.insert(list(root).index(after), found)
+        else:
+            root.append(found)
+    return found
+
+
+def _values(model: Model) -> dict[str, float]:
+    return {**{n: float(v) for n, v in model.constants.items()}, **model.starts()}
+
+
+def _inertia(model: Model, root: ET.Element, source: Path) -> list[str]:
+    """Moments of inertia of the model where they are not the aircraft's as loaded; SimulationError for another mass."""
+    values = _values(model)
+    craft = aircraft_as_loaded(loaded(source), source.stem)
+    if abs(values["m"] / craft.mass - 1.0) > SAME_MASS:
+        raise SimulationError(
+            f"model {model.name}: its mass is {values['m']:.5g} kg, that of {source.stem} as loaded {craft.mass:.5g} kg;"
+            " set weight, loads and fuel of the aircraft to what was flown, and start again from it"
+        )
+    changed = []
+    balance = _child(root, "mass_balance")
+    for name, sign in (("Ixx", 1.0), ("Iyy", 1.0), ("Izz", 1.0), ("Ixz", -1.0)):
+        if name not in values:
+            continue
+        more = sign * (values[name] - getattr(craft, name)) / SLUG_FOOT2
+        if abs(more) * SLUG_FOOT2 > SAME_MASS * craft.Ixx:
+            changed.append(_shifted(balance, name.lower(), more))
+    return changed
+
+
+def _shifted(balance: ET.Element, tag: str, more: float) -> str:
+    """Add to a moment of inertia of the empty aircraft [slug ft2]. A file's ixz is the product unless it says otherwise."""
+    element = balance.find(tag)
+    if element is None:
+        element = ET.SubElement(balance, tag, unit="SLUG*FT2")
+        element.text = "0"
+    unit = 1.0 if element.get("unit", "SLUG*FT2") == "SLUG*FT2" else SLUG_FOOT2
+    negated = balance.get("negated_crossproduct_inertia", "true") == "true"
+    sign = -1.0 if tag == "ixz" and not negated else 1.0
+    element.text = repr(float(element.text or 0.0) + sign * more * unit)
+    return tag

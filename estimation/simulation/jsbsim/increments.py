@@ -1,0 +1,130 @@
+"""What a model has beyond the simulation it stands on, sorted by where it belongs: into an aircraft, or not."""
+
+import ast
+from dataclasses import dataclass, replace
+
+from estimation.aircraft import Aircraft
+from estimation.models.base import InputTransform, Model
+from estimation.models.expressions import parse
+from estimation.models.library import BUILDERS
+from estimation.simulation.along_flight import coefficients_in
+from estimation.simulation.base_model import DESCRIPTION
+from estimation.simulation.oracle import SURFACES, SimulationError
+
+KINEMATIC = ("V_dot", "alpha_dot", "beta_dot", "phi_dot", "theta_dot")
+MOMENTS = ("roll", "yaw", "p_dot", "q_dot", "r_dot")
+NOWHERE = Aircraft("none", 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Addend:
+    """A term that a line has beyond the simulation's. name: of the parameters in it."""
+
+    line: str
+    text: str
+    name: str
+
+
+@dataclass(frozen=True)
+class Increments:
+    """plain: the built-in model underneath. addends: to coefficients and moments. transforms: of surfaces. states: of the
+    effects' own, with their rates. left_out: what is no aircraft's, in words. physical: the model without that."""
+
+    plain: Model
+    addends: tuple[Addend, ...]
+    transforms: tuple[InputTransform, ...]
+    states: tuple[str, ...]
+    left_out: tuple[str, ...]
+    physical: Model
+
+
+def increments_of(model: Model) -> Increments:
+    """Sort a model. Raises SimulationError where it stands on no simulation or changes what has no place in an aircraft."""
+    if not any(s.computed for s in model.inputs):
+        raise SimulationError(
+            f"model {model.name}: stands on no simulation; export one that 'sideslip gap --simulation jsbsim:...' wrote"
+        )
+    plain = _plain_of(model)
+    coefficients = coefficients_in(plain)
+    lines, left, addends = dict(model.definitions), [], []
+    for line in coefficients:
+        addends += [_named(line, text, model) for text in addends_of(model.definitions[line])]
+    for line, text in plain.definitions.items():
+        more = _more(model, line, text) if line not in coefficients else ""
+        if more and line in (*MOMENTS, "CX", "CZ"):
+            addends += [_named(line, part, model) for part in addends_of(more)]
+        elif more and line in KINEMATIC:
+            left.append(f"{more} in {line}: of the air's or the equations' motion")
+            lines[line] = text
+        elif more:
+            raise SimulationError(
+                f"model {model.name}: changes the line {line}, which has no place in a JSBSim aircraft"
+            )
+    shown = [n for n in lines if n.endswith("_measured") and n.removesuffix("_measured") in model.output_names]
+    left += [f"{n.removesuffix('_measured')} as shown ({lines.pop(n)}): of an instrument" for n in shown]
+    left += [f"delay of {n}: of an instrument" for n in model.output_delays]
+    ours = tuple(t for t in model.transforms if t.input in SURFACES)
+    left += [f"{t.kind} of {t.input}: of an instrument" for t in model.transforms if t not in ours]
+    states = tuple(n for n in model.state_names if n not in plain.state_names)
+    physical = replace(
+        model, transforms=ours, output_delays={}, equations=tuple(f"{n} = {text}" for n, text in lines.items())
+    )
+    used = _used(addends, physical)
+    states = tuple(n for n in states if n in used)
+    return Increments(plain, tuple(addends), ours, states, tuple(left), physical)
+
+
+def simulation_named(model: Model) -> str:
+    """The text after `--simulation` that a model was found with, or nothing."""
+    begin = DESCRIPTION.format("")
+    return model.description.removeprefix(begin).strip() if model.description.startswith(begin) else ""
+
+
+def addends_of(text: str) -> list[str]:
+    """The terms of a sum, each with its sign."""
+
+    def split(tree: ast.expr, sign: float) -> list[tuple[float, ast.expr]]:
+        match tree:
+            case ast.BinOp(left=left, op=ast.Add(), right=right):
+                return [*split(left, sign), *split(right, sign)]
+            case ast.BinOp(left=left, op=ast.Sub(), right=right):
+                return [*split(left, sign), *split(right, -sign)]
+        return [(sign, tree)]
+
+    return [f"{'-' if sign < 0 else ''}({ast.unparse(part)})" for sign, part in split(parse(text), 1.0)]
+
+
+def _plain_of(model: Model) -> Model:
+    for build in BUILDERS.values():
+        plain = build(NOWHERE)
+        kept = {n for n in plain.definitions if n not in coefficients_in(plain)}
+        if set(plain.state_names) <= set(model.state_names) and all(
+            model.definitions.get(n, "").startswith(plain.definitions[n]) for n in kept
+        ) and set(coefficients_in(plain)) == set(coefficients_in(model)):  # fmt: skip
+            return plain
+    raise SimulationError(
+        f"model {model.name}: is none of {', '.join(BUILDERS)} underneath; only these can be written for JSBSim"
+    )
+
+
+def _more(model: Model, line: str, text: str) -> str:
+    """What a line has beyond `text`."""
+    return model.definitions[line].removeprefix(text).strip().removeprefix("+").strip()
+
+
+def _named(line: str, text: str, model: Model) -> Addend:
+    names = {n.id for n in ast.walk(parse(text)) if isinstance(n, ast.Name)}
+    own = [p for p in model.parameter_names if p in names]
+    return Addend(line, text, "_".join(own) or line)
+
+
+def _used(addends: list[Addend], model: Model) -> set[str]:
+    """Symbols that addends are made of, through lines of the model."""
+    found: set[str] = set()
+    todo = [a.text for a in addends]
+    while todo:
+        for name in {n.id for n in ast.walk(parse(todo.pop())) if isinstance(n, ast.Name)} - found:
+            found.add(name)
+            if name in model.definitions:
+                todo.append(model.definitions[name])
+    return found

@@ -1,0 +1,76 @@
+"""What is asked of a simulation: six aerodynamic coefficients at given states, controls and air. Nothing else of it is used.
+
+Body axes x forward, y right, z down; SI and radians; surfaces with the signs of the flight columns (+delta_a rolls left,
++delta_e nose down, +delta_r nose left). Moments are about the centre of gravity.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimation.aircraft import Aircraft
+from estimation.errors import EstimationError
+
+Array = NDArray[np.float64]
+
+COEFFICIENTS = ("CX", "CY", "CZ", "Cl", "Cm", "Cn")
+SURFACES = ("delta_e", "delta_a", "delta_r")
+VARIABLES = ("V", "alpha", "beta", "p", "q", "r", *SURFACES, "thrust")
+"""What coefficients are differentiated by."""
+
+
+class SimulationError(EstimationError):
+    """A simulation that cannot be found, or that does not do what is asked of it."""
+
+
+@dataclass(frozen=True)
+class States:
+    """N states in the air. values: each of VARIABLES -> (N,) [m/s, rad, rad/s, N]; rho: (N,) kg/m3; alpha_dot: (N,) rad/s."""
+
+    values: Mapping[str, Array]
+    rho: Array
+    alpha_dot: Array
+
+    def __len__(self) -> int:
+        return int(self.rho.size)
+
+    def moved(self, name: str, step: Array | float) -> "States":
+        """The same states with one variable changed by `step`."""
+        return replace(self, values={**self.values, name: self.values[name] + step})
+
+    def part(self, keep: "NDArray[np.bool_] | slice") -> "States":
+        """Some of the states."""
+        values = {n: v[keep] for n, v in self.values.items()}
+        return States(values, self.rho[keep], self.alpha_dot[keep])
+
+    @classmethod
+    def joined(cls, several: "list[States]") -> "States":
+        """Many states one after the other, for a simulation that answers faster when asked once."""
+        values = {n: np.concatenate([s.values[n] for s in several]) for n in VARIABLES}
+        return cls(values, np.concatenate([s.rho for s in several]), np.concatenate([s.alpha_dot for s in several]))
+
+
+class Oracle(Protocol):
+    """Coefficients of a simulation. Made by `estimation.simulation.spec`."""
+
+    def coefficients(self, states: States) -> Array:
+        """(N, 6) coefficients in the order of COEFFICIENTS, referred to the simulation's own area, span and chord; a column of
+        NaN where the simulation has no such coefficient. Raises SimulationError where it cannot say."""
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """A simulation as it was asked for.
+
+    spec: the text that names it. name: a short word for models and files. aircraft: its geometry, mass and inertia, NaN where
+    it does not say, or None where it says nothing. notes: what of it is not used, or held.
+    """
+
+    spec: str
+    name: str
+    oracle: Oracle
+    aircraft: Aircraft | None = None
+    notes: tuple[str, ...] = field(default=())

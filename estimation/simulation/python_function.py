@@ -1,0 +1,84 @@
+"""A simulation as a Python function: `base(V, alpha, beta, p, q, r, surfaces, thrust, rho) -> (CX, CY, CZ, Cl, Cm, Cn)`.
+
+V m/s, angles rad, rates rad/s, thrust N, rho kg/m3, surfaces a mapping with delta_e, delta_a, delta_r [rad]; body axes,
+moments about the centre of gravity. The function may take arrays (N,) and give six arrays, or numbers and give six numbers:
+it is tried with arrays and, where it cannot take them, asked state by state. A coefficient it does not have is None. The module
+may have an AIRCRAFT: an `estimation.aircraft.Aircraft`, or the path of an aircraft file beside it.
+"""
+
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from estimation.aircraft import Aircraft, load_aircraft
+from estimation.own_code import MISTAKES, named, said
+from estimation.simulation.oracle import COEFFICIENTS, SURFACES, Array, Simulation, SimulationError, States
+
+EXAMPLE = "module:function, like my_aircraft:base"
+SAME = 1e-9  # by which one state asked alone and among many may differ, relative
+
+
+@dataclass(frozen=True)
+class FunctionOracle:
+    """See `estimation.simulation.oracle.Oracle`. spec: how messages name it."""
+
+    spec: str
+    function: Callable[..., Any]
+
+    def coefficients(self, states: States) -> Array:
+        alone = self._asked(states.part(slice(0, 1)))
+        if len(states) == 1:
+            return alone
+        try:
+            together = self._columns(self._called(states, arrays=True), len(states))
+        except (*MISTAKES, ValueError):
+            together = None
+        if together is not None and np.allclose(together[:1], alone, rtol=SAME, atol=SAME, equal_nan=True):
+            return together
+        return np.concatenate([self._asked(states.part(slice(i, i + 1))) for i in range(len(states))])
+
+    def _asked(self, state: States) -> Array:
+        """(1, 6) of one state given as plain numbers; SimulationError tells a mistake in the function."""
+        try:
+            return self._columns(self._called(state, arrays=False), 1)
+        except MISTAKES as error:
+            raise SimulationError(f"simulation {self.spec}: {said(error)}") from error
+
+    def _called(self, states: States, arrays: bool) -> Any:
+        values = {n: v if arrays else float(v[0]) for n, v in {**states.values, "rho": states.rho}.items()}
+        motion = [values[n] for n in ("V", "alpha", "beta", "p", "q", "r")]
+        return self.function(*motion, {n: values[n] for n in SURFACES}, values["thrust"], values["rho"])
+
+    def _columns(self, answer: Any, count: int) -> Array:
+        if not hasattr(answer, "__len__") or len(answer) != len(COEFFICIENTS):
+            raise ValueError(f"gives {type(answer).__name__}, not the six coefficients {' '.join(COEFFICIENTS)}")
+        result = np.empty((count, len(COEFFICIENTS)))
+        for i, value in enumerate(answer):
+            column = np.full(count, np.nan) if value is None else np.asarray(value, float)
+            if column.shape not in ((), (count,)):
+                raise ValueError(f"gives {COEFFICIENTS[i]} of shape {column.shape} for {count} states")
+            if value is not None and not np.isfinite(column).all():
+                raise ValueError(f"gives a {COEFFICIENTS[i]} that is not a finite number")
+            result[:, i] = column
+        return result
+
+
+def function_simulation(spec: str) -> Simulation:
+    """The simulation `module:function`. Raises SimulationError."""
+    function = named(spec, f"simulation {spec!r}", EXAMPLE, SimulationError)
+    if not callable(function):
+        raise SimulationError(f"simulation {spec!r}: that is {type(function).__name__}, not a function")
+    module = sys.modules[spec.partition(":")[0]]
+    told = getattr(module, "AIRCRAFT", None)
+    if isinstance(told, str | Path):
+        beside = Path(module.__file__ or "").parent / told
+        told = load_aircraft(beside if beside.is_file() else str(told))
+    if told is not None and not isinstance(told, Aircraft):
+        raise SimulationError(
+            f"simulation {spec!r}: AIRCRAFT is {type(told).__name__}; make it an Aircraft or the path of its file"
+        )
+    return Simulation(spec, spec.rpartition(":")[2], FunctionOracle(spec, function), told)

@@ -1,0 +1,65 @@
+"""A model in our own text as a simulation: its lines of the coefficients, evaluated at any state. Parsed, never executed."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from estimation.aircraft import Aircraft
+from estimation.models.base import Model
+from estimation.models.expressions import evaluate, names_in
+from estimation.models.load import read_model
+from estimation.simulation.oracle import COEFFICIENTS, Array, Simulation, SimulationError, States
+
+FUNCTIONS: Mapping[str, Any] = {
+    "sin": np.sin, "cos": np.cos, "tan": np.tan, "asin": np.arcsin, "acos": np.arccos, "atan": np.arctan,
+    "atan2": np.arctan2, "sinh": np.sinh, "cosh": np.cosh, "tanh": np.tanh, "sqrt": np.sqrt, "exp": np.exp,
+    "log": np.log, "abs": np.abs, "sign": np.sign, "min": np.minimum, "max": np.maximum, "where": np.where,
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class TextOracle:
+    """See `estimation.simulation.oracle.Oracle`."""
+
+    model: Model
+
+    def coefficients(self, states: States) -> Array:
+        symbols: dict[str, Any] = {**self.model.constants, **self.model.starts(), **states.values, "rho": states.rho}
+        result = np.full((len(states), len(COEFFICIENTS)), np.nan)
+        for i, name in enumerate(COEFFICIENTS):
+            if name in self.model.definitions:
+                result[:, i] = self._value(name, symbols, name)
+        return result
+
+    def _value(self, name: str, symbols: dict[str, Any], wanted: str) -> Any:
+        if name not in symbols:
+            if name not in self.model.definitions:
+                raise SimulationError(
+                    f"model {self.model.name}: its {wanted} depends on {name}; coefficients of a simulation may depend on"
+                    " airspeed, flow angles, body rates, surfaces, thrust and density"
+                )
+            text = self.model.definitions[name]
+            for needed in sorted(names_in(text)):
+                self._value(needed, symbols, wanted)
+            symbols[name] = evaluate(text, symbols, FUNCTIONS)
+        return symbols[name]
+
+
+def text_simulation(spec: str) -> Simulation:
+    """The simulation that a model file is. Raises ModelError for no such file, SimulationError where it has no coefficient."""
+    model = read_model(Path(spec))
+    if not set(COEFFICIENTS) & set(model.definitions):
+        raise SimulationError(
+            f"{spec}: has none of the lines {', '.join(COEFFICIENTS)}; it cannot serve as a simulation"
+        )
+    known = {n: float(model.constants.get(n, math.nan)) for n in ("m", "S", "b", "c", "Ixx", "Iyy", "Izz", "Ixz")}
+    aircraft = Aircraft(
+        model.name, span=known["b"], area=known["S"], chord=known["c"], mass=known["m"],
+        Ixx=known["Ixx"], Iyy=known["Iyy"], Izz=known["Izz"], Ixz=known["Ixz"], title=model.title,
+    )  # fmt: skip
+    told = None if all(math.isnan(v) for v in known.values()) else aircraft
+    return Simulation(spec, model.name, TextOracle(model), told)

@@ -1,0 +1,95 @@
+"""What the monitor found, in lines and on a page."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from daq.identification.monitor.monitor import Alarm
+from estimation.report.figures import Picture, picture, styled
+from estimation.report.html import write_page
+from estimation.report.provenance import provenance_table
+from estimation.report.tables import Table, significant, write_all
+from estimation.watch.over_file import Watched
+from groundstation.flight import Flight
+
+HERE = Path(__file__).parent
+BEFORE_S, AFTER_S = 30.0, 20.0  # s about an alarm that are cut out for the gap workflow
+
+
+def alarm_words(a: Alarm) -> str:
+    """One alarm for a person."""
+    where = f"t = {a.time:.1f} s: the model no longer holds in {a.equation} (shown by {', '.join(a.channels)})"
+    how = f"score {a.score:.1f}, threshold {a.threshold:.1f}"
+    if not a.leading:
+        return f"{where}; {how}; errors have grown, and no effect of the list explains them"
+    names = "; ".join(f"{n.effect} ({n.title}) {significant(n.size, 2)} {n.unit}" for n in a.leading)
+    return f"{where}, since about {a.since:.1f} s; {how}; leading: {names}"
+
+
+def lines(found: Watched) -> Iterator[str]:
+    """For a terminal."""
+    c = found.calibration
+    yield (
+        f"{found.flight.name}, model {found.model}: {found.manoeuvring_s:.0f} s of manoeuvring watched; thresholds for "
+        f"{c.rate:g} false alarm an hour from {c.hours:.1f} h of simulated flight"
+    )
+    if not found.alarms:
+        yield f"no alarm; the largest score was {max((w.score for w in found.history), default=0.0):.0%} of its threshold"
+    for a in found.alarms:
+        yield alarm_words(a)
+
+
+def stretch(found: Watched) -> Flight:
+    """The part of the flight about its first alarm, for the gap workflow."""
+    first, time = found.alarms[0], found.flight.time
+    keep = (time >= first.since - BEFORE_S) & (time <= first.time + AFTER_S)
+    return found.flight.part(keep, f"{found.flight.name}_alarm")
+
+
+def gap_command(path: Path, model: str, aircraft: str | None) -> str:
+    """What to type next."""
+    return f"sideslip gap {path} --model {model}" + ("" if aircraft is None else f" --aircraft {aircraft}")
+
+
+def write_watch_report(found: Watched, folder: Path, command: str) -> Path:
+    """Write folder/index.html, with its tables as CSV and LaTeX beside it; returns the page."""
+    tables = {"alarms": _alarm_table(found), "provenance": provenance_table([found.flight])}
+    write_all(list(tables.values()), folder / "tables")
+    head, *rest = lines(found)
+    return write_page(
+        folder / "index.html", "watch.html.j2", templates=HERE, title=f"Gap monitor: {found.flight.name}",
+        lead=f"{head}.", tables=tables, figure=history_picture(found), said=rest, command=command if found.alarms else "",
+    )  # fmt: skip
+
+
+def history_picture(found: Watched) -> Picture:
+    """Score in units of its threshold over the flight."""
+    from matplotlib.figure import Figure
+
+    with styled():
+        figure = Figure(figsize=(7.2, 2.6), layout="constrained")
+        axes = figure.subplots()
+        time, score = np.array([w.time for w in found.history]), np.array([w.score for w in found.history])
+        gaps = np.flatnonzero(np.diff(time) > 2.0) + 1
+        axes.plot(np.insert(time, gaps, np.nan), np.insert(score, gaps, np.nan), color="#0072B2")
+        axes.axhline(1.0, color="#D55E00", linestyle="--")
+        for a in found.alarms:
+            axes.axvline(a.time, color="#D55E00", linewidth=0.8)
+        axes.set_xlabel("time [s]")
+        axes.set_ylabel("score / threshold")
+    return picture(
+        figure, "watch_history", "The larger of both statistics over its threshold; blank where no control moved."
+    )
+
+
+def _alarm_table(found: Watched) -> Table:
+    rows = tuple(
+        (
+            f"{a.time:.1f}", f"{a.since:.1f}", a.equation, ", ".join(a.channels), f"{a.score:.1f}", f"{a.threshold:.1f}",
+            "; ".join(f"{n.effect} {significant(n.size, 2)} {n.unit}" for n in a.leading) or "none of the list",
+        )
+        for a in found.alarms
+    )  # fmt: skip
+    head = ("noticed [s]", "since [s]", "equation", "shown by", "score", "threshold", "leading")
+    return Table("alarms", "Alarms", head, rows, symbols=False, texts=(6,))

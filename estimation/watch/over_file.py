@@ -1,0 +1,145 @@
+"""The monitor that also runs live, over a flight: same code, and what it would have said when."""
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.identification.airframe import SIGNALS
+from daq.identification.monitor.bank import bank
+from daq.identification.monitor.monitor import Alarm, GapMonitor, Watch
+from daq.identification.monitor.nulls import Conditions
+from daq.identification.monitor.threshold import Calibration, calibrated
+from daq.identification.stretches import Stretches
+from estimation.aircraft import Aircraft
+from estimation.engine.derived import with_derived
+from estimation.errors import EstimationError
+from estimation.estimators.recursive import airframe_of, samples_of
+from estimation.models.base import Model, Parameter
+from groundstation.flight import Flight
+from groundstation.flight.noise import noise
+
+Array = NDArray[np.float64]
+
+FLYING, FLYING_S = 9.0, 2.0  # m/s and s from which on the aircraft flies, as the ground station has them
+FINEST_S = 0.045  # s; scans closer together are left out, for the monitor looks at the 20 Hz of the logger
+FEWEST_S = 10.0  # s of manoeuvring below which nothing was watched to speak of
+NOISES = {"beta": "beta", "p": "p", "r": "r", "phi": "phi", "ay": "ay", "V": "V"}
+
+
+@dataclass(frozen=True)
+class Watched:
+    """What the monitor said of one flight. history: every half second of manoeuvring; manoeuvring_s: how long that was."""
+
+    flight: Flight
+    model: str
+    alarms: tuple[Alarm, ...]
+    history: tuple[Watch, ...]
+    manoeuvring_s: float
+    calibration: Calibration
+
+    def to_json(self) -> dict[str, Any]:
+        """As `watch --json` has it."""
+        time = self.flight.time
+        return {
+            "flight": self.flight.name,
+            "model": self.model,
+            "alarms": [_alarm_json(a) for a in self.alarms],
+            "duration_s": float(time[-1] - time[0]),
+            "watched_s": self.manoeuvring_s,
+            "false_alarm_rate_per_hour": self.calibration.rate,
+            "simulated_hours": self.calibration.hours,
+            "history": {"time": [w.time for w in self.history], "score": [w.score for w in self.history]},
+        }
+
+
+def _alarm_json(a: Alarm) -> dict[str, Any]:
+    return {
+        "time": a.time,
+        "since": a.since,
+        "equation": a.equation,
+        "channels": list(a.channels),
+        "score": a.score,
+        "threshold": a.threshold,
+        "leading": [n.effect for n in a.leading],
+        "sizes": {n.effect: {"estimate": n.size, "unit": n.unit, "score": n.score} for n in a.leading},
+    }
+
+
+def watch(
+    model: Model, flight: Flight, aircraft: Aircraft, *, seed: int = 1, hours: float = 2.5, rate: float = 1.0
+) -> Watched:
+    """Watch a flight with a model of the lateral derivatives; thresholds for `rate` false alarms an hour of manoeuvring.
+
+    hours: of simulated manoeuvring they are taken from. Raises EstimationError for another model, or a flight with less than ten
+    seconds of manoeuvring, MissingColumnError for one without the measured motion.
+    """
+    airframe = airframe_of(model, aircraft)
+    flight.require([s for s in SIGNALS if s != "rho"], "watch")
+    values, stds = values_of(model)
+    effects = bank(airframe, values, stds)
+    derived = with_derived(flight, ["rho"])
+    conditions = conditions_of(derived)
+    rng = np.random.default_rng([seed, len(effects)])
+    calibration = calibrated(airframe, values, effects, conditions, rng=rng, hours=hours, rate=rate)
+    monitor = GapMonitor(airframe, values, effects, calibration)
+    history = tuple(_fed(monitor, derived))
+    if monitor.watched < FEWEST_S:
+        raise EstimationError(
+            f"{flight.name}: only {monitor.watched:.0f} s of manoeuvring; nothing can be watched where no control moves"
+        )
+    return Watched(flight, model.name, tuple(monitor.alarms), history, monitor.watched, calibration)
+
+
+def _fed(monitor: GapMonitor, flight: Flight) -> list[Watch]:
+    stretches, found, last = Stretches(FLYING, FLYING_S), [], -math.inf
+    for part in flight.segments:
+        for sample in samples_of(flight, part):
+            if sample.time - last < FINEST_S:
+                continue
+            last = sample.time
+            for manoeuvring in stretches.take(sample):
+                seen = monitor.add(manoeuvring)
+                if seen is not None:
+                    found.append(seen)
+    return found
+
+
+def values_of(model: Model) -> tuple[dict[str, float], dict[str, float]]:
+    """Derivatives of a model, and the standard deviations it states: those of a belief that was not estimated, or of a prior."""
+    values = {p.name: p.start for p in model.parameters}
+    stds = {p.name: s for p in model.parameters if (s := _std(p)) is not None}
+    return values, stds
+
+
+def _std(p: Parameter) -> float | None:
+    if p.prior_std is not None:
+        return p.prior_std
+    return p.reference_std if p.reference_std and p.start == p.reference else None
+
+
+def conditions_of(flight: Flight) -> Conditions:
+    """Noise of the flight's own instruments, its airspeed and its rate; what it does not tell is as usual."""
+    usual = Conditions()
+    found: dict[str, float] = {}
+    for name, column in NOISES.items():
+        level = noise(flight[column])
+        if level:
+            found[name] = level
+    surfaces = [s for c in ("delta_a", "delta_r") if (s := noise(flight[c]))]
+    if surfaces:
+        found["surface"] = max(surfaces)
+    flying = flight["V"][flight["V"] > FLYING]
+    if flying.size:
+        found["speed"] = float(np.median(flying))
+    found["rate"] = min(20.0, 1.0 / float(np.mean(_steps(flight))))
+    return replace(usual, **found)  # type: ignore[arg-type]
+
+
+def _steps(flight: Flight) -> Array:
+    """Steps in time [s] between scans that belong together."""
+    steps = np.diff(flight.time)
+    near = steps[steps < 0.5]
+    return near if near.size else np.array([0.05])

@@ -1,0 +1,73 @@
+"""Models of all axes: what couples the planes is found in the equation in which it lives, beside all effects of both planes."""
+
+import numpy as np
+import pytest
+
+from estimation.gap.criteria import AS_SET
+from estimation.gap.effects import catalogue
+from estimation.gap.likelihood.baseline import Baseline, fit_baseline
+from estimation.gap.likelihood.channel_noise import channel_noise, sample_interval
+from estimation.gap.likelihood.whitening import force_states
+from estimation.gap.records.candidate_model import with_dormant
+from estimation.gap.records.flight_records import FlightRecords, prepare_flights
+from estimation.gap.records.nuisance import with_nuisance
+from estimation.gap.search.confirm import fit_hypothesis
+from estimation.gap.tests_of_fit.hypotheses import hypotheses_for
+from estimation.gap.tests_of_fit.screen import Screen, build_screen, linear_gains, linear_guess
+from estimation.models.load import load_model
+from groundstation.flight import Flight
+from tests.studies import second_truth as truth
+
+ALL_AXES = load_model("six-dof", "cdfp")
+
+
+@pytest.fixture(scope="module")
+def screened() -> tuple[FlightRecords, Baseline, Screen]:
+    """Two flights of all axes in calm air that pitch by sideslip, twice as much as usual, fitted without knowing of it."""
+    requests = [
+        truth.Request(90 + i, speed, {"Cm_beta2": 2.0}, gust=0.0, manoeuvres="all", duration=20.0)
+        for i, speed in enumerate((15.0, 18.0))
+    ]
+    flights = [
+        Flight.build(f"f{i}", c["time"], {k: v for k, v in c.items() if k != "time"})
+        for i, c in enumerate(truth.fly(requests))
+    ]
+    effects = catalogue(model=ALL_AXES)
+    prepared = prepare_flights(ALL_AXES, effects, flights, (), AS_SET)
+    scatter = channel_noise(prepared.records)
+    noise = dict(zip(ALL_AXES.output_names, scatter, strict=True))
+    clean = with_nuisance(ALL_AXES, noise, sample_interval(prepared.records), AS_SET)
+    working = with_dormant(clean, effects, prepared.available, force_states(ALL_AXES))
+    baseline = fit_baseline(working, clean, prepared, scatter, passes=1)
+    # forms without states of their own: each of the others needs equations of its own, which says nothing here
+    asked = [h for h in hypotheses_for(clean, effects, prepared.available) if not h.form.states]
+    return prepared, baseline, build_screen(baseline.problem, baseline.fit, asked)
+
+
+def test_a_coupling_stands_out_of_the_effects_of_both_planes(screened: tuple[FlightRecords, Baseline, Screen]) -> None:
+    _, baseline, screen = screened
+    names = [h.effect.name for h in screen.hypotheses]
+    assert {"Cn_da", "beta_scale", "alpha_scale", "thrust_z", "Cl_alpha_p", "prop_gyroscopic"} <= set(names)
+    gains = linear_gains(screen, baseline.problem)
+    order = np.argsort(-gains)
+    first = [names[k] for k in order[:3]]
+    assert "Cm_beta2" in first, [(names[k], float(gains[k])) for k in order[:8]]
+    lateral_only = {e.name for e in catalogue()}
+    assert not lateral_only & set(first)  # they live in pitching; which of them it is the full fits of a run part
+    assert gains[names.index("Cm_beta2")] > 0.8 * gains[order[0]]
+    for lateral in ("Cn_da", "Cl_beta3", "CY_da", "beta_scale"):
+        assert gains[names.index(lateral)] < 0.25 * gains[order[0]]
+    chosen = screen.hypotheses[names.index("Cm_beta2")]
+    guess = linear_guess(screen, baseline.problem, names.index("Cm_beta2"))
+    _, fitted = fit_hypothesis(baseline.problem, baseline.fit, chosen, guess)
+    assert fitted.values["Cm_beta2"] == pytest.approx(2 * truth.pitch.CROSS["Cm_beta2"], rel=0.15)
+    assert fitted.cost < baseline.fit.cost - 20.0
+
+
+def test_a_moment_of_inertia_shows_where_the_model_rolls_and_yaws() -> None:
+    assert next(e for e in catalogue(model=load_model("longitudinal", "cdfp")) if e.name == "Iyy_error").tied_to
+    assert not next(e for e in catalogue(model=ALL_AXES) if e.name == "Iyy_error").tied_to
+
+
+def test_gusts_enter_every_rate_on_which_forces_and_moments_act() -> None:
+    assert set(force_states(ALL_AXES)) == {"V", "alpha", "beta", "p", "q", "r"}

@@ -1,0 +1,120 @@
+"""Events in time: scores of several unknowns, the limit from nulls, and what is taken out of a rolling aircraft's flights."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.signal import lti
+from scipy.stats import chi2, gumbel_r, norm
+
+from estimation.engine.kernel import Array
+from estimation.gap.answer.result import Gap, Verdict
+from estimation.gap.answer.shape import Happened, Happening
+from estimation.gap.answer.words import describe_events
+from estimation.gap.criteria import AS_SET
+from estimation.gap.likelihood.baseline import Baseline
+from estimation.gap.likelihood.fitting import Problem, fit
+from estimation.gap.likelihood.whitening import NoiseModel, Whitener
+from estimation.gap.records.flight_records import Record
+from estimation.gap.tests_of_fit.calibration import Round
+from estimation.gap.tests_of_fit.transients import equivalent, event_limit, find_transients
+from estimation.gap.verdict.decide import Decision, with_event, with_shape
+from estimation.gap.verdict.nameless import event_step
+from tests.estimation.gap.roll import ROLL
+
+NOISE = 0.02
+TIME = np.arange(0.0, 20.0, 0.05)
+
+
+def test_several_unknowns_count_as_one_that_is_as_improbable() -> None:
+    gains = np.array([[16.0, 1.0, 1.0], [25.0, 3.0, 3.0], [60.0, 8.0, 4.0], [60.0, 4.0, 8.0]])
+    found = equivalent(gains, np.array([1, 3, 3, 3]), ["a", "b", "c", "c"])
+    assert found[0, 0] == pytest.approx(4.0)
+    assert found[1, 0] == pytest.approx(norm.isf(chi2.sf(25.0, 3) / 2))
+    assert found[2:, 0] == pytest.approx([norm.isf(chi2.sf(30.0, 3) / 2)] * 2), (
+        "twice as scattered on nulls as theory says"
+    )
+    assert np.isfinite(equivalent(np.full((1, 2), 1e6), np.array([2]), ["a"])).all()
+
+
+def test_something_happened_above_a_third_more_than_one_set_of_nulls_in_a_hundred_shows() -> None:
+    largest = np.asarray(gumbel_r.ppf((np.arange(4000) + 0.5) / 4000, loc=3.0, scale=0.3))
+    assert event_limit(largest, AS_SET) == pytest.approx(1.3 * (3.0 - 0.3 * np.log(-np.log(0.99))), abs=0.01)
+
+
+def rolled(added: Sequence[Array], seed: int = 5) -> Round:
+    """A round about fitted flights of an aircraft that only rolls; added: what its gyro shows beside the motion, per flight."""
+    rng = np.random.default_rng(seed)
+    aileron = 0.05 * np.sin(2.0 * TIME) + 0.02 * np.sin(5.0 * TIME)
+    roll = lti([40.0], [1.0, 6.0]).output(aileron, TIME)[1]
+    records = tuple(
+        Record(
+            i,
+            0,
+            TIME,
+            {"delta_a": aileron},
+            (roll + more + NOISE * rng.standard_normal(TIME.size))[:, None],
+            np.zeros(1),
+            {},
+        )
+        for i, more in enumerate(added)
+    )
+    white = Whitener(np.full((TIME.size // 2 + 1, 1, 1), 1.0 / NOISE, complex), TIME.size)
+    problem = Problem(ROLL, ROLL, records, (white,) * len(records), AS_SET)
+    baseline = Baseline(problem, fit(problem), NoiseModel(np.array([NOISE**2]), {}), np.array([NOISE]), ROLL)
+    nulls = tuple(tuple(NOISE * rng.standard_normal((TIME.size, 1)) for _ in records) for _ in range(60))
+    screen: Any = None
+    return Round(baseline, screen, np.zeros(0), np.zeros((60, 0)), np.zeros(0), 4.0, nulls)
+
+
+NOTHING = np.zeros(TIME.size)
+
+
+def test_nothing_happens_on_flights_with_nothing_but_noise() -> None:
+    round_ = rolled([NOTHING, NOTHING])
+    found = find_transients(round_)
+    assert found.found == ()
+    assert found.cleared is round_
+
+
+def test_a_step_of_a_gyro_is_found_in_its_flight_at_its_time_and_taken_out() -> None:
+    found = find_transients(rolled([NOTHING, 0.03 * (TIME > 12.0)]))
+    (slip,) = found.found
+    assert (slip.event.kind, slip.event.channel, slip.event.record) == ("slip", "p", 1)
+    assert slip.event.start == pytest.approx(12.0, abs=0.5)
+    assert slip.sizes[0][0] == pytest.approx(0.03, abs=4.0 * slip.sizes[0][1])
+    assert slip.score > slip.threshold
+    assert found.cleared is not None
+    left = np.concatenate([r[:, 0] for r in found.cleared.baseline.fit.residuals])
+    assert np.std(left) == pytest.approx(NOISE, rel=0.08)
+    assert found.cleared.baseline.fit.values["L_p"] == pytest.approx(-6.0, rel=0.03)
+
+
+def test_a_drift_is_one_thing_on_all_flights_with_a_size_on_each() -> None:
+    share = TIME / TIME[-1]
+    (drift,) = find_transients(rolled([0.04 * share, -0.05 * share])).found
+    assert (drift.event.kind, drift.event.channel, drift.event.record) == ("drift", "p", -1)
+    for (size, bound), true in zip(drift.sizes, (0.04, -0.05), strict=True):
+        assert size == pytest.approx(true, abs=4.0 * bound)
+        assert bound < 0.01
+
+
+def test_an_event_is_told_with_its_time_and_blames_no_term_of_the_model() -> None:
+    slip = Happening("slip", "beta", "f2", 18.2, 30.0, ((0.026, 0.001),), "rad", 23.0, 5.8)
+    burst = Happening("burst", "", "f1", 14.0, 15.0, ((0.1, 0.01),) * 3, "1/s", 9.0, 5.8)
+    step = event_step(Happened([slip, burst]), Gap(2.0, 2.0, 1.0))
+    form = step.to_json()["form"]
+    assert (form["kind"], form["start"], form["end"], form["flight"]) == ("event", 18.2, 30.0, "f2")
+    assert [e["what"] for e in form["events"]] == ["slip", "burst"]
+    text = describe_events(Happened([slip, burst]))
+    assert "beta jumps on f2 at 18.2 s by 0.026 +- 0.001 rad" in text
+    assert "disturbed on f1 from 14.0 to 15.0 s" in text
+    assert "no model term is wrong" in text
+
+
+def test_a_shape_reduces_the_gap_and_an_event_stays_unknown() -> None:
+    decision = Decision(Verdict.NO_GAP, 1, (("a", "b"),))
+    assert with_shape(decision) == replace(decision, verdict=Verdict.GAP_REDUCED)
+    assert with_event(decision) == replace(decision, verdict=Verdict.UNKNOWN)

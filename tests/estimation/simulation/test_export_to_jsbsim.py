@@ -1,0 +1,232 @@
+"""What is written for JSBSim does in JSBSim what the model's text says: forces, moments, actuators, lags, inertia."""
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+pytest.importorskip("jsbsim", reason="the package jsbsim is not installed")
+
+from estimation.engine.trace import CASADI_FUNCTIONS
+from estimation.gap.effects import catalogue
+from estimation.models import load_model, write_model
+from estimation.models.base import Model
+from estimation.models.expressions import evaluate
+from estimation.simulation.attach import Attached, attach
+from estimation.simulation.exporting import export_to_jsbsim
+from estimation.simulation.jsbsim.components import chains_of
+from estimation.simulation.jsbsim.export import Written, export_aircraft, inlined
+from estimation.simulation.jsbsim.flying import flown
+from estimation.simulation.jsbsim.functions import Translator
+from estimation.simulation.jsbsim.increments import increments_of
+from estimation.simulation.jsbsim.library import aircraft_file, loaded
+from estimation.simulation.oracle import COEFFICIENTS, VARIABLES, SimulationError, States
+from estimation.simulation.proof import proof_of
+from estimation.simulation.spec import simulation_of
+from groundstation.flight import Flight
+from sideslip.cli import cli
+
+EFFECTS = {e.name: e for e in catalogue()}
+CESSNA = aircraft_file("c172p")
+
+
+def with_effect(model: Model, name: str, **values: float) -> Model:
+    form = next(f for f in EFFECTS[name].forms if {p.name for p in f.parameters} == set(values))
+    return form.added_to(model, values)
+
+
+@pytest.fixture(scope="module")
+def glided() -> Flight:
+    flight = flown(CESSNA, inlined(CESSNA), False, 120.0, {})
+    return Flight.build("glide", flight.time[::6], {n: v[::6] for n, v in flight.columns.items()})
+
+
+@pytest.fixture(scope="module")
+def attached(glided: Flight) -> Attached:
+    return attach("jsbsim:c172p", "lateral", [glided])
+
+
+@pytest.fixture(scope="module")
+def whole(glided: Flight) -> Attached:
+    return attach("jsbsim:c172p", "six-dof", [glided])
+
+
+def states(count: int = 8) -> States:
+    rng = np.random.default_rng(5)
+    sizes = {"V": 3.0, "p": 0.2, "q": 0.1, "r": 0.1, "thrust": 0.0}
+    values = {n: (50.0 if n == "V" else 0.0) + rng.normal(0.0, sizes.get(n, 0.05), count) for n in VARIABLES}
+    return States(values, np.full(count, 1.05), np.zeros(count))
+
+
+CHANGES: dict[str, tuple[Callable[[Model], Model], Callable[[dict[str, np.ndarray], np.ndarray], dict[str, np.ndarray]]]] = {
+    "moment": (
+        lambda m: with_effect(m, "Cn_da", Cn_da=-0.012),
+        lambda x, c: {"Cn": -0.012 * x["delta_a"]},
+    ),
+    "side force": (
+        lambda m: with_effect(m, "CY_da", CY_da=0.05),
+        lambda x, c: {"CY": 0.05 * x["delta_a"]},
+    ),
+    "factors": (
+        lambda m: m.with_starts(k_CY=1.1, k_Cl=1.05, k_Cn=0.97, k_CL=1.04, k_CD=1.2, k_Cm=0.9),
+        lambda x, c: {
+            "CY": 0.1 * c[:, 1], "Cl": 0.05 * c[:, 3], "Cn": -0.03 * c[:, 5], "Cm": -0.1 * c[:, 4],
+            "CX": -0.2 * np.cos(x["alpha"]) * -(c[:, 0] * np.cos(x["alpha"]) + c[:, 2] * np.sin(x["alpha"]))
+            + 0.04 * np.sin(x["alpha"]) * (c[:, 0] * np.sin(x["alpha"]) - c[:, 2] * np.cos(x["alpha"])),
+            "CZ": -0.2 * np.sin(x["alpha"]) * -(c[:, 0] * np.cos(x["alpha"]) + c[:, 2] * np.sin(x["alpha"]))
+            - 0.04 * np.cos(x["alpha"]) * (c[:, 0] * np.sin(x["alpha"]) - c[:, 2] * np.cos(x["alpha"])),
+        },
+    ),
+    "derivative, cubic, rates": (
+        lambda m: with_effect(
+            with_effect(m.with_starts(Cl_p=m.parameter("Cl_p").start - 0.1), "Cn_beta3", Cn_beta3=1.0),
+            "Cl_p_abs_p",
+            Cl_p_abs_p=-1.5,
+        ),
+        lambda x, c: {
+            "Cl": (p := x["p"] * 10.91184 / (2 * x["V"])) * (-0.1 - 1.5 * np.abs(p)),
+            "Cn": x["beta"] ** 3,
+        },
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", CHANGES)
+def test_coefficients_of_the_written_aircraft_are_the_model_s(whole: Attached, tmp_path: Path, name: str) -> None:
+    """JSBSim's own forces and moments, about its CG, against the coefficient by hand; wind axes and AERORP included."""
+    change, by_hand = CHANGES[name]
+    made, _, _ = export_aircraft(change(whole.model), CESSNA, tmp_path, "why", 120.0)
+    x = states()
+    before = whole.simulation.oracle.coefficients(x)
+    after = simulation_of(f"jsbsim:{made.file.parent}").oracle.coefficients(x)
+    wanted = {c: np.zeros(len(x)) for c in COEFFICIENTS} | by_hand(dict(x.values), before)
+    for i, c in enumerate(COEFFICIENTS):
+        np.testing.assert_allclose(after[:, i] - before[:, i], wanted[c], atol=2e-7, err_msg=c)
+    assert "why" in made.file.read_text(encoding="utf-8")
+
+
+FLOWN: dict[str, Callable[[Model], Model]] = {
+    "as found": lambda m: with_effect(m.with_starts(Cl_p=-0.6, k_Cn=1.1, CY_0=0.002), "rudder_lag", rudder_lag=0.06),
+    "delay": lambda m: with_effect(m, "aileron_delay", aileron_delay=0.03),
+    "dead zone and play": lambda m: with_effect(
+        with_effect(m, "aileron_deadzone", aileron_deadzone=0.01), "rudder_backlash", rudder_backlash=0.015
+    ),
+    "lagging sideslip": lambda m: with_effect(m, "indicial_lag", indicial_lag=0.1),
+    "inertia": lambda m: with_effect(m, "Ixz_error", Ixz=m.constants["Ixz"] + 100.0),
+}
+
+
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize("name", FLOWN)
+def test_the_written_aircraft_flies_like_the_model_and_the_unchanged_one_does_not(
+    attached: Attached, tmp_path: Path, name: str
+) -> None:
+    write_model(FLOWN[name](attached.model), tmp_path / "child.toml")
+    done = export_to_jsbsim(tmp_path / "child.toml", None, tmp_path / "out")
+    assert not done.proof.failed, done.sentence()
+    record = json.loads((done.exported.file.parent / "sideslip.json").read_text(encoding="utf-8"))
+    assert record["proved"]
+    assert record["simulation"] == "jsbsim:c172p"
+    unchanged = Written(inlined(CESSNA), (), {})
+    model = increments_of(FLOWN[name](attached.model))
+    assert len(proof_of(CESSNA, attached.simulation, unchanged, replace(model, transforms=()), 120.0).failed) > 2
+
+
+def test_an_exported_aircraft_can_be_asked_again(attached: Attached, tmp_path: Path) -> None:
+    made, _, _ = export_aircraft(FLOWN["as found"](attached.model), CESSNA, tmp_path, "", 120.0)
+    again = simulation_of(f"jsbsim:{made.file.parent}")
+    per_rudder = [
+        s.oracle.coefficients(states().moved("delta_r", 0.1))[:, 5] - s.oracle.coefficients(states())[:, 5]
+        for s in (attached.simulation, again)
+    ]
+    np.testing.assert_allclose(per_rudder[1], 1.1 * per_rudder[0], atol=1e-7)  # k_Cn
+    assert "without the actuator" in " ".join(again.notes)
+
+
+def test_what_is_no_aircraft_s_is_left_out_and_said(attached: Attached, tmp_path: Path) -> None:
+    model = with_effect(with_effect(attached.model, "beta_scale", beta_scale=0.1), "time_skew", time_skew_air_data=0.05)
+    made, _, found = export_aircraft(with_effect(model, "beta_lag", beta_lag=0.07), CESSNA, tmp_path, "", 120.0)
+    assert made.terms == ()
+    assert [w.split()[0] for w in found.left_out] == ["beta", "delay"]
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (lambda m: replace(m, constants={**m.constants, "m": 900.0}), "mass is 900 kg"),
+        (lambda m: m.plus(terms={"q_dyn": "1"}), "changes the line q_dyn"),
+        (lambda m: m.plus(terms={"Cn": "0.1*V_dot"}), "no property for V_dot"),
+    ],
+)
+def test_what_cannot_be_written_is_refused_before_anything_is(
+    attached: Attached, tmp_path: Path, change: Callable[[Model], Model], told: str
+) -> None:
+    with pytest.raises(SimulationError, match=told):
+        export_aircraft(change(attached.model), CESSNA, tmp_path / "out", "", 120.0)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_delay_counts_frames_of_the_rate_it_is_written_for(attached: Attached) -> None:
+    """30 ms are 3.6 frames at 120 Hz: four tenths of three, six of four; JSBSim's actuators delay by one less than they say."""
+    model = with_effect(attached.model, "rudder_delay", rudder_delay=0.03)
+    _, parts = chains_of(increments_of(model), model.starts(), CESSNA, 120.0)
+    assert [e.findtext("delay") for e in parts[:2]] == ["4", "5"]
+    assert [float(e.findtext("gain") or 0.0) for e in parts[2:4]] == pytest.approx([0.4, 0.6])
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["1.5*tanh(3*beta) - cosh(p)", "where(beta < 0.02, beta^3, sqrt(abs(alpha)))", "-(V - 40)^2/rho", "sign(r)*exp(q)*max(p, r)",
+     "atan2(p, r) + log(V)", "sinh(beta) - min(alpha, 2*beta)/3"],
+)  # fmt: skip
+def test_any_expression_has_in_jsbsim_the_value_it_has_here(attached: Attached, tmp_path: Path, text: str) -> None:
+    term = Translator(attached.model, {}).term(text)
+    assert isinstance(term, ET.Element)
+    root = inlined(CESSNA)
+    aerodynamics = root.find("aerodynamics")
+    assert aerodynamics is not None
+    function = ET.Element("function", name="aero/test")
+    function.append(term)
+    aerodynamics.insert(0, function)
+    fdm = loaded(CESSNA, root=root)
+    for beta, p, r in ((0.1, 0.2, -0.1), (-0.05, -0.1, 0.3)):
+        fdm["ic/vt-fps"], fdm["ic/beta-rad"], fdm["ic/p-rad_sec"], fdm["ic/r-rad_sec"] = 160.0, beta, p, r
+        fdm["ic/alpha-rad"], fdm["ic/q-rad_sec"] = 0.04, 0.05
+        fdm.run_ic()
+        symbols = {"beta": beta, "p": p, "q": 0.05, "r": r, "alpha": 0.04, "V": 160.0 * 0.3048}
+        symbols["rho"] = fdm["atmosphere/rho-slugs_ft3"] * 14.593902937206 / 0.3048**3
+        assert fdm["aero/test"] == pytest.approx(float(evaluate(text, symbols, CASADI_FUNCTIONS)), rel=1e-6)
+
+
+class TestVerb:
+    def test_a_proof_that_fails_is_told_and_ends_with_1(
+        self, attached: Attached, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        write_model(with_effect(attached.model, "Cn_da", Cn_da=-0.012), tmp_path / "child.toml")
+        monkeypatch.setattr("estimation.simulation.proof.SHARE", 1e-6)  # nothing flies so exactly
+        done = CliRunner().invoke(
+            cli,
+            ["export", str(tmp_path / "child.toml"), "--to", "jsbsim", "--out", str(tmp_path)],
+            standalone_mode=False,
+        )
+        assert done.return_value == 1
+        assert "proof failed" in done.output
+
+    def test_nonsense_is_refused(self, tmp_path: Path) -> None:
+        write_model(load_model("lateral", "cdfp"), tmp_path / "plain.toml")
+        runner = CliRunner()
+        told = runner.invoke(
+            cli, ["export", str(tmp_path / "plain.toml"), "--to", "jsbsim", "--out", str(tmp_path / "o")]
+        )
+        assert "--aircraft-from" in str(told.exception)
+        words = ["--to", "jsbsim", "--aircraft-from", "jsbsim:c172p", "--out", str(tmp_path / "o")]
+        assert "stands on no simulation" in str(
+            runner.invoke(cli, ["export", str(tmp_path / "plain.toml"), *words]).exception
+        )
+        assert "--out DIR" in runner.invoke(cli, ["export", str(tmp_path / "plain.toml"), "--to", "jsbsim"]).output
+        assert "'-o'" in runner.invoke(cli, ["export", str(tmp_path / "plain.toml")]).output

@@ -1,0 +1,89 @@
+"""JSBSim flies an aircraft with something hidden in it; the unchanged one is given as simulation."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+pytest.importorskip("jsbsim", reason="the package jsbsim is not installed")
+
+from estimation.models import load_model
+from estimation.simulation.along_flight import WITHOUT_DRAWS, motion
+from estimation.simulation.spec import simulation_of
+from groundstation.flight import write_flight
+from sideslip.cli import cli
+from tests.studies import jsbsim_flights as truth
+
+YAW = """<function name="aero/hidden/Cnda"><product><property>aero/qbar-psf</property><property>metrics/Sw-sqft</property>
+<property>metrics/bw-ft</property><property>fcs/left-aileron-pos-rad</property><value>0.012</value></product></function>"""
+
+
+def with_adverse_yaw(text: str) -> str:
+    """Cn_da -0.012 beside the aileron yaw that the aircraft has."""
+    assert text.count('<function name="aero/coefficient/Cndr">') == 1
+    return text.replace('<function name="aero/coefficient/Cndr">', YAW + '<function name="aero/coefficient/Cndr">')
+
+
+def test_the_rate_of_alpha_is_taken_from_the_accelerometers() -> None:
+    """Within a quarter of its scatter of what the aircraft had, with noise; the slope of the vane alone is off by half of it."""
+    asked = truth.Flown(truth.OWN / "c172p" / "c172p.xml", 1)
+    clean, noisy = truth.columns_of(asked), truth.flight(asked, "f")
+    simulation = simulation_of("jsbsim:c172p")
+    model = load_model("longitudinal", simulation.aircraft)
+    true = np.gradient(clean["alpha"], clean["time"])
+    states, usable, _ = motion(model, noisy, {}, WITHOUT_DRAWS)
+    assert usable.all()
+    assert np.std(states.alpha_dot - true) < 0.25 * np.std(true)
+    without = replace(noisy, columns={n: v for n, v in noisy.columns.items() if n != "az"})
+    vane, _, _ = motion(model.without_outputs("az"), without, {}, WITHOUT_DRAWS)
+    assert np.std(vane.alpha_dot - true) > 0.4 * np.std(true)
+
+
+@pytest.mark.timeout(900)
+def test_a_hidden_yawing_moment_is_named_closed_exported_and_flies_in_the_export(tmp_path: Path) -> None:
+    file = truth.changed(tmp_path, "c172p", with_adverse_yaw)
+    paths = []
+    for i, speed in enumerate((45.0, 53.0, 49.0)):
+        flight = truth.flight(truth.Flown(file, 20 + i, speed, 22.0), f"f{i}")
+        write_flight(flight, tmp_path / f"f{i}.csv")
+        paths.append(str(tmp_path / f"f{i}.csv"))
+    out = tmp_path / "gap.json"
+    words = [
+        "gap",
+        *paths[:2],
+        "--holdout",
+        paths[2],
+        "--simulation",
+        "jsbsim:c172p",
+        "--nulls",
+        "30",
+        "--json",
+        str(out),
+    ]
+    done = CliRunner().invoke(cli, words, catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+    answer = json.loads(out.read_text(encoding="utf-8"))
+    assert answer["verdict"] == "gap_closed"
+    (step,) = answer["steps"]
+    assert step["effect"] == "Cn_da"
+    assert step["parameters"]["Cn_da"]["estimate"] == pytest.approx(-0.012, rel=0.05)
+    assert step["holdout"]["closed"] > 0.9
+    assert "flap" in done.output  # what is held is told
+    assert "Cn_da" in Path(answer["model_after"]).name
+
+    written = CliRunner().invoke(
+        cli, ["export", answer["model_after"], "--to", "jsbsim", "--out", str(tmp_path / "out")], catch_exceptions=False
+    )
+    assert written.exit_code == 0, written.output
+    exported = next((tmp_path / "out").glob("*/*-sideslip.xml"))
+    assert "aero/sideslip/Cn_da" in exported.read_text(encoding="utf-8")
+    asked = truth.Flown(file, 22, 49.0, 22.0)
+    true = truth.columns_of(asked)
+    own = truth.with_own_channel_only(exported, tmp_path / "flown")
+    again = truth.columns_of(replace(asked, file=own, trimmed=file))
+    off = [(again[n] - true[n]) / truth.NOISE[n] for n in ("beta", "p", "r", "phi", "ay")]
+    # what the flight of the exported aircraft would have for a gap over its noise: within a tenth of the floor
+    assert np.sqrt(1.0 + np.mean(np.square(off))) < 1.1
