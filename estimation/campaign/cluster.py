@@ -68,6 +68,8 @@ class Cluster:
             ) from error
         if self._address:
             self.client = self._held.enter_context(_connected(Client, self._address))
+            shown = self._with_dashboard and "dashboard" in self.client.scheduler_info(n_workers=0)["services"]
+            self.dashboard = self.client.dashboard_link if shown else ""
         while not self._address:
             self._starts += 1
             try:

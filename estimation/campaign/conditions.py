@@ -17,6 +17,8 @@ STATISTICS: dict[str, tuple[str, Callable[[Array], float]]] = {
     "beta": ("beta", lambda v: float(v.mean())),
     "beta_max": ("beta", lambda v: float(np.abs(v).max())),
     "delta_e": ("delta_e", lambda v: float(v.mean())),
+    "delta_a_max": ("delta_a", lambda v: float(np.abs(v).max())),
+    "delta_r_max": ("delta_r", lambda v: float(np.abs(v).max())),
     "altitude": ("altitude", lambda v: float(v.mean())),
     "rho": ("rho", lambda v: float(v.mean())),
 }

@@ -1,8 +1,7 @@
-"""Flights of one group looked at together: pooled estimates, scatter against bounds, outliers, steps in time, differences."""
+"""Flights of one group looked at together, each parameter by itself: pooled estimates, scatter against bounds, outliers."""
 
-import itertools
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -21,7 +20,6 @@ FEWEST_TO_POOL = 2
 FEWEST_FOR_OUTLIERS = 5  # below, the median of the others says too little
 FEWEST_BEFORE_A_STEP = 3  # flights on either side
 NEIGHBOURS = 5  # flights before and after whose medians an estimate may follow
-CHANGE_OF_INTEREST = 0.05  # of the estimate: the change whose chance to be found is stated as power
 
 
 @dataclass(frozen=True)
@@ -106,27 +104,15 @@ def _series(place: tuple[Any, ...], rows: list[_Found], keys: Sequence[str]) -> 
     return Series(group, label_of(group), place[1], place[2], flights, dates, places, np.array(y), np.array(v))
 
 
-def sound_series(results: "pa.Table", keys: Sequence[str]) -> list[Series]:
-    """`series_of` without outliers."""
-    return [s.part(~(outlying(s) > _limit(s))) for s in series_of(results, keys)]
-
-
 def group_rows(results: "pa.Table", keys: Sequence[str]) -> list[Row]:
-    """All rows of the table of groups."""
-    every = series_of(results, keys)
-    count: dict[tuple[str, str], int] = {}
-    for s in every:
-        count[s.label, s.method] = count.get((s.label, s.method), 0) + 1
+    """What each parameter of each group says by itself: flights far from the others, and the pooled value of the rest."""
     rows: list[Row] = []
-    sound: list[Series] = []
-    for s in every:
+    for s in series_of(results, keys):
         far = outlying(s)
         rows += outlier_rows(s, far)
         kept = s.part(~(far > _limit(s)))
-        rows += step_rows(kept, count[s.label, s.method])
         rows += pooled_rows(kept)
-        sound.append(kept)
-    return [*rows, *difference_rows(sound, [k for k in keys if k != "day"])]
+    return rows
 
 
 # ------------------------------------------------------------------------------------------- within a group
@@ -174,56 +160,6 @@ def outlier_rows(s: Series, distance: Array) -> Iterator[Row]:
         }
 
 
-def step_rows(s: Series, tests: int) -> Iterator[Row]:
-    """The date from which a parameter is another, where one is found among `tests` parameters at the usual level."""
-    places = _places(s)
-    if not places:
-        return
-    k = _largest_step(s, places)
-    fit = _split(s, k)
-    p = min(1.0, fit.probability(1) * len(places))
-    if p * tests > pooling.LEVEL:
-        return
-    low, high = fit.interval(1)
-    text = (
-        f"{s.parameter} ({s.method}) of {s.label} changes by {fit.b[1]:+.4g} (95 % {low:.4g} to {high:.4g}) with"
-        f" {s.flights[k]} of {s.dates[k]}: look what was done to the aircraft or its sensors before it"
-    )
-    yield {
-        **_about(s),
-        "kind": "step",
-        "at": s.dates[k],
-        "flight": s.flights[k],
-        "estimate": float(fit.b[1]),
-        "std": float(fit.std[1]),
-        "low": low,
-        "high": high,
-        "probability": p,
-        "text": text,
-    }
-
-
-def _places(s: Series) -> list[int]:
-    """First flights of a later date with enough flights on either side."""
-    first, last = FEWEST_BEFORE_A_STEP, s.y.size - FEWEST_BEFORE_A_STEP
-    return [k for k in range(first, last + 1) if s.dates[k - 1] and s.dates[k] != s.dates[k - 1]]
-
-
-def _largest_step(s: Series, places: Sequence[int]) -> int:
-    """The place of the largest difference in its own bound, with the variance between flights of no step at all."""
-    w = 1.0 / (s.v + pooling.pool(s.y, s.v).tau2)
-    weight, top = np.cumsum(w), np.cumsum(w * s.y)
-    at = np.array(places) - 1
-    before, after = weight[at], weight[-1] - weight[at]
-    difference = (top[-1] - top[at]) / after - top[at] / before
-    return places[int(np.argmax(np.abs(difference) / np.sqrt(1.0 / before + 1.0 / after)))]
-
-
-def _split(s: Series, k: int) -> pooling.Pooled:
-    later = (np.arange(s.y.size) >= k).astype(float)
-    return pooling.pool(s.y, s.v, np.column_stack([np.ones(s.y.size), later]))
-
-
 def pooled_rows(s: Series) -> Iterator[Row]:
     """The group's estimate, its scatter and what that says of the bounds."""
     if s.y.size < FEWEST_TO_POOL:
@@ -256,59 +192,3 @@ def _about(s: Series) -> Row:
 
 def _group(group: Mapping[str, str]) -> Row:
     return {key: value or None for key, value in group.items()}
-
-
-# ------------------------------------------------------------------------------------------ between groups
-
-
-def difference_rows(series: Sequence[Series], keys: Sequence[str]) -> Iterator[Row]:
-    """Groups that differ in one of `keys` alone, parameter by parameter."""
-    by_test: dict[tuple[str, str], list[Series]] = {}
-    for s in series:
-        if s.y.size >= FEWEST_TO_POOL:
-            by_test.setdefault((s.method, s.parameter), []).append(s)
-    pairs = [pair for same in by_test.values() for pair in itertools.combinations(same, 2) if _one_apart(pair, keys)]
-    tests: dict[tuple[str, str, str], int] = {}
-    for a, b in pairs:
-        tests[a.label, b.label, a.method] = tests.get((a.label, b.label, a.method), 0) + 1
-    for a, b in pairs:
-        yield _difference(a, b, tests[a.label, b.label, a.method])
-
-
-def _one_apart(pair: Iterable[Series], keys: Sequence[str]) -> bool:
-    a, b = (s.group for s in pair)
-    return sum(a[k] != b[k] for k in a) == 1 and any(a[k] != b[k] for k in keys)
-
-
-def _difference(a: Series, b: Series, tests: int) -> Row:
-    """b less a. Both share one variance between flights; `probability` is of the one test, the verdict heeds all of them."""
-    second = np.concatenate([np.zeros(a.y.size), np.ones(b.y.size)])
-    y, v = np.concatenate([a.y, b.y]), np.concatenate([a.v, b.v])
-    fit = pooling.pool(y, v, np.column_stack([np.ones(y.size), second]))
-    low, high = fit.interval(1)
-    std, p = float(fit.std[1]), fit.probability(1)
-    chance = pooling.power(CHANGE_OF_INTEREST * float(fit.b[0]), std, fit.freedom)
-    differs = p * tests <= pooling.LEVEL
-    told = abs(fit.b[0]) > 3.0 * fit.std[0]  # a share of what may be zero says nothing
-    share = f" ({fit.b[1] / fit.b[0]:+.1%})" if told else ""
-    text = (
-        f"{a.parameter} ({a.method}): {b.label} less {a.label} is {fit.b[1]:+.4g}{share}, "
-        f"95 % {low:.4g} to {high:.4g}: "
-        + ("they differ" if differs else "no difference found")
-        + f"; a change of {CHANGE_OF_INTEREST:.0%} would be found with probability {chance:.2f}"
-    )
-    return {
-        **_about(a),
-        "kind": "difference",
-        "other": b.label,
-        "flights": y.size,
-        "estimate": float(fit.b[1]),
-        "std": std,
-        "low": low,
-        "high": high,
-        "between": math.sqrt(fit.tau2),
-        "probability": min(1.0, p * tests),
-        "power": chance,
-        "detectable": pooling.detectable(std, fit.freedom),
-        "text": text,
-    }

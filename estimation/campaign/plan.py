@@ -79,6 +79,7 @@ class Plan(_Table):
     check: Literal["none", "quality", "full"] = "quality"
     joint: bool = False
     match: bool = False
+    envelope: bool = False
     bootstrap: int = Field(default=0, ge=0)
     seed: int = Field(default=0, ge=0)
     each_segment: bool = False

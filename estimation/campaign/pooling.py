@@ -43,9 +43,7 @@ class Pooled:
 
     def probability(self, term: int) -> float:
         """Two-sided, of a term as large were it zero."""
-        from scipy.special import stdtr
-
-        return float(2.0 * stdtr(self.freedom, -abs(float(self.b[term] / self.std[term]))))
+        return two_sided(float(self.b[term] / self.std[term]), self.freedom)
 
 
 def pool(y: Array, v: Array, X: Array | None = None) -> Pooled:
@@ -120,19 +118,29 @@ def outlier_limit(flights: int) -> float:
     return t_quantile(1.0 - LEVEL / (2.0 * flights), max(1, flights - 1))
 
 
-def detectable(std: float, freedom: int) -> float:
-    """The least difference found with WANTED_POWER at LEVEL."""
-    return std * (t_quantile(1.0 - LEVEL / 2.0, freedom) + t_quantile(WANTED_POWER, freedom))
+def two_sided(t: float, freedom: int) -> float:
+    """Probability of Student's t as large on either side."""
+    from scipy.special import stdtr
+
+    return float(2.0 * stdtr(freedom, -abs(t)))
 
 
-def power(difference: float, std: float, freedom: int) -> float:
-    """Probability that a true difference of that size would be found at LEVEL."""
+def detectable(std: float, freedom: int, tests: int = 1) -> float:
+    """The least difference found with WANTED_POWER at LEVEL over so many tests."""
+    return std * (t_quantile(1.0 - LEVEL / (2.0 * tests), freedom) + t_quantile(WANTED_POWER, freedom))
+
+
+def power(difference: float, std: float, freedom: int, tests: int = 1) -> float:
+    """Probability that a true difference of that size would be found at LEVEL over so many tests."""
     from scipy.special import nctdtr
 
-    limit, size = t_quantile(1.0 - LEVEL / 2.0, freedom), abs(difference) / std
+    limit, size = t_quantile(1.0 - LEVEL / (2.0 * tests), freedom), abs(difference) / std
     if size > 30.0:  # found for certain; the noncentral distribution is not evaluated out there
         return 1.0
-    return float(1.0 - nctdtr(freedom, size, limit) + nctdtr(freedom, size, -limit))
+    other_side = (
+        nctdtr(freedom, size, -limit) if size < 3.0 else 0.0
+    )  # beyond, less than 1e-7, and scipy often gives nan
+    return float(1.0 - nctdtr(freedom, size, limit) + other_side)
 
 
 def t_quantile(probability: float, freedom: int) -> float:

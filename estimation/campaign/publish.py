@@ -93,6 +93,17 @@ def write_table(rows: Sequence[Row], columns: dict[str, str], path: Path) -> Non
     partial.replace(path)
 
 
+def write_texts(texts: Mapping[str, str], folder: Path, ending: str) -> None:
+    """`folder`/<name><ending> for each text, none besides."""
+    from daq.contract.outputs import write_text
+
+    for old in folder.glob(f"*{ending}"):
+        if old.name.removesuffix(ending) not in texts:
+            old.unlink()
+    for name, text in texts.items():
+        write_text(text, folder / f"{name}{ending}")
+
+
 def manifest(plan: Plan, work: WorkList, store: Store, failures: Mapping[str, str]) -> dict[str, Any]:
     """What was put in and what came out, with digests: names of flights to keys, files to SHA-256."""
     flights = [
@@ -115,7 +126,7 @@ def manifest(plan: Plan, work: WorkList, store: Store, failures: Mapping[str, st
         "flights": flights,
         "files": {
             p.relative_to(store.folder).as_posix(): hashlib.sha256(p.read_bytes()).hexdigest()
-            for p in sorted(store.folder.glob("[drgs]*/*.parquet"))
+            for p in sorted([*store.folder.glob("[drgs]*/*.parquet"), *store.folder.glob("database/*.[tx]*ml")])
         },
     }
 

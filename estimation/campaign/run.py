@@ -5,7 +5,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
-from estimation.campaign.database import database_rows
+from estimation.campaign.aerodynamics.change_tables import difference_rows, step_rows
+from estimation.campaign.aerodynamics.joint_tables import joint_model_rows, joint_rows, model_texts
+from estimation.campaign.aerodynamics.jsbsim import aerodynamics_files
+from estimation.campaign.aerodynamics.tables import database_rows, envelopes, flight_rows
 from estimation.campaign.groups import group_rows, label_of
 from estimation.campaign.plan import Plan
 from estimation.campaign.publish import (
@@ -16,13 +19,14 @@ from estimation.campaign.publish import (
     unreadable_rows,
     write_manifest,
     write_table,
+    write_texts,
 )
 from estimation.campaign.schema import DATABASE, GROUPS
 from estimation.campaign.sources import Entry
 from estimation.campaign.store import Store
 from estimation.campaign.tasks import Finished, Row, Work
 from estimation.campaign.work import OK
-from estimation.campaign.work_list import Member, WorkList, joint_work, left_to_do, match_works
+from estimation.campaign.work_list import Member, WorkList, envelope_work, joint_work, left_to_do, match_works
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -57,6 +61,7 @@ class Outcome:
     workers: int
     results: "pa.Table"
     groups: Sequence[Row]
+    database: Sequence[Row]
     damaged: Sequence[Path] = ()
     unchanged: bool = False
 
@@ -97,7 +102,7 @@ class Campaign:
         skipped = sum(all(k in done for k in p.work.pieces.values()) for p in self._work.planned)
         try:
             self._do([p.work for p in self._work.planned], done, "flights")
-            if self._plan.match or self._plan.joint:
+            if self._plan.match or self._plan.joint or self._plan.envelope:
                 self._do_groups(done)
         finally:
             if self._engine is not None:
@@ -143,6 +148,10 @@ class Campaign:
             if joint is not None:
                 works.append(joint)
                 self._about |= dict.fromkeys(joint.pieces.values(), known)
+            whole = envelope_work(self._plan, label, members) if self._plan.envelope else None
+            if whole is not None:
+                works.append(whole)
+                self._about |= dict.fromkeys(whole.pieces.values(), known)
             for match in match_works(self._plan, label, members) if self._plan.match else ():
                 entry = self._work.by_key[self._flight_key(match)].entry
                 works.append(match)
@@ -162,10 +171,21 @@ class Campaign:
         if lost:
             results = ordered(pa.concat_tables([results, unreadable_rows(lost)]))
         self._store.replace_all(results, superseded)
-        groups = group_rows(results, self._plan.groups)
+        keys = self._plan.groups
+        curves = envelopes(results, keys, self._plan.seed)
+        groups = [
+            *group_rows(results, keys),
+            *flight_rows(curves),
+            *step_rows(curves),
+            *difference_rows(curves, keys),
+            *joint_model_rows(results),
+        ]
         folder = self._store.folder
         write_table(groups, GROUPS, folder / "groups" / "groups.parquet")
-        write_table(database_rows(results, self._plan.groups), DATABASE, folder / "database" / "database.parquet")
+        database = [*database_rows(curves, self._plan.seed), *joint_rows(results, curves)]
+        write_table(database, DATABASE, folder / "database" / "database.parquet")
+        write_texts(model_texts(results), folder / "database", ".toml")
+        write_texts(aerodynamics_files(database), folder / "database", ".xml")
         failures = failures_of(results)
         planned = len(self._work.planned) + len(lost)
         unchanged = not write_manifest(manifest(self._plan, self._work, self._store, failures), folder)
@@ -179,6 +199,7 @@ class Campaign:
             self._workers,
             results,
             groups,
+            database,
             self._store.damaged,
             unchanged,
         )

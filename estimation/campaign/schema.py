@@ -67,6 +67,10 @@ PROVENANCE = {
     "cpu": NUMBER,
     "software": TEXT,
     "code": TEXT,
+    "model_text": TEXT,
+    "flights": WHOLE,
+    "delta_a_max": NUMBER,
+    "delta_r_max": NUMBER,
 }
 RESULTS = {**IDENTITY, **VALUES, **MEASURED, **PLANNED, **PROVENANCE}
 
@@ -115,6 +119,12 @@ DATABASE = {
     "high": NUMBER,
     "between": NUMBER,
     "formula": TEXT,
+    "kind": TEXT,
+    "along": TEXT,
+    "beta_max": NUMBER,
+    "delta_e": NUMBER,
+    "bootstrap_std": NUMBER,
+    "form": TEXT,
 }
 
 UNREPEATABLE = ("attempts", "cpu")

@@ -62,8 +62,9 @@ class Subject:
 class Work:
     """Work on one flight, or on several together. pieces: what to do -> its key, by which it is known for good.
 
-    kind: `flight` (pieces are methods, and `check`), `joint` (pieces are methods) or `match` (pieces are methods; `values` has
-    the parameters that each predicts with). seeds: of each method's noise. quality: refuse data that fails its checks.
+    kind: `flight` (pieces are methods, and `check`), `joint` (pieces are methods), `envelope` (one piece) or `match` (pieces
+    are methods; `values` has the parameters that each predicts with). seeds: of each method's noise. quality: refuse data that
+    fails its checks.
     """
 
     kind: str

@@ -84,8 +84,9 @@ def _run_row(work: Work, piece: str, status: str, why: str, **more: Any) -> Row:
         "software": json.dumps({k: v for k, v in own.items() if k != "code"}),
         "code": own["code"],
     }
-    if work.kind == "joint":
-        return {**about, "group": work.group, **more}
+    if work.kind in ("joint", "envelope"):
+        own_text = {"model_text": "", "flights": len(work.subjects)} if work.kind == "envelope" else {}
+        return {**about, **own_text, "group": work.group, **more}
     source = work.subjects[0].source
     return {**about, "flight": source.name, "source": source.location, "sha256": source.sha256, **more}
 
@@ -260,6 +261,27 @@ def _joint(work: Work) -> Iterator[Row]:
         yield from _result_rows(work, method, result, status, why, "joint", time.thread_time() - begin, about)
 
 
+def _envelope(work: Work) -> Iterator[Row]:
+    """One model over the envelope of all flights, with what each of its terms gained."""
+    from estimation.campaign.aerodynamics.joint import global_model
+    from estimation.models.load import model_text
+
+    flights = [part for s in work.subjects for part in _parts(read_subject(s), work)]
+    craft = _aircraft(work.subjects[0], flights[0], work)
+    begin = time.thread_time()
+    (method,) = work.pieces
+    found = global_model(model_of(work.subjects[0], craft), flights)
+    status = OK if found.result.converged else OPEN
+    about: Row = {"aircraft": craft.name, "model": found.model.name}
+    cpu = time.thread_time() - begin
+    rows = list(_result_rows(work, method, found.result, status, found.text, "envelope", cpu, about))
+    yield {**rows[0], "model_text": model_text(found.model) if found.result.converged else ""}
+    yield from rows[1:]
+    for place, gain in enumerate(found.gains):
+        row = _run_row(work, method, status, "", **about)
+        yield {**row, "kind": "term", "parameter": gain.name, "estimate": gain.gain, "std": gain.std, "place": place}
+
+
 def _match(work: Work) -> Iterator[Row]:
     """The flight predicted with what the others of its group say; trim and initial states are its own."""
     from estimation.session.proof_of_match import predict
@@ -279,7 +301,7 @@ def _match(work: Work) -> Iterator[Row]:
             yield {**row, "kind": "match", "parameter": output, **numbers}
 
 
-_KINDS = {"flight": _flight, "joint": _joint, "match": _match}
+_KINDS = {"flight": _flight, "joint": _joint, "envelope": _envelope, "match": _match}
 
 
 # -------------------------------------------------------------------------------------- what a subject says

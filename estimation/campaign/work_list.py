@@ -7,7 +7,7 @@ from pathlib import Path
 
 from estimation.aircraft import built_in_aircraft, load_aircraft
 from estimation.campaign.errors import CampaignError
-from estimation.campaign.keys import key_of, seed_of, versions
+from estimation.campaign.keys import digest_of_files, key_of, seed_of, versions
 from estimation.campaign.plan import Plan
 from estimation.campaign.schema import VERSION
 from estimation.campaign.sources import Entry
@@ -15,6 +15,9 @@ from estimation.campaign.tasks import Subject, Work
 from estimation.campaign.work import CHECK
 from estimation.estimators.estimator import Extra
 from estimation.estimators.registry import find
+
+ENVELOPE_METHOD = "ml"
+"""The method that a model over the envelope is fitted by: flights held out are judged by a likelihood."""
 
 
 @dataclass(frozen=True)
@@ -180,6 +183,29 @@ def joint_work(plan: Plan, label: str, members: Sequence[Member]) -> Work | None
         plan.each_segment,
         limit,
         label,
+    )
+
+
+def envelope_work(plan: Plan, label: str, members: Sequence[Member]) -> Work | None:
+    """All flights of a group, those with a usable estimate, in one model over the envelope; None for too few of them."""
+    from estimation.campaign.aerodynamics.joint import FEWEST
+
+    used = sorted(members, key=lambda m: m.planned.work.identity)
+    if len(used) < FEWEST:
+        return None
+    code = digest_of_files(("estimation/campaign/aerodynamics",))
+    pieces = {ENVELOPE_METHOD: key_of("envelope", code, [m.planned.work.identity for m in used])}
+    subjects = tuple(m.planned.work.subjects[0] for m in used)
+    return Work(
+        "envelope",
+        f"model over the envelope of {label}",
+        pieces,
+        subjects,
+        versions(),
+        False,
+        each_segment=plan.each_segment,
+        limit_s=plan.time_limit * len(subjects),
+        group=label,
     )
 
 

@@ -5,6 +5,8 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from estimation.campaign.aerodynamics.change_tables import difference_rows, step_rows
+from estimation.campaign.aerodynamics.tables import envelopes, flight_rows
 from estimation.campaign.groups import group_rows
 from estimation.campaign.schema import RESULTS, arrow_schema
 
@@ -38,9 +40,15 @@ def results(seed: int, change: Any = None, flights: int = 40) -> pa.Table:
     return pa.Table.from_pylist(rows, arrow_schema(RESULTS))
 
 
+def every_row(table: pa.Table, keys: tuple[str, ...]) -> list[dict[str, Any]]:
+    """As a campaign puts the table of groups together."""
+    curves = envelopes(table, keys, 0)
+    return [*group_rows(table, keys), *flight_rows(curves), *step_rows(curves), *difference_rows(curves, keys)]
+
+
 def told(table: pa.Table, keys: tuple[str, ...]) -> list[dict[str, Any]]:
     """Rows that claim something."""
-    rows = group_rows(table, keys)
+    rows = every_row(table, keys)
     return [
         r for r in rows if r["kind"] in ("outlier", "step") or (r["kind"] == "difference" and r["probability"] < 0.05)
     ]
@@ -54,7 +62,7 @@ def test_a_change_of_five_percent_in_one_derivative_is_found_with_its_power() ->
     assert abs(abs(row["estimate"]) - 0.05 * 0.045) < 3 * row["std"]
     assert row["power"] > 0.99
     assert "they differ" in row["text"]
-    quiet = [r for r in group_rows(table, ("configuration",)) if r["kind"] == "difference" and r["parameter"] == "Cl_p"]
+    quiet = [r for r in every_row(table, ("configuration",)) if r["kind"] == "difference" and r["parameter"] == "Cl_p"]
     assert "no difference found; a change of 5% would be found with probability" in quiet[0]["text"]
 
 
@@ -69,7 +77,7 @@ def test_a_step_half_way_is_found_with_its_date_and_makes_no_outliers() -> None:
 def test_three_bad_flights_are_outliers_and_left_out() -> None:
     bad = {7, 20, 33}
     table = results(3, lambda i, name, value: value + 0.02 * (1 + i % 3) if name == "Cn_dr" and i in bad else value)
-    rows = group_rows(table, ("aircraft",))
+    rows = every_row(table, ("aircraft",))
     outliers = [r["flight"] for r in rows if r["kind"] == "outlier" and r["parameter"] == "Cn_dr"]
     assert outliers == ["f007", "f020", "f033"]
     pooled = next(r for r in rows if r["kind"] == "pooled" and r["parameter"] == "Cn_dr")
@@ -86,4 +94,4 @@ def test_where_nothing_was_planted_hardly_anything_is_claimed() -> None:
 def test_the_order_of_rows_changes_no_bit() -> None:
     table = results(4)
     shuffled = table.take(np.random.default_rng(0).permutation(table.num_rows))
-    assert group_rows(table, ("configuration",)) == group_rows(shuffled, ("configuration",))
+    assert every_row(table, ("configuration",)) == every_row(shuffled, ("configuration",))

@@ -74,3 +74,18 @@ def test_power_is_the_share_of_differences_found() -> None:
     assert 0.7 * 300 < found < 0.9 * 300
     assert pooling.power(0.0, error, 18) == pytest.approx(pooling.LEVEL, rel=1e-6)
     assert pooling.power(10.0, error, 18) == 1.0
+
+
+def test_power_is_a_number_at_every_size_and_rises_to_one() -> None:
+    """Against draws of Student's noncentral distribution at one size."""
+    sizes = np.linspace(0.0, 40.0, 400)
+    for freedom in (5, 37, 38, 40, 200):
+        found = np.array([pooling.power(float(s), 1.0, freedom, 3) for s in sizes])
+        assert np.all(np.diff(found) > -1e-6)
+        assert found[0] == pytest.approx(pooling.LEVEL / 3, rel=1e-6)
+        assert found[-1] == pytest.approx(1.0)
+    rng = np.random.default_rng(1)
+    t = (rng.standard_normal(200_000) + 2.6) / np.sqrt(rng.chisquare(12, 200_000) / 12)
+    limit = pooling.t_quantile(1.0 - pooling.LEVEL / 6, 12)
+    assert pooling.power(2.6, 1.0, 12, 3) == pytest.approx(np.mean(np.abs(t) > limit), abs=0.005)
+    assert pooling.power(pooling.detectable(1.0, 200, 3), 1.0, 200, 3) == pytest.approx(0.8, abs=0.01)

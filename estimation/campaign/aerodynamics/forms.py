@@ -1,0 +1,132 @@
+"""Forms a derivative may take over the conditions flown: polynomials, and penalised splines on top of a straight line.
+
+Conditions of a flight: mean alpha [rad], mean V [m/s], largest sideslip [rad], mean elevator [rad], each brought to -1 .. 1.
+A spline is Eilers and Marx's (1996, Stat. Sci. 11, 89-121): cubic B-splines with a penalty on second differences, written
+as a mixed model, so that its smoothness is a variance found by restricted likelihood.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+CONDITIONS = ("alpha", "V", "beta_max", "delta_e")
+LEAST_SPREAD = 1e-3  # of a condition, relative to its size: below, it was the same on all flights
+MOST_POWER = 3  # of a condition: what bends more is a spline's
+PIECES = 8  # of a spline over what was flown: more only lean on the penalty
+NEAR = 0.25  # of the range flown in each condition: how near a flight must be for "flown"
+
+
+@dataclass(frozen=True)
+class Scale:
+    """What brings conditions (points, 4) to -1 .. 1. centre, half: (4,); changed: (4,) which of them differ between flights."""
+
+    centre: Array
+    half: Array
+    changed: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, conditions: Array) -> "Scale":
+        """From the conditions of the flights, (flights, 4), NaN where not measured; such a condition counts as unchanged."""
+        known = np.isfinite(conditions).all(axis=0)
+        low = np.where(known, np.nan_to_num(conditions).min(axis=0), 0.0)
+        high = np.where(known, np.nan_to_num(conditions).max(axis=0), 0.0)
+        centre, half = 0.5 * (low + high), 0.5 * (high - low)
+        changed = known & (half > LEAST_SPREAD * np.maximum(np.abs(centre), LEAST_SPREAD))
+        return cls(centre, np.where(changed, half, 1.0), changed)
+
+    def scaled(self, conditions: Array) -> Array:
+        """(points, 4) at -1 .. 1 over what was flown; 0 for a condition that did not change."""
+        x: Array = np.where(self.changed, (np.nan_to_num(conditions) - self.centre) / self.half, 0.0)
+        return x
+
+
+@dataclass(frozen=True)
+class Form:
+    """powers: of the scaled conditions in each term, the constant first; splines: conditions with a spline on top."""
+
+    powers: tuple[tuple[int, ...], ...]
+    splines: tuple[int, ...] = ()
+
+    def columns(self, x: Array) -> Array:
+        """(points, terms) at scaled conditions (points, 4), the penalised columns last."""
+        plain = [np.prod(x ** np.array(p), axis=1) for p in self.powers]
+        bent = [spline_columns(x[:, c]) for c in self.splines]
+        return np.column_stack([*plain, *bent])
+
+    @property
+    def penalty(self) -> tuple[int, ...]:
+        """For each column: -1 where it is free, else the number of the spline whose variance it shares."""
+        each = PIECES + 1
+        return (-1,) * len(self.powers) + tuple(k for k in range(len(self.splines)) for _ in range(each))
+
+    @property
+    def size(self) -> int:
+        """Free terms."""
+        return len(self.powers)
+
+    @property
+    def words(self) -> str:
+        """`1 + alpha + alpha V + spline(delta_e)`."""
+        said = [
+            " ".join(n if p == 1 else f"{n}^{p}" for n, p in zip(CONDITIONS, powers, strict=True) if p) or "1"
+            for powers in self.powers
+        ]
+        return " + ".join([*said, *(f"spline({CONDITIONS[c]})" for c in self.splines)])
+
+    def formula(self, scale: Scale, b: Array) -> str | None:
+        """An expression of alpha, V and delta_e that a model file takes; None where the form holds anything else."""
+        if self.splines or any(powers[CONDITIONS.index("beta_max")] for powers in self.powers):
+            return None
+        names = [f"(({n} - {c:.6g})/{h:.6g})" for n, c, h in zip(CONDITIONS, scale.centre, scale.half, strict=True)]
+        said = []
+        for value, powers in zip(b, self.powers, strict=True):
+            factors = [x if n == 1 else f"{x}^{n}" for x, n in zip(names, powers, strict=True) if n]
+            said.append("*".join([f"({value:.8g})", *factors]))
+        return " + ".join(said)
+
+
+CONSTANT = Form(((0,) * len(CONDITIONS),))
+
+
+def spline_columns(x: Array) -> Array:
+    """(points, PIECES + 1) of the bent part of a cubic spline over -1 .. 1: independent coefficients of one variance."""
+    from scipy.interpolate import BSpline
+
+    h = 2.0 / PIECES
+    knots = -1.0 + h * np.arange(-3, PIECES + 4)
+    basis = BSpline.design_matrix(np.clip(x, -1.0, 1.0), knots, 3).toarray()
+    difference = np.diff(np.eye(PIECES + 3), n=2, axis=0)
+    columns: Array = basis @ difference.T @ np.linalg.inv(difference @ difference.T)
+    return columns
+
+
+def larger(form: Form, changed: NDArray[np.bool_]) -> Iterator[Form]:
+    """Forms with one thing more: a next power, a product of two conditions that stand already, a spline on a line."""
+    have = set(form.powers)
+    for c in np.flatnonzero(changed).tolist():
+        highest = max(p[c] for p in form.powers if sum(p) == p[c])
+        if highest < MOST_POWER and c not in form.splines:
+            yield replace(form, powers=(*form.powers, _alone(c, highest + 1)))
+        if highest == 1 and c not in form.splines:
+            yield replace(form, splines=(*form.splines, c))
+        for other in np.flatnonzero(changed[:c]).tolist():
+            product = tuple(int(i in (c, other)) for i in range(len(CONDITIONS)))
+            if highest and _alone(other, 1) in have and product not in have:
+                yield replace(form, powers=(*form.powers, product))
+
+
+def _alone(condition: int, power: int) -> tuple[int, ...]:
+    return tuple(power if i == condition else 0 for i in range(len(CONDITIONS)))
+
+
+def flown(points: Array, flights: Array, axes: NDArray[np.intp]) -> NDArray[np.bool_]:
+    """(points,) whether a flight was near in each of the conditions `axes`; both scaled, (points, 4) and (flights, 4)."""
+    if not axes.size:
+        return np.ones(len(points), bool)
+    away = np.abs(points[:, None, axes] - flights[None, :, axes]).max(axis=2)
+    near: NDArray[np.bool_] = away.min(axis=1) <= 2.0 * NEAR  # of a range that is 2 wide here
+    return near

@@ -1,0 +1,176 @@
+"""One model of the whole envelope, fitted by maximum likelihood to the flights themselves.
+
+Derivatives are polynomials of angle of attack, airspeed, elevator, sideslip and their own control. All flights are fitted
+together; each keeps its constants and initial states. Terms are taken by what they gain on flights held out (`evidence`), then
+everything is fitted again, until no further term is asked for.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimation.campaign.aerodynamics.evidence import Gain, grown, information, superfluous
+from estimation.campaign.aerodynamics.terms import CENTRED, POWERS, Term, candidates, derivatives_of, row_of, with_terms
+from estimation.campaign.errors import CampaignError
+from estimation.campaign.pooling import LEVEL, t_quantile
+from estimation.engine.data import AS_USUAL, FlightData
+from estimation.engine.prepared import compared, prepared
+from estimation.engine.simulate import Simulator
+from estimation.estimators.output_error import output_error
+from estimation.estimators.result import Result
+from estimation.models.base import Model
+from estimation.session.flights import unique_names
+from estimation.session.flown import flown
+from estimation.session.runner import joint_model
+from groundstation.flight import Flight
+
+Array = NDArray[np.float64]
+
+FEWEST = 4  # flights: fewer cannot be held out and leave a choice
+FLIGHTS_A_TERM = 2  # at least: more terms than that follow flights, not the aircraft
+ROUNDS = 3  # of choosing and fitting: the second hardly ever finds another term
+
+
+@dataclass(frozen=True)
+class GlobalModel:
+    """result: of the joint fit with its terms, in `result.model`; gains: of the terms, in the order in which they were taken;
+    flown: variable -> range; why: where none could be looked for."""
+
+    result: Result
+    gains: tuple[Gain, ...]
+    flown: Mapping[str, tuple[float, float]]
+    why: str = ""
+
+    @property
+    def model(self) -> Model:
+        """With the estimates as its values, constants of the mean flight, and what was flown: for `sideslip match` and others."""
+        return replace(self.result.fitted_model, flown=self.flown)
+
+    @property
+    def text(self) -> str:
+        """A sentence on the terms."""
+        if self.why:
+            return self.why
+        if not self.gains:
+            return "no term over the envelope is asked for: the derivatives are constants on these flights"
+        said = ", ".join(f"{g.name} ({g.gain:.0f} +- {g.std:.0f})" for g in self.gains)
+        return f"terms by what they gain in log likelihood on flights held out: {said}"
+
+    def at(self, derivative: str, conditions: Sequence[Mapping[str, float]]) -> tuple[Array, Array]:
+        """(points,) a derivative and its corrected bound at values of alpha [rad], V [m/s], beta [rad], delta_e [rad] ..."""
+        return curve(
+            self.result.model,
+            self.result.names,
+            self.result.values,
+            self.result.covariance_coloured,
+            derivative,
+            conditions,
+        )
+
+
+def half_band(std: Array, flights: int) -> Array:
+    """Half of the 95 % band: Student's, with a flight less than there are, for what the residuals of so many flights tell of
+    their own covariance."""
+    half: Array = t_quantile(1.0 - LEVEL / 2.0, flights - 1) * std
+    return half
+
+
+def curve(
+    model: Model,
+    names: Sequence[str],
+    values: Mapping[str, float],
+    covariance: Array,
+    derivative: str,
+    conditions: Sequence[Mapping[str, float]],
+) -> tuple[Array, Array]:
+    """(points,) a derivative and its bound at conditions. names: in the order of covariance."""
+    rows = np.array([row_of(model, derivative, names, at) for at in conditions])
+    std: Array = np.sqrt(np.maximum(np.einsum("pi,ij,pj->p", rows, covariance, rows), 0.0))
+    return rows @ np.array([values[n] for n in names]), std
+
+
+def global_model(
+    model: Model, flights: Sequence[Flight], tell: Callable[[str], None] = lambda text: None
+) -> GlobalModel:
+    """Choose and fit. model: of one condition; its constants become each flight's own. Raises CampaignError for too few flights,
+    DataError for flights that cannot feed the model."""
+    if len(flights) < FEWEST:
+        raise CampaignError(f"a model over the envelope needs {FEWEST} flights to hold some out; {len(flights)} given")
+    base = joint_model(model)
+    flights = unique_names(flights)
+    reference = references(flights)
+    tried = candidates(base, [v for v in POWERS if _in_all(flights, v)])
+    wide = with_terms(base, tried, reference)
+    tell(f"{len(flights)} flights together, {len(tried)} terms to choose from")
+    slim, data = compared(wide, prepared(wide, flights, AS_USUAL))
+    fit = _Fit(base, flights, data, slim, _simulator(slim, data), tried, reference)
+    result, gains = output_error(base, flights), tuple[Gain, ...]()
+    for wave in ([t for t in tried if t.first], tried):
+        for _ in range(ROUNDS):
+            if why := fit.unusable(result):
+                return GlobalModel(result, gains, flown(result.model, flights), why)
+            more = fit.asked_for(result, wave, len(flights) // FLIGHTS_A_TERM - len(gains))
+            if not more:
+                break
+            gains = (*gains, *more)
+            tell(f"{len(gains)} terms over the envelope; fitting again")
+            result = fit.again(result, gains)
+    if gains and not fit.unusable(result):
+        kept = fit.needed(result, gains)
+        if kept != gains:
+            tell(f"{len(kept)} terms are enough; fitting again")
+            result, gains = fit.again(result, kept), kept
+    return GlobalModel(result, gains, flown(result.model, flights), fit.unusable(result))
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """What every fit of a search shares. wide, data, simulator: with all terms, for the evidence."""
+
+    base: Model
+    flights: Sequence[Flight]
+    data: Sequence[FlightData]
+    wide: Model
+    simulator: Simulator
+    tried: Sequence[Term]
+    reference: Mapping[str, float]
+
+    def asked_for(self, result: Result, wave: Sequence[Term], most: int) -> list[Gain]:
+        """Terms of `wave` that flights held out want beside those of the result."""
+        known = information(self.wide, self.data, result, self.simulator)
+        active = [n for n in known.names if n in result.parameters]
+        return grown(known, active, [t.name for t in wave if t.name not in active], most)
+
+    def needed(self, result: Result, gains: tuple[Gain, ...]) -> tuple[Gain, ...]:
+        """Those that are still wanted beside all the others."""
+        known = information(self.wide, self.data, result, self.simulator)
+        active = [n for n in known.names if n in result.parameters]
+        out = superfluous(known, active, {g.name: result.values[g.name] for g in gains})
+        return tuple(g for g in gains if g.name not in out)
+
+    def again(self, before: Result, gains: Sequence[Gain]) -> Result:
+        """The joint fit with the terms that were taken, from where the last one ended."""
+        names = {g.name for g in gains}
+        chosen = with_terms(self.base, [t for t in self.tried if t.name in names], self.reference)
+        return output_error(chosen, self.flights, start={n: before.values[n] for n in derivatives_of(self.base)})
+
+    def unusable(self, result: Result) -> str:
+        """Why no terms can be looked for from a result, empty where they can."""
+        whole = all(len(f.initial_states) == len(d.segments) for f, d in zip(result.flights, self.data, strict=True))
+        return "" if result.converged and whole else f"no further terms were looked for: {result.text}"
+
+
+def references(flights: Sequence[Flight]) -> dict[str, float]:
+    """`alpha_ref` ...: means over the flights of what terms are centred on, for the variables that all of them measure."""
+    return {f"{v}_ref": float(np.mean([np.nanmean(f[v]) for f in flights])) for v in CENTRED if _in_all(flights, v)}
+
+
+def _in_all(flights: Sequence[Flight], column: str) -> bool:
+    return all(f.measured(column) for f in flights)
+
+
+def _simulator(wide: Model, data: Sequence[FlightData]) -> Simulator:
+    work = 12.0 * sum(d.used for d in data) * (len(wide.free_names) + len(wide.states)) / 20.0
+    return Simulator.build(wide, work=work)

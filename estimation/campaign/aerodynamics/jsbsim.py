@@ -1,0 +1,77 @@
+"""The database as JSBSim functions: a table of each derivative over angle of attack and true airspeed.
+
+To be included in the <aerodynamics> of an aircraft, before the axes that multiply the derivatives with their angles and
+rates. Per rad, rates non-dimensional as p b / 2V, in the signs of docs/aircraft.md, which a JSBSim aircraft may not share.
+"""
+
+from collections.abc import Iterator, Sequence
+from xml.etree import ElementTree as ET
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.contract.plain_words import file_name
+from estimation.campaign.aerodynamics.tables import SURFACE
+from estimation.campaign.tasks import Row
+
+Array = NDArray[np.float64]
+
+FOOT = 0.3048  # m
+FOLDER = "aero/sideslip/"
+ALPHA, SPEED = "aero/alpha-rad", "velocities/vt-fps"
+
+
+def aerodynamics_files(database: Sequence[Row]) -> dict[str, str]:
+    """Name of a file without its ending -> XML, for each group, method and way of estimation."""
+    sets: dict[tuple[str, str, str], dict[str, list[Row]]] = {}
+    for r in database:
+        if r["along"] in (SURFACE, ""):
+            sets.setdefault((r["group"], r["method"], r["kind"]), {}).setdefault(r["parameter"], []).append(r)
+    return {
+        file_name("_".join(which).replace(", ", "_").replace(" ", "_")): _xml(", ".join(which), parameters)
+        for which, parameters in sets.items()
+    }
+
+
+def _xml(what: str, parameters: dict[str, list[Row]]) -> str:
+    root = ET.Element("aerodynamics")
+    root.append(
+        ET.Comment(f" Sideslip, {what}: derivatives per rad; where nobody flew, as at the nearest point flown ")
+    )
+    for name, rows in parameters.items():
+        root.append(_function(name, rows))
+    ET.indent(root)
+    return ET.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
+
+
+def _function(name: str, rows: Sequence[Row]) -> ET.Element:
+    function = ET.Element("function", name=f"{FOLDER}{name}")
+    if len(rows) == 1:
+        ET.SubElement(function, "value").text = f"{rows[0]['estimate']:.8g}"
+        return function
+    alphas, speeds = (sorted({r[c] for r in rows}) for c in ("alpha", "V"))
+    value = _filled(rows, alphas, speeds)
+    table = ET.SubElement(function, "table")
+    ET.SubElement(table, "independentVar", lookup="row").text = ALPHA
+    ET.SubElement(table, "independentVar", lookup="column").text = SPEED
+    ET.SubElement(table, "tableData").text = "\n" + "\n".join(_lines(alphas, speeds, value)) + "\n"
+    return function
+
+
+def _lines(alphas: Sequence[float], speeds: Sequence[float], value: Array) -> Iterator[str]:
+    yield " ".join(f"{v / FOOT:.8g}" for v in speeds)
+    for a, row in zip(alphas, value, strict=True):
+        yield " ".join(f"{x:.8g}" for x in (a, *row))
+
+
+def _filled(rows: Sequence[Row], alphas: Sequence[float], speeds: Sequence[float]) -> Array:
+    """(alphas, speeds); a table has no empty cells, so where nobody flew stands the nearest value, in steps of the grid."""
+    value = np.full((len(alphas), len(speeds)), np.nan)
+    for r in rows:
+        if r["flown"]:
+            value[alphas.index(r["alpha"]), speeds.index(r["V"])] = r["estimate"]
+    flown = np.argwhere(np.isfinite(value))
+    for i, j in np.argwhere(np.isnan(value)):
+        nearest = flown[np.argmin(np.sum((flown - (i, j)) ** 2, axis=1))]
+        value[i, j] = value[tuple(nearest)]
+    return value

@@ -1,0 +1,241 @@
+"""Many parameters of many flights at once: y_i = X_i b + u_i + e_i, by restricted maximum likelihood.
+
+y_i: (k,) estimates of one flight; e_i: their full corrected covariance V_i, taken as known; u_i: what differs from flight to
+flight beyond it, a variance for each parameter; b: coefficients of forms, those of a spline with a variance of their own.
+Restricted likelihood after Henderson's equations (Searle, Casella and McCulloch, Variance Components, 1992, ch. 7). With one
+parameter and a constant it is the random-effects mean of a meta-analysis, as `pooling.pool` has it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+LEAST = 1e-7  # of a flight's variance: a variance so small is none
+MOST = 1e7
+NEGLIGIBLE = 1e-2  # of a flight's variance: so little is left out where that is no worse
+ROUNDS = 60  # of the search: it ends in 10 to 20
+
+
+@dataclass(frozen=True)
+class Estimates:
+    """y: (flights, k); V: (flights, k, k); known: (flights, k), which parameters each flight tells."""
+
+    y: Array
+    V: Array
+    known: Mask
+
+    def part(self, keep: Mask) -> "Estimates":
+        """Only some of the flights."""
+        return Estimates(self.y[keep], self.V[keep], self.known[keep])
+
+    def one(self, parameter: int) -> "Estimates":
+        """One parameter by itself; flights that do not tell it stay in their places."""
+        j = slice(parameter, parameter + 1)
+        return Estimates(self.y[:, j], self.V[:, j, j], self.known[:, j])
+
+
+@dataclass(frozen=True)
+class Design:
+    """X: (flights, k, p), rows of what a flight does not tell zero; owner: (p,) parameter of each column; penalty: (p,) -1 for
+    a free column, else the number of the spline variance it has."""
+
+    X: Array
+    owner: NDArray[np.intp]
+    penalty: NDArray[np.intp]
+
+    @classmethod
+    def of(cls, columns: Sequence[Array], penalties: Sequence[Sequence[int]], known: Mask) -> "Design":
+        """From (flights, terms) and penalties of each parameter's form."""
+        count = sum(c.shape[1] for c in columns)
+        X = np.zeros((*known.shape, count))
+        owner, penalty = np.zeros(count, np.intp), np.zeros(count, np.intp)
+        first, splines = 0, 0
+        for j, (c, own) in enumerate(zip(columns, penalties, strict=True)):
+            place = slice(first, first + c.shape[1])
+            X[:, j, place] = c * known[:, j, None]
+            owner[place] = j
+            penalty[place] = [p if p < 0 else p + splines for p in own]
+            first, splines = place.stop, splines + 1 + max(own)
+        return cls(X, owner, penalty)
+
+    @property
+    def splines(self) -> int:
+        return int(self.penalty.max(initial=-1)) + 1
+
+    def part(self, keep: Mask) -> "Design":
+        """Only some of the flights."""
+        return Design(self.X[keep], self.owner, self.penalty)
+
+
+@dataclass(frozen=True)
+class Fit:
+    """b, covariance: (p,), (p, p), of the coefficients (Bayes' for splines), with Knapp and Hartung's factor of each parameter;
+    tau2: (k,) variances between flights; smooth: (splines,); S: (flights, k, k) variance of a flight's estimates about the
+    curves; H: its part that the coefficients' own error would explain; residual: (flights, k); freedom: (k,)."""
+
+    b: Array
+    covariance: Array
+    tau2: Array
+    smooth: Array
+    S: Array
+    H: Array
+    residual: Array
+    freedom: Array
+
+    def left_out(self, known: Mask) -> Array:
+        """(flights,) squared distance of each flight from what the others say, chi-square of as many as it tells."""
+        middle = np.where(known[:, :, None] & known[:, None, :], self.S - self.H, np.eye(known.shape[1]))
+        r = np.where(known, self.residual, 0.0)
+        distance: Array = np.einsum("nk,nk->n", r, np.linalg.solve(middle, r[:, :, None])[:, :, 0])
+        return distance
+
+    def scores(self) -> Array:
+        """(flights,) log density of each flight as the others predict it, of a fit of one parameter."""
+        s, left = self.S[:, 0, 0], (self.S - self.H)[:, 0, 0]
+        density: Array = -0.5 * np.log(s**2 / left) - 0.5 * self.residual[:, 0] ** 2 / left
+        return density
+
+
+def fit(data: Estimates, design: Design, start: Array | None = None) -> Fit:
+    """The largest restricted likelihood. start: (k + splines,) variances to begin from. Needs more flights than free terms."""
+    from scipy.optimize import minimize
+
+    data, unit = _scaled(data)
+    size = data.y.shape[1]
+    usual = np.concatenate([_first_guess(data, design), np.full(design.splines, 0.1 * np.maximum(1.0, np.var(data.y)))])
+    begin = (
+        usual if start is None else np.maximum(start / np.concatenate([unit, _spline_units(unit, design)]) ** 2, LEAST)
+    )
+
+    def cost(log_variances: Array) -> tuple[float, Array]:
+        variances = np.exp(log_variances)
+        value, slope = _likelihood(data, design, variances[:size], variances[size:])
+        return value, slope * variances
+
+    bounds = [(np.log(LEAST), np.log(MOST))] * begin.size
+    ends = minimize(
+        cost, np.log(begin), jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": ROUNDS, "ftol": 1e-10}
+    )
+    variances = np.exp(ends.x)
+    without = np.where(variances < NEGLIGIBLE, LEAST, variances)
+    if cost(np.log(without))[0] <= ends.fun:  # towards nothing the likelihood grows flat long before it is there
+        variances = without
+    tau2 = np.where(variances[:size] > LEAST, variances[:size], 0.0)
+    return _in_units(_at(data, design, tau2, variances[size:]), unit, design)
+
+
+def predicted(found: Fit, columns: Array, owner: NDArray[np.intp], parameter: int) -> tuple[Array, Array]:
+    """(points,) value and standard error of one parameter; columns: (points, terms) of its form."""
+    place = np.flatnonzero(owner == parameter)
+    C = found.covariance[np.ix_(place, place)]
+    return columns @ found.b[place], np.sqrt(np.maximum(np.einsum("pi,ij,pj->p", columns, C, columns), 0.0))
+
+
+def replicates(data: Estimates, design: Design, found: Fit, count: int, rng: np.random.Generator) -> Array:
+    """(count, p) coefficients from flights drawn again with replacement, variances as found: a check of the covariance."""
+    X, y = design.X, np.where(data.known, data.y, 0.0)
+    weighted = inverses(found.S, data.known) @ X
+    prior = np.diag([0.0 if p < 0 else 1.0 / found.smooth[p] for p in design.penalty])
+    drawn = rng.multinomial(len(y), np.full(len(y), 1.0 / len(y)), size=count)
+    free = design.penalty < 0
+    found_b = np.full((count, X.shape[2]), np.nan)
+    for number, times in enumerate(drawn):
+        A = np.einsum("n,nkp,nkq->pq", times, weighted, X) + prior
+        if np.linalg.matrix_rank(A[np.ix_(free, free)]) == free.sum():  # a draw of too few flights tells nothing
+            found_b[number] = np.linalg.solve(A, np.einsum("n,nkp,nk->p", times, weighted, y))
+    return found_b[np.isfinite(found_b[:, 0])]
+
+
+# ------------------------------------------------------------------------------------------------------ inside
+
+
+def _scaled(data: Estimates) -> tuple[Estimates, Array]:
+    """Every parameter in units of its usual bound, so that variances are of one size."""
+    own = np.where(data.known, np.sqrt(np.diagonal(data.V, axis1=1, axis2=2)), np.nan)
+    unit = np.nanmedian(own, axis=0)
+    y = np.where(data.known, data.y, 0.0) / unit
+    V = np.where(data.known[:, :, None] & data.known[:, None, :], data.V, 0.0) / np.outer(unit, unit)
+    return Estimates(y, V, data.known), unit
+
+
+def _first_guess(data: Estimates, design: Design) -> Array:
+    """(k,) variances between flights by the scatter about plain least squares."""
+    guess = np.full(data.y.shape[1], 0.1)
+    for j in range(guess.size):
+        rows = data.known[:, j]
+        X = design.X[rows, j][:, (design.owner == j) & (design.penalty < 0)]
+        b, *_ = np.linalg.lstsq(X, data.y[rows, j], rcond=None)
+        excess = float(np.mean((data.y[rows, j] - X @ b) ** 2) - np.mean(data.V[rows, j, j]))
+        guess[j] = max(guess[j], excess)
+    return guess
+
+
+def inverses(S: Array, known: Mask) -> Array:
+    """(flights, k, k) inverses over what each flight tells, zero elsewhere."""
+    both = known[:, :, None] & known[:, None, :]
+    whole = np.where(both, S, np.eye(S.shape[1]))
+    inverse: Array = np.where(both, np.linalg.inv(whole), 0.0)
+    return inverse
+
+
+def _solved(data: Estimates, design: Design, tau2: Array, smooth: Array) -> tuple[Array, ...]:
+    """S, W, W X, A, A^-1, b, residual at given variances."""
+    S = data.V + np.where(data.known, tau2, 0.0)[:, :, None] * np.eye(tau2.size)
+    W = inverses(S, data.known)
+    WX = W @ design.X
+    count = design.X.shape[2]
+    A = design.X.reshape(-1, count).T @ WX.reshape(-1, count)
+    A[np.diag_indices(count)] += [0.0 if p < 0 else 1.0 / smooth[p] for p in design.penalty]
+    inverse: Array = np.asarray(np.linalg.inv(A), np.float64)
+    b: Array = inverse @ np.einsum("nkp,nk->p", WX, data.y)
+    residual: Array = np.where(data.known, data.y - design.X @ b, 0.0)
+    return S, W, WX, A, inverse, b, residual
+
+
+def _likelihood(data: Estimates, design: Design, tau2: Array, smooth: Array) -> tuple[float, Array]:
+    """Minus the restricted log likelihood without its constant, and its slope (k + splines,) over the variances."""
+    S, W, WX, A, inverse, b, residual = _solved(data, design, tau2, smooth)
+    whole = np.where(data.known[:, :, None] & data.known[:, None, :], S, np.eye(tau2.size))
+    Wr = np.einsum("nkl,nl->nk", W, residual)
+    sizes = np.bincount(design.penalty[design.penalty >= 0], minlength=smooth.size) if smooth.size else np.zeros(0)
+    squares, traces = np.zeros(smooth.size), np.zeros(smooth.size)
+    for s in range(smooth.size):
+        mine = design.penalty == s
+        squares[s], traces[s] = np.sum(b[mine] ** 2), np.sum(np.diag(inverse)[mine])
+    value = 0.5 * float(
+        np.linalg.slogdet(whole)[1].sum() + np.linalg.slogdet(A)[1] + np.sum(sizes * np.log(smooth))
+        + np.sum(residual * Wr) + np.sum(squares / smooth)
+    )  # fmt: skip
+    explained = np.einsum("nkp,pq,nkq->k", WX, inverse, WX, optimize=True)
+    between = 0.5 * (np.einsum("nkk->k", W) - explained - np.sum(Wr**2, axis=0))
+    return value, np.concatenate([between, 0.5 * (sizes / smooth - (traces + squares) / smooth**2)])
+
+
+def _at(data: Estimates, design: Design, tau2: Array, smooth: Array) -> Fit:
+    S, W, _, _, inverse, b, residual = _solved(data, design, tau2, smooth)
+    H = np.einsum("nkp,pq,nlq->nkl", design.X, inverse, design.X, optimize=True)
+    used = np.einsum("nkl,nlk->k", W, H)
+    freedom = np.maximum(data.known.sum(axis=0) - used, 1.0)
+    spread = np.where(data.known, np.einsum("nkk->nk", S), 1.0)
+    factor = np.sqrt(np.maximum(1.0, np.sum(residual**2 / spread, axis=0) / freedom))[design.owner]
+    return Fit(b, inverse * np.outer(factor, factor), tau2, smooth, S, H, residual, freedom)
+
+
+def _in_units(found: Fit, unit: Array, design: Design) -> Fit:
+    """Back from units of the usual bound."""
+    of_b, two = unit[design.owner], np.outer(unit, unit)
+    smooth = found.smooth * _spline_units(unit, design) ** 2
+    return Fit(
+        found.b * of_b, found.covariance * np.outer(of_b, of_b), found.tau2 * unit**2, smooth, found.S * two,
+        found.H * two, found.residual * unit, found.freedom,
+    )  # fmt: skip
+
+
+def _spline_units(unit: Array, design: Design) -> Array:
+    """(splines,) unit of the parameter that each spline is of."""
+    return np.array([unit[design.owner[design.penalty == s][0]] for s in range(design.splines)])

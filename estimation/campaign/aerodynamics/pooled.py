@@ -1,0 +1,264 @@
+"""Curves over the envelope from the estimates of many flights: forms chosen by leaving flights out, outlying flights told.
+
+estimate_i = s(conditions_i) + u_i + e_i for all parameters of a group at once: a flight that is off in several parameters is
+seen in all of them together, and correlated estimates are not counted twice.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimation.campaign import pooling
+from estimation.campaign.aerodynamics import mixed
+from estimation.campaign.aerodynamics.forms import CONSTANT, Form, Scale, flown, larger
+from estimation.campaign.aerodynamics.mixed import Design, Estimates, Fit
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+SPARE_FLIGHTS = 4  # beyond the terms: fewer leave nothing to judge a form by
+MOST_OUTLYING = 0.25  # of the flights: more than these are not outliers but another aircraft
+FEWEST_SHIFTED = 2  # flights on either side of a shift: fewer do not tell how far they scatter
+ROUNDS = 5  # of leaving out and looking again
+CONDITION_LIMIT = 1e10  # of a design: beyond, its terms cannot be told apart on these flights
+
+
+@dataclass(frozen=True)
+class Flown:
+    """Flights of one group by one method. flights, dates: by flight; conditions: (flights, 4) of `forms.CONDITIONS`."""
+
+    parameters: tuple[str, ...]
+    flights: tuple[str, ...]
+    dates: tuple[str, ...]
+    conditions: Array
+    data: Estimates
+
+
+@dataclass(frozen=True)
+class Envelope:
+    """The curves of a group. forms: of each parameter; shifts: (flights, effects) by which its estimates may be moved, and for
+    each parameter those that its flights can tell; distance, limit: (flights,) of each flight from what the others say, and
+    the distance that one sound flight of so many exceeds with the usual level; sound: flights that enter the curves."""
+
+    of: Flown
+    scale: Scale
+    forms: tuple[Form, ...]
+    shifts: Array
+    shifted: tuple[tuple[int, ...], ...]
+    fit: Fit
+    design: Design
+    sound: Mask
+    distance: Array
+    limit: Array
+
+    @cached_property
+    def x(self) -> Array:
+        """(sound flights, 4) scaled conditions."""
+        return self.scale.scaled(self.of.conditions[self.sound])
+
+    def columns(self, parameter: int, conditions: Array) -> Array:
+        """(points, terms) of a parameter's form; shifts at their mean, which is zero."""
+        own = self.forms[parameter].columns(self.scale.scaled(conditions))
+        return np.column_stack([own, np.zeros((len(own), len(self.shifted[parameter])))])
+
+    def shift(self, parameter: int, effect: int) -> tuple[float, float] | None:
+        """Coefficient and standard error of an effect on a parameter; None where its flights do not tell it."""
+        if effect not in self.shifted[parameter]:
+            return None
+        first = int(np.flatnonzero(self.design.owner == parameter)[0]) + len(self.forms[parameter].penalty)
+        place = first + self.shifted[parameter].index(effect)
+        return float(self.fit.b[place]), float(np.sqrt(self.fit.covariance[place, place]))
+
+    def at(self, parameter: int, conditions: Array) -> tuple[Array, Array]:
+        """(points,) value and standard error of a parameter's curve at (points, 4) conditions."""
+        return mixed.predicted(self.fit, self.columns(parameter, conditions), self.design.owner, parameter)
+
+    def of_flight(self, parameter: int, flight: int) -> tuple[float, float]:
+        """Value and standard error of a parameter in one flight, with what moved it."""
+        own = self.forms[parameter].columns(self.scale.scaled(self.of.conditions[flight : flight + 1]))
+        row = np.column_stack([own, self.shifts[flight : flight + 1, self.shifted[parameter]]])
+        value, std = mixed.predicted(self.fit, row, self.design.owner, parameter)
+        return float(value[0]), float(std[0])
+
+    def half_band(self, parameter: int, std: Array) -> Array:
+        """Half of the 95 % band of a curve."""
+        half: Array = pooling.t_quantile(1.0 - pooling.LEVEL / 2.0, int(self.fit.freedom[parameter])) * std
+        return half
+
+    def flown(self, conditions: Array) -> Mask:
+        """(points,) whether a flight was near enough, in every condition that changed."""
+        return flown(self.scale.scaled(conditions), self.x, np.flatnonzero(self.scale.changed))
+
+    def formula(self, parameter: int) -> str | None:
+        """An expression of alpha, V and delta_e for a model file, where the form has one."""
+        form = self.forms[parameter]
+        return form.formula(self.scale, self.fit.b[self.design.owner == parameter][: form.size])
+
+
+def envelope(of: Flown, shifts: Array | None = None) -> Envelope | None:
+    """Curves of all parameters that enough flights tell; None where there is none.
+
+    shifts: (flights, effects) that may move every parameter by amounts of their own, whatever the conditions: a configuration,
+    a date. They are taken about their means, so that the curves are those of the mean flight.
+    """
+    enough = np.flatnonzero(of.data.known.sum(axis=0) >= CONSTANT.size + SPARE_FLIGHTS)
+    if not enough.size:
+        return None
+    names = tuple(of.parameters[j] for j in enough)
+    data = Estimates(of.data.y[:, enough], of.data.V[:, enough][:, :, enough], of.data.known[:, enough])
+    told: Mask = data.known.sum(axis=1) > 0
+    of = Flown(
+        names,
+        tuple(f for f, t in zip(of.flights, told, strict=True) if t),
+        tuple(d for d, t in zip(of.dates, told, strict=True) if t),
+        of.conditions[told],
+        data.part(told),
+    )
+    moved = np.zeros((len(told), 0)) if shifts is None else shifts
+    moved = (moved - moved.mean(axis=0))[told]
+    scale = Scale.of(of.conditions)
+    x = scale.scaled(of.conditions)
+    sound = _not_plainly_off(of.data, np.column_stack([x[:, scale.changed], moved]))
+    for number in range(ROUNDS):
+        kept = of.data.part(sound)
+        shifted = tuple(_told_shifts(moved[sound][kept.known[:, j]]) for j in range(len(names)))
+        forms = tuple(
+            choose(kept.one(j), x[sound], scale.changed, moved[sound][:, shifted[j]]) for j in range(len(names))
+        )
+        every = _design(of.data, forms, x, moved, shifted)
+        design = every.part(sound)
+        found = mixed.fit(kept, design)
+        distance = _distances(of.data, every, sound, found)
+        limit = np.array([_limit(int(c), len(told)) for c in of.data.known.sum(axis=1)])
+        again = distance <= limit
+        if np.array_equal(again, sound) or again.mean() < 1.0 - MOST_OUTLYING or number == ROUNDS - 1:
+            break
+        sound = again
+    return Envelope(of, scale, forms, moved, shifted, found, design, sound, distance, limit)
+
+
+def choose(data: Estimates, x: Array, changed: Mask, shifts: Array) -> Form:
+    """The form of one parameter, grown a thing at a time while flights left out are clearly better predicted.
+
+    shifts: (flights, effects) that stand beside every form.
+
+    Clearly: the mean gain in log density is more than its standard error over flights, which chance reaches in some
+    hundredth of the forms that are tried.
+    """
+    rows = data.known[:, 0]
+    kept, at, beside = data.part(rows), x[rows], shifts[rows]
+    best, scores = CONSTANT, _scores(kept, CONSTANT, at, beside)
+    while True:
+        tried = [
+            (form, found)
+            for form in larger(best, changed)
+            if rows.sum() >= form.size + 2 * len(form.splines) + shifts.shape[1] + SPARE_FLIGHTS
+            and (found := _scores(kept, form, at, beside)) is not None
+        ]
+        if scores is None or not tried:
+            return best
+        form, found = max(tried, key=lambda t: float(t[1].mean()))
+        gain = found - scores
+        if gain.mean() <= float(gain.std(ddof=1)) / np.sqrt(gain.size):
+            return best
+        best, scores = form, found
+
+
+def bootstrap(envelope: Envelope, count: int, seed: int) -> Array:
+    """(replicates, coefficients) with the flights drawn again."""
+    data = envelope.of.data.part(envelope.sound)
+    return mixed.replicates(data, envelope.design, envelope.fit, count, np.random.default_rng(seed))
+
+
+def flown_of(
+    parameters: Sequence[str],
+    flights: Sequence[tuple[str, str]],
+    conditions: Array,
+    values: Array,
+    std: Array,
+    correlation: Array,
+) -> Flown:
+    """Flights (date, name) with estimates (flights, k), NaN where not told, bounds, and correlations (flights, k, k)."""
+    known = np.isfinite(values) & np.isfinite(std) & (std > 0.0)
+    own = np.where(known, std, 1.0)
+    V = correlation * own[:, :, None] * own[:, None, :]
+    V[:, np.arange(len(parameters)), np.arange(len(parameters))] = own**2
+    names = tuple(name for _, name in flights)
+    return Flown(tuple(parameters), names, tuple(d for d, _ in flights), conditions, Estimates(values, V, known))
+
+
+# ------------------------------------------------------------------------------------------------------ inside
+
+
+def _scores(data: Estimates, form: Form, x: Array, shifts: Array) -> Array | None:
+    """(flights,) how well each is predicted by the others; None where the flights cannot tell the terms apart."""
+    free = np.column_stack([form.columns(x)[:, : form.size], shifts])
+    if np.linalg.cond(free.T @ free) > CONDITION_LIMIT:
+        return None
+    effects = tuple(range(shifts.shape[1]))
+    return mixed.fit(data, _design(data, (form,), x, shifts, (effects,))).scores()
+
+
+def _design(
+    data: Estimates, forms: Sequence[Form], x: Array, shifts: Array, shifted: Sequence[tuple[int, ...]]
+) -> Design:
+    columns = [np.column_stack([f.columns(x), shifts[:, own]]) for f, own in zip(forms, shifted, strict=True)]
+    penalties = [(*f.penalty, *(-1 for _ in own)) for f, own in zip(forms, shifted, strict=True)]
+    return Design.of(columns, penalties, data.known)
+
+
+def _told_shifts(shifts: Array) -> tuple[int, ...]:
+    """Effects that have FEWEST_SHIFTED flights on either side, of (flights, effects)."""
+    sides = np.minimum((shifts > 0.0).sum(axis=0), (shifts <= 0.0).sum(axis=0))
+    return tuple(np.flatnonzero(sides >= FEWEST_SHIFTED).tolist())
+
+
+def _distances(data: Estimates, every: Design, sound: Mask, found: Fit) -> Array:
+    """(flights,) squared distance from what the sound flights say, each sound flight from what the others say."""
+    distance = np.zeros(sound.size)
+    distance[sound] = found.left_out(data.known[sound])
+    if not sound.all():
+        rest = data.part(~sound)
+        X, C = every.X[~sound], found.covariance
+        S = rest.V + np.eye(found.tau2.size) * found.tau2 + np.einsum("nkp,pq,nlq->nkl", X, C, X, optimize=True)
+        both = rest.known[:, :, None] & rest.known[:, None, :]
+        r = np.where(rest.known, rest.y - X @ found.b, 0.0)
+        solved = np.linalg.solve(np.where(both, S, np.eye(found.tau2.size)), r[:, :, None])[:, :, 0]
+        distance[~sound] = np.einsum("nk,nk->n", r, solved)
+    return distance
+
+
+def _limit(parameters: int, flights: int) -> float:
+    """Squared distance that one of so many sound flights exceeds with probability LEVEL."""
+    from scipy.special import chdtri
+
+    return float(chdtri(max(parameters, 1), pooling.LEVEL / flights))
+
+
+def _not_plainly_off(data: Estimates, x: Array) -> Mask:
+    """Flights near enough to the rest to begin with: each parameter by itself, about a plane over x (flights, columns), bounds
+    widened to the scatter of the middle half, so that bad flights cannot hide one another."""
+    off = np.zeros(len(x), bool)
+    for j in range(data.y.shape[1]):
+        rows = data.known[:, j]
+        y, s = data.y[rows, j], np.sqrt(data.V[rows, j, j])
+        X = np.ones((len(y), 1))
+        if rows.sum() > 2 * x.shape[1] + 4:
+            X = np.column_stack([X, x[rows]])
+        z = _robust_residual(y / s, X / s[:, None])
+        wide = max(1.0, pooling.ROBUST * float(np.median(np.abs(z))))
+        off[rows] |= np.abs(z) / wide > pooling.outlier_limit(len(y))
+    return ~off if off.mean() <= MOST_OUTLYING else np.ones(len(x), bool)
+
+
+def _robust_residual(y: Array, X: Array) -> Array:
+    """Residuals of least absolute deviations, by weights repeated."""
+    weight = np.ones(len(y))
+    for _ in range(30):  # settled to what matters here in ten
+        b, *_ = np.linalg.lstsq(X * weight[:, None], y * weight, rcond=None)
+        weight = 1.0 / np.sqrt(np.maximum(np.abs(y - X @ b), 1e-3))
+    residual: Array = y - X @ b
+    return residual

@@ -1,0 +1,161 @@
+"""Changes in time: the date from which the flights of a group say something else, in all their parameters together.
+
+A vane that slipped moves several parameters at once; together they tell the date far better than each by itself. The statistic
+is the largest Wald chi-square over all dates, of shifts of all parameters beside the curves over the conditions; what chance
+makes of it is found by drawing campaigns without a step.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimation.campaign import pooling
+from estimation.campaign.aerodynamics import mixed
+from estimation.campaign.aerodynamics.pooled import Envelope, Flown, envelope
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+FEWEST_BESIDE = 3  # flights on either side of a date
+MOST_STEPS = 3  # of one group: more are a drift, and its flights are not of one aircraft
+MOST_DATES = 300  # that are tried; of more, evenly spread ones
+DRAWS = 499  # campaigns without a step: the smallest probability is 0.002
+AT_ONCE = 50  # draws, for memory
+DATE_95 = 7.35  # by which the statistic falls to the ends of 95 %: (1 - exp(-x/2))^2 = 0.95 (Yao 1987, Ann. Stat. 15)
+
+
+@dataclass(frozen=True)
+class Moved:
+    """One parameter: by how much, its standard error, the probability of as much without a step, heeding all parameters."""
+
+    parameter: str
+    change: float
+    std: float
+    probability: float
+
+
+@dataclass(frozen=True)
+class Step:
+    """first: number of the first flight after it; dates: between which it lies, 95 %; probability: of a statistic as large
+    without a step, heeding all dates; moved: every parameter that could be told."""
+
+    first: int
+    dates: tuple[str, str]
+    probability: float
+    moved: tuple[Moved, ...]
+    freedom: int
+
+
+def with_steps(of: Flown, seed: int) -> tuple[Envelope | None, tuple[Step, ...]]:
+    """The curves of a group with the steps in time that its flights show. of: in order of date."""
+    shifts = np.zeros((len(of.flights), 0))
+    curves = envelope(of)
+    found: list[tuple[int, tuple[str, str], float]] = []
+    while curves is not None and len(found) < MOST_STEPS:
+        step = _search(curves, [f for f, _, _ in found], np.random.default_rng([seed, len(found)]))
+        if step is None:
+            break
+        first = of.flights.index(curves.of.flights[step[0]])
+        later = (np.arange(len(of.flights)) >= first).astype(float)
+        again = envelope(of, np.column_stack([shifts, later]))
+        if again is None:
+            break
+        shifts, curves = np.column_stack([shifts, later]), again
+        found.append((step[0], step[1], step[2]))
+    if curves is None:
+        return None, ()
+    return curves, tuple(_described(curves, number, *step) for number, step in enumerate(found))
+
+
+def _described(curves: Envelope, number: int, first: int, dates: tuple[str, str], probability: float) -> Step:
+    """Sizes of a step, with all steps that were found and the variances that are left."""
+    told = [(j, s) for j in range(len(curves.of.parameters)) if (s := curves.shift(j, number)) is not None]
+    freedom = int(min((curves.fit.freedom[j] for j, _ in told), default=1))
+    moved = []
+    for j, (change, std) in told:
+        p = pooling.two_sided(change / std, int(curves.fit.freedom[j]))
+        moved.append(Moved(curves.of.parameters[j], change, std, min(1.0, p * len(told))))
+    return Step(first, dates, probability, tuple(moved), freedom)
+
+
+def _search(
+    curves: Envelope, before: Sequence[int], rng: np.random.Generator
+) -> tuple[int, tuple[str, str], float] | None:
+    """(first flight after the step, dates between which it lies, probability), where one is found at the usual level.
+
+    before: steps that were found already; between two there are as many flights as beside one.
+    """
+    known = curves.of.data.known[curves.sound]
+    dates = [d for d, s in zip(curves.of.dates, curves.sound, strict=True) if s]
+    places = _places(dates)
+    sound = np.flatnonzero(curves.sound)
+    places = np.array([k for k in places if all(abs(sound[k] - b) >= FEWEST_BESIDE for b in before)], np.intp)
+    if not places.size:
+        return None
+    statistics = _Statistics(curves, known, places)
+    found = statistics.of(np.where(known, curves.fit.residual, 0.0)[None])[0]
+    largest = statistics.by_chance(rng)
+    probability = (1.0 + float(np.sum(largest >= found.max()))) / (1.0 + largest.size)
+    if probability > pooling.LEVEL:
+        return None
+    near = places[found >= found.max() - DATE_95]
+    between = dates[int(near.min()) - 1], dates[int(near.max())]
+    return int(sound[places[int(np.argmax(found))]]), between, probability
+
+
+def _places(dates: Sequence[str]) -> Index:
+    """First flights of a later date with enough flights on either side."""
+    some = [
+        k for k in range(FEWEST_BESIDE, len(dates) - FEWEST_BESIDE + 1) if dates[k - 1] and dates[k] != dates[k - 1]
+    ]
+    every = np.array(some, np.intp)
+    if every.size <= MOST_DATES:
+        return every
+    return every[np.linspace(0, every.size - 1, MOST_DATES).astype(np.intp)]
+
+
+class _Statistics:
+    """Wald's chi-square of a step of all parameters at each place, from residuals about the curves without it."""
+
+    def __init__(self, curves: Envelope, known: NDArray[np.bool_], places: Index) -> None:
+        fit, design = curves.fit, curves.design
+        self.known, self.places = known, places
+        self.W = mixed.inverses(fit.S, known)
+        self.S = fit.S
+        self.X = design.X
+        WX = self.W @ design.X
+        count = design.X.shape[2]
+        A = np.einsum("nkp,nkq->pq", design.X, WX, optimize=True)
+        A[np.diag_indices(count)] += [0.0 if p < 0 else 1.0 / fit.smooth[p] for p in design.penalty]
+        self.to_b = np.linalg.solve(A, WX.reshape(-1, count).T)  # (p, flights k): coefficients from estimates
+        after = _after(self.W, places)
+        cross = _after(WX, places)
+        information = after - np.einsum("ckp,pq,clq->ckl", cross, np.linalg.inv(A), cross, optimize=True)
+        self.inverse = np.array([np.linalg.pinv(i, rcond=1e-9, hermitian=True) for i in information])
+
+    def of(self, residual: Array) -> Array:
+        """(draws, places) from (draws, flights, k) residuals."""
+        score = np.stack([_after(r, self.places) for r in np.einsum("nkl,dnl->dnk", self.W, residual)])
+        chi2: Array = np.einsum("dck,ckl,dcl->dc", score, self.inverse, score, optimize=True)
+        return chi2
+
+    def by_chance(self, rng: np.random.Generator) -> Array:
+        """(DRAWS,) largest statistics of campaigns without a step, with the variances that were found."""
+        n, k = self.known.shape
+        root = np.linalg.cholesky(np.where(self.known[:, :, None] & self.known[:, None, :], self.S, np.eye(k)))
+        largest: list[float] = []
+        while len(largest) < DRAWS:
+            count = min(AT_ONCE, DRAWS - len(largest))
+            y = np.where(self.known, np.einsum("nkl,dnl->dnk", root, rng.standard_normal((count, n, k))), 0.0)
+            b = y.reshape(count, -1) @ self.to_b.T
+            residual = np.where(self.known, y - np.einsum("nkp,dp->dnk", self.X, b, optimize=True), 0.0)
+            largest += self.of(residual).max(axis=1).tolist()
+        return np.array(largest)
+
+
+def _after(values: Array, places: Index) -> Array:
+    """(places, ...) sums over the flights from each place on, of (flights, ...)."""
+    sums: Array = np.cumsum(values[::-1], axis=0)[::-1][places]
+    return sums

@@ -1,0 +1,225 @@
+"""The aerodynamic database as rows: from the results of a campaign to curves, surfaces and sentences on flights."""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimation.campaign.aerodynamics import pooled
+from estimation.campaign.aerodynamics.forms import CONDITIONS
+from estimation.campaign.aerodynamics.pooled import Envelope, Flown
+from estimation.campaign.aerodynamics.steps import Step, with_steps
+from estimation.campaign.groups import label_of
+from estimation.campaign.tasks import Row
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+Array = NDArray[np.float64]
+
+GRID = 9  # values of alpha and of V in a surface
+ALONG = 25  # points of a curve over one condition
+REPLICATES = 100  # of the bootstrap that the bands are held against: its own error is 7 %
+SURFACE = "alpha, V"
+LEADING = 3  # parameters that are named of an outlying flight
+
+INSTRUMENTS = "check"  # kind and method of the instrument factors: they may change, but are no aerodynamics
+
+Group = tuple[tuple[str, ...], str]
+"""Values of the keys, method."""
+ByFlight = dict[tuple[str, str, str], list[dict[str, Any]]]
+"""Date, flight, key with manoeuvre -> rows of its estimates."""
+
+
+@dataclass(frozen=True)
+class Curves:
+    """One group and method: what names it in a row, its rows of results by flight, its curves, and steps in time."""
+
+    about: Row
+    rows: ByFlight
+    envelope: Envelope
+    steps: tuple[Step, ...]
+
+
+def envelopes(results: "pa.Table", keys: Sequence[str], seed: int) -> list[Curves]:
+    """The curves of every group and method with enough flights; instrument factors of the data checks are a method too."""
+    found = []
+    for (values, method), flights in sorted(_by_group(results, keys).items()):
+        group = dict(zip(keys, values, strict=True))
+        curves, steps = with_steps(flown_rows(flights), seed)
+        if curves is not None:
+            about: Row = {"group": label_of(group), "method": method, **{k: v or None for k, v in group.items()}}
+            found.append(Curves(about, flights, curves, steps))
+    return found
+
+
+def database_rows(found: Sequence[Curves], seed: int) -> list[Row]:
+    """For each parameter a surface over alpha and V, and a curve along each condition, the others as they were flown there."""
+    rows: list[Row] = []
+    for each in found:
+        curves = each.envelope
+        replicates = pooled.bootstrap(curves, REPLICATES, seed)
+        for j, name in enumerate(curves.of.parameters):
+            if each.about["method"] == INSTRUMENTS:
+                continue
+            common: Row = {
+                **each.about,
+                "kind": "pooled",
+                "parameter": name,
+                "flights": int(curves.of.data.known[curves.sound, j].sum()),
+                "between": math.sqrt(curves.fit.tau2[j]),
+                "form": curves.forms[j].words,
+                "formula": curves.formula(j),
+            }
+            own = replicates[:, curves.design.owner == j]
+            for along, points in points_of(curves):
+                rows += _rows(curves, j, points, own, {**common, "along": along})
+    return rows
+
+
+def flight_rows(found: Sequence[Curves]) -> Iterator[Row]:
+    """A sentence on each flight that is far, in all its parameters together, from what the others say at its conditions."""
+    for each in found:
+        for i in np.flatnonzero(~each.envelope.sound):
+            yield _flight_row(each.envelope, int(i), each.about)
+
+
+def _flight_row(curves: Envelope, i: int, about: Row) -> Row:
+    of = curves.of
+    off = []
+    for j in np.flatnonzero(of.data.known[i]):
+        value, std = curves.of_flight(int(j), i)
+        spread = math.hypot(std, math.sqrt(of.data.V[i, j, j] + curves.fit.tau2[j]))
+        off.append(((float(of.data.y[i, j]) - value) / spread, of.parameters[j]))
+    most = sorted(off, key=lambda o: -abs(o[0]))[:LEADING]
+    distance, limit = math.sqrt(curves.distance[i]), math.sqrt(curves.limit[i])
+    text = (
+        f"{of.flights[i]}: its estimates together ({about['method']}) are {distance:.1f} bounds from what the other flights of"
+        f" {about['group']} say at its conditions (limit {limit:.1f}); most in "
+        + ", ".join(f"{name} ({z:+.1f} bounds)" for z, name in most)
+        + "; left out of the database: look at its record and its page"
+    )
+    return {
+        **about,
+        "kind": "outlying flight",
+        "flight": of.flights[i],
+        "at": of.dates[i] or None,
+        "flights": len(of.flights),
+        "ratio": distance,
+        "text": text,
+    }
+
+
+# ------------------------------------------------------------------------------------------------------ inside
+
+
+def _by_group(
+    results: "pa.Table", keys: Sequence[str]
+) -> dict[Group, dict[tuple[str, str, str], list[dict[str, Any]]]]:
+    """Group -> (date, flight, key and manoeuvre) -> rows of usable estimates."""
+    import pyarrow as pa
+    import pyarrow.compute as pc
+
+    kinds = pa.array(["estimate", INSTRUMENTS])
+    usable = results.filter(
+        pc.and_(pc.and_(pc.is_in(results["kind"], kinds), pc.equal(results["status"], "ok")), results["identifiable"])
+    )
+    wanted = (
+        "flight",
+        "manoeuvre",
+        "method",
+        "parameter",
+        "estimate",
+        "std_coloured",
+        "date",
+        "key",
+        "place",
+        "covariance",
+    )
+    groups: dict[Group, ByFlight] = {}
+    for row in usable.select(list(dict.fromkeys((*wanted, *CONDITIONS, *keys)))).to_pylist():
+        if row["estimate"] is not None and row["std_coloured"]:
+            group = (tuple(row[k] or "" for k in keys), row["method"])
+            flight = (row["date"] or "", row["flight"], f"{row['key']} {row['manoeuvre'] or ''}")
+            groups.setdefault(group, {}).setdefault(flight, []).append(row)
+    return groups
+
+
+def flown_rows(flights: ByFlight) -> Flown:
+    """Flights in order of date and name, parameters in order of name: no number depends on the order of the rows."""
+    order = sorted(flights)
+    names = sorted({r["parameter"] for rows in flights.values() for r in rows})
+    column = {name: j for j, name in enumerate(names)}
+    shape = (len(order), len(names))
+    values, std = np.full(shape, np.nan), np.full(shape, np.nan)
+    correlation = np.broadcast_to(np.eye(len(names)), (*shape, len(names))).copy()
+    conditions = np.full((len(order), len(CONDITIONS)), np.nan)
+    for i, flight in enumerate(order):
+        rows = flights[flight]
+        conditions[i] = [np.nan if rows[0][c] is None else rows[0][c] for c in CONDITIONS]
+        for r in rows:
+            values[i, column[r["parameter"]]], std[i, column[r["parameter"]]] = r["estimate"], r["std_coloured"]
+        _correlate(correlation[i], rows, column)
+    return pooled.flown_of(names, [(d, f) for d, f, _ in order], conditions, values, std, correlation)
+
+
+def _correlate(into: Array, rows: Sequence[Mapping[str, Any]], column: Mapping[str, int]) -> None:
+    """Correlations of one flight's estimates from the rows of its covariance; where a method gives none, there are none."""
+    placed = [r for r in rows if r["place"] is not None and r["covariance"]]
+    places = [r["place"] for r in placed]
+    if len(placed) < 2:
+        return
+    C = np.array([[np.nan if r["covariance"][p] is None else r["covariance"][p] for p in places] for r in placed])
+    own = np.sqrt(np.maximum(np.diag(C), 0.0))
+    if not np.isfinite(C).all() or not (own > 0.0).all():
+        return
+    index = [column[r["parameter"]] for r in placed]
+    into[np.ix_(index, index)] = 0.5 * (C + C.T) / np.outer(own, own)
+
+
+def points_of(curves: Envelope) -> Iterator[tuple[str, Array]]:
+    """(what changes, (points, 4) conditions); where nothing changed there is one point."""
+    flights = curves.of.conditions[curves.sound]
+    middle, scale = np.median(flights, axis=0), curves.scale
+    changed = [c for c, moved in zip(CONDITIONS, scale.changed, strict=True) if moved]
+    if not changed:
+        yield "", middle[None, :]
+        return
+    if "alpha" in changed and "V" in changed:
+        a, v = (np.linspace(scale.centre[i] - scale.half[i], scale.centre[i] + scale.half[i], GRID) for i in (0, 1))
+        grid = np.tile(middle, (GRID * GRID, 1))
+        grid[:, 0], grid[:, 1] = np.repeat(a, GRID), np.tile(v, GRID)
+        nearest = np.abs((grid[:, None, :2] - flights[None, :, :2]) / scale.half[:2]).max(axis=2).argmin(axis=1)
+        grid[:, 2:] = flights[nearest, 2:]  # as the nearest flight had them: what nobody flew is not asked
+        yield SURFACE, grid
+    for name in changed:
+        c = CONDITIONS.index(name)
+        at = np.linspace(scale.centre[c] - scale.half[c], scale.centre[c] + scale.half[c], ALONG)
+        yield name, _as_flown(at, c, flights, scale.half)
+
+
+def _as_flown(at: Array, condition: int, flights: Array, half: Array) -> Array:
+    """(points, 4): the condition at `at`, the others at the weighted means of the flights near by."""
+    near = np.exp(-0.5 * ((at[:, None] - flights[None, :, condition]) / (0.15 * half[condition])) ** 2) + 1e-12
+    points: Array = near @ np.nan_to_num(flights) / near.sum(axis=1, keepdims=True)
+    points[:, condition] = at
+    return points
+
+
+def _rows(curves: Envelope, parameter: int, points: Array, replicates: Array, common: Row) -> list[Row]:
+    value, std = curves.at(parameter, points)
+    half = curves.half_band(parameter, std)
+    spread = np.std(replicates @ curves.columns(parameter, points).T, axis=0, ddof=1) if len(replicates) > 1 else None
+    rows = []
+    for i, near in enumerate(curves.flown(points)):
+        where = {n: float(x) if math.isfinite(x) else None for n, x in zip(CONDITIONS, points[i], strict=True)}
+        row: Row = {**common, **where, "flown": bool(near)}
+        if near:
+            numbers = {"estimate": value[i], "std": std[i], "low": value[i] - half[i], "high": value[i] + half[i]}
+            row |= {n: float(x) for n, x in numbers.items()}
+            row["bootstrap_std"] = None if spread is None else float(spread[i])
+        rows.append(row)
+    return rows

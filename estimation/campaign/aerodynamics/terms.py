@@ -1,0 +1,138 @@
+"""Terms that make a derivative change over the envelope, written into the text of a model.
+
+`Cl_beta` becomes `Cl_beta_here = Cl_beta + Cl_beta_alpha*(alpha - alpha_ref) + ...` wherever it stands, so any model of
+equations takes them: built-in or of one's own. Airspeed enters as V/V_ref - 1, angles in rad.
+"""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from estimation.models.base import Model, Parameter, ParameterRole, Signal
+from estimation.models.expressions import products_in
+
+HERE = "_here"
+CENTRED = {"alpha": "rad", "V": "m/s", "delta_e": "rad"}
+"""Variables taken from a reference, and their units; all others are taken as they are, and only squared: an aircraft that is
+symmetric knows no odd power of sideslip in a lateral derivative."""
+POWERS: Mapping[str, tuple[int, ...]] = {"alpha": (1, 2), "V": (1, 2), "delta_e": (1,), "beta": (2,)}
+OWN_CONTROL = (2,)  # powers of the control that a derivative stands beside: what is lost at large angles
+
+
+@dataclass(frozen=True)
+class Term:
+    """derivative times a power of a variable of the flight."""
+
+    derivative: str
+    variable: str
+    power: int
+
+    @property
+    def name(self) -> str:
+        """`Cl_beta_alpha`, `Cl_beta_alpha2`: the parameter."""
+        return f"{self.derivative}_{self.variable}{self.power if self.power > 1 else ''}"
+
+    @property
+    def first(self) -> bool:
+        """Whether it is tried before the others: the angle of attack, and squares of sideslip and of the own control. In level
+        flight speed and elevator follow the angle of attack, and measured better than it they would take its place."""
+        return self.power == (1 if self.variable == "alpha" else 2) and self.variable != "V"
+
+    @property
+    def text(self) -> str:
+        """What stands in the line of the derivative."""
+        return f"{self.name}*{_factor(self.variable)}" + (f"^{self.power}" if self.power > 1 else "")
+
+    def value(self, at: Mapping[str, float], reference: Mapping[str, float]) -> float:
+        """What the parameter is multiplied by, at values of the variables; nothing for one that is not given: at its reference,
+        or zero."""
+        if self.variable not in at:
+            return 0.0
+        x = at[self.variable]
+        if self.variable == "V":
+            x = x / reference["V_ref"] - 1.0
+        elif self.variable in CENTRED:
+            x = x - reference[f"{self.variable}_ref"]
+        return float(x**self.power)
+
+
+def _factor(variable: str) -> str:
+    if variable == "V":
+        return "(V/V_ref - 1)"
+    return f"({variable} - {variable}_ref)" if variable in CENTRED else variable
+
+
+def derivatives_of(model: Model) -> tuple[str, ...]:
+    """Parameters that terms are tried on: free derivatives that are the same in every flight."""
+    return tuple(n for n in model.free_of(ParameterRole.DERIVATIVE) if not model.parameter(n).local)
+
+
+def candidates(model: Model, columns: Sequence[str]) -> tuple[Term, ...]:
+    """Every term that can be tried. columns: of the flights, beyond the model's own signals."""
+    signals = {*model.state_names, *model.input_names, *columns}
+    controls = {s.name for s in model.inputs if s.control}
+    names = derivatives_of(model)
+    found = [Term(d, v, n) for v, powers in POWERS.items() if v in signals for n in powers for d in names]
+    found += [Term(d, v, n) for d in names for v in sorted(_beside(model, d) & controls) for n in OWN_CONTROL]
+    taken = set(model.parameter_names) | set(model.constants)
+    return tuple(dict.fromkeys(t for t in found if t.name not in taken))
+
+
+def _beside(model: Model, parameter: str) -> set[str]:
+    """Symbols that stand in a product with the parameter."""
+    every = (names for line in model.definitions.values() for names in products_in(line) if parameter in names)
+    return set().union(*every)
+
+
+def with_terms(model: Model, terms: Sequence[Term], reference: Mapping[str, float]) -> Model:
+    """The model with terms, their parameters zero to begin with. reference: `alpha_ref` [rad], `V_ref` [m/s], `delta_e_ref`."""
+    if not terms:
+        return model
+    by_derivative: dict[str, list[Term]] = {}
+    for term in terms:
+        by_derivative.setdefault(term.derivative, []).append(term)
+    definitions = dict(model.definitions)
+    for name in by_derivative:
+        pattern = re.compile(rf"\b{re.escape(name)}\b")
+        definitions = {symbol: pattern.sub(name + HERE, text) for symbol, text in definitions.items()}
+    lines = [f"{name}{HERE} = {' + '.join([name, *(t.text for t in own)])}" for name, own in by_derivative.items()]
+    used = {t.variable for t in terms}
+    signals = {*model.state_names, *model.input_names}
+    added = tuple(Signal(v, CENTRED.get(v, "rad"), "condition of the flight") for v in sorted(used - signals))
+    constants = {f"{v}_ref": reference[f"{v}_ref"] for v in CENTRED if v in used}
+    parameters = tuple(
+        Parameter(t.name, _unit(model, t), description=f"{t.derivative} over {t.variable}") for t in terms
+    )
+    return replace(
+        model,
+        inputs=model.inputs + added,
+        parameters=model.parameters + parameters,
+        constants={**model.constants, **constants},
+        equations=tuple(f"{symbol} = {text}" for symbol, text in definitions.items()) + tuple(lines),
+    )
+
+
+def _unit(model: Model, term: Term) -> str:
+    own = model.parameter(term.derivative).unit
+    if term.variable == "V":
+        return own
+    power = {"1/rad": 1, "1": 0}.get(own)
+    return f"1/rad{power + term.power}" if power is not None else f"{own}/rad{term.power}"
+
+
+def terms_of(model: Model) -> tuple[Term, ...]:
+    """The terms that a model's text holds, as `with_terms` wrote them."""
+    names = set(model.parameter_names)
+    variables = {*POWERS, *model.input_names}
+    found = []
+    for name in model.parameter_names:
+        if f"{name}{HERE}" in model.definitions:
+            tried = (Term(name, v, n) for v in sorted(variables) for n in (1, 2))
+            found += [t for t in tried if t.name in names]
+    return tuple(found)
+
+
+def row_of(model: Model, derivative: str, names: Sequence[str], at: Mapping[str, float]) -> list[float]:
+    """What each of `names` is multiplied by in the derivative, at values of the variables."""
+    own = {t.name: t for t in terms_of(model) if t.derivative == derivative}
+    return [1.0 if n == derivative else own[n].value(at, model.constants) if n in own else 0.0 for n in names]

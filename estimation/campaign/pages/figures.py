@@ -1,0 +1,206 @@
+"""Figures of the campaign's page: every flight, trends with faired curves, bounds against scatter, the envelope flown."""
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimation.campaign.groups import label_of
+from estimation.campaign.pages.points import Points, faired
+from estimation.campaign.tasks import Row
+from estimation.report.figures import Picture, picture, styled
+from estimation.report.names import tex
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+Array = NDArray[np.float64]
+
+PANELS = 3  # beside each other
+FEWEST_FOR_TRENDS = 5  # flights: below, a trend over conditions is anybody's guess
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")  # Okabe and Ito's
+MARKERS = "osD^vP*"  # a symbol a group: told apart in black and white too
+JOINT = "#444444"
+WEIGHT = 30  # points that an estimate with its bar counts for: vectors of 1300 are as large as pixels
+CONDITIONS: Mapping[str, tuple[str, str, float]] = {
+    "alpha": ("mean angle of attack", "deg", 180.0 / np.pi),
+    "V": ("mean airspeed", "m/s", 1.0),
+    "beta_max": ("largest sideslip", "deg", 180.0 / np.pi),
+    "delta_e": ("mean elevator", "deg", 180.0 / np.pi),
+}
+"""Condition -> what is written at its axis, unit, and factor to that unit."""
+COVERAGE = (("V", "alpha"), ("V", "beta_max"), ("alpha", "delta_e"), ("delta_a_max", "delta_r_max"))
+"""Pairs of conditions over which the flights are shown."""
+SURFACES: Mapping[str, tuple[str, str, float]] = {
+    "delta_a_max": ("largest aileron", "deg", 180.0 / np.pi),
+    "delta_r_max": ("largest rudder", "deg", 180.0 / np.pi),
+}
+
+
+def looks_of(labels: Sequence[str]) -> dict[str, tuple[str, str]]:
+    """Group -> colour and marker, the same in every figure."""
+    every = sorted(set(labels))
+    return {g: (COLOURS[i % len(COLOURS)], MARKERS[i % len(MARKERS)]) for i, g in enumerate(every)}
+
+
+def scatter_figure(method: str, points: Sequence[Points], groups: Sequence[Row]) -> Picture:
+    """The paper's Figure 8 over many flights: estimates in order of date, pooled value and its 95 % as a band, the prior."""
+    looks = looks_of([g for p in points for g in p.groups])
+    with styled():
+        figure, axes = _grid(len(points))
+        for axis, p in zip(axes, points, strict=False):
+            _draw(axis, p, p.order, looks)
+            for r in groups:
+                if r["kind"] == "pooled" and (r["method"], r["parameter"]) == (method, p.parameter):
+                    colour = looks.get(r["group"], (JOINT, ""))[0]
+                    axis.axhspan(r["low"], r["high"], color=colour, alpha=0.25, lw=0)
+        _legend(figure, axes[: len(points)])
+    caption = (
+        f"Estimates of every flight by {method}, in order of date, with corrected bounds; band: 95 % of the pooled value; "
+        "dashes: what was believed before."
+    )
+    return picture(figure, f"flights_{_name(method)}", caption, sum(WEIGHT * p.y.size for p in points))
+
+
+def trend_figures(method: str, points: Sequence[Points], database: Sequence[Row]) -> list[Picture]:
+    """Estimates over each condition that changed, with the faired curves of the database where anybody flew."""
+    looks = looks_of([g for p in points for g in p.groups])
+    pictures = []
+    for condition, (title, unit, factor) in CONDITIONS.items():
+        if not any(_changes(p, condition) for p in points):
+            continue
+        with styled():
+            figure, axes = _grid(len(points))
+            for axis, p in zip(axes, points, strict=False):
+                _draw(axis, p, factor * p.conditions[condition], looks)
+                for group, c in faired(database, "pooled", method, p.parameter, condition).items():
+                    colour = looks.get(group, (JOINT, ""))[0]
+                    axis.plot(factor * c.x, c.value, color=colour, lw=1.2)
+                    axis.fill_between(factor * c.x, c.low, c.high, color=colour, alpha=0.25, lw=0)
+                for c in faired(database, "joint", method, p.parameter, condition).values():
+                    axis.plot(factor * c.x, c.value, color=JOINT, lw=1.2, ls="-.", label="joint model")
+                    axis.fill_between(factor * c.x, c.low, c.high, color=JOINT, alpha=0.2, lw=0)
+                axis.set_xlabel(f"{title} [{unit}]")
+            _legend(figure, axes[: len(points)])
+        caption = (
+            f"Estimates by {method} over {title}, with corrected bounds; lines: the faired curves of the database with 95 %, "
+            "where anybody flew; dashes: what was believed before."
+        )
+        size = sum(WEIGHT * p.y.size for p in points)
+        pictures.append(picture(figure, f"trend_{condition}_{_name(method)}", caption, size))
+    return pictures
+
+
+def bounds_figure(method: str, groups: Sequence[Row]) -> Picture | None:
+    """Scatter over the rms corrected bound of each parameter: sound bounds have 1."""
+    from matplotlib.figure import Figure
+
+    rows = [r for r in groups if r["kind"] == "pooled" and r["method"] == method]
+    names = sorted({r["parameter"] for r in rows})
+    if not names:
+        return None
+    looks = looks_of([r["group"] for r in rows])
+    with styled():
+        figure = Figure(figsize=(max(6.4, 0.45 * len(names) + 2.0), 3.2), layout="constrained")
+        axis = figure.subplots()
+        for group, (colour, marker) in looks.items():
+            mine = {r["parameter"]: r["ratio"] for r in rows if r["group"] == group}
+            at = [i for i, n in enumerate(names) if n in mine]
+            ratios = [mine[names[i]] for i in at]
+            axis.plot(at, ratios, marker, ms=5, color=colour, label=group)
+        axis.axhline(1.0, color="#888888", lw=0.8)
+        axis.set_yscale("log")
+        axis.set_xticks(range(len(names)), [f"${tex(n)}$" for n in names])
+        axis.set_ylabel("scatter / bound")
+        _legend(figure, [axis])
+    caption = (
+        f"Scatter of the flights' estimates by {method} over their corrected bounds; 1: the bounds are what happens."
+    )
+    return picture(figure, f"bounds_{_name(method)}", caption)
+
+
+def envelope_figure(results: "pa.Table", keys: Sequence[str]) -> Picture | None:
+    """What was flown: airspeed, angle of attack, sideslip, surfaces; means as points, ranges as crosses where they are known."""
+    import pyarrow.compute as pc
+
+    titles = {**CONDITIONS, **SURFACES}
+    pairs = dict.fromkeys(n for pair in COVERAGE for n in pair)
+    ranges = [f"{n}_{end}" for n in ("V", "alpha") for end in ("min", "max")]
+    columns = list(dict.fromkeys(("sha256", *pairs, *ranges, *keys)))
+    rows = results.filter(pc.equal(results["kind"], "run")).select(columns).to_pylist()
+    rows = list({r["sha256"]: r for r in rows if r["sha256"]}.values())  # a flight once, by however many methods
+    shown = [pair for pair in COVERAGE if any(r[pair[0]] is not None and r[pair[1]] is not None for r in rows)]
+    if not shown:
+        return None
+    looks = looks_of([label_of({k: r[k] or "" for k in keys}) for r in rows])
+    with styled():
+        figure, axes = _grid(len(shown), across=2, high=3.0)
+        for axis, (across, up) in zip(axes, shown, strict=False):
+            for label, look in looks.items():
+                mine = [r for r in rows if label_of({k: r[k] or "" for k in keys}) == label]
+                _cross(
+                    axis, [r for r in mine if r[across] is not None and r[up] is not None], (across, up), label, look
+                )
+            axis.set_xlabel("{} [{}]".format(*titles[across]))
+            axis.set_ylabel("{} [{}]".format(*titles[up]))
+        _legend(figure, axes[: len(shown)])
+    return picture(
+        figure, "envelope", "Envelope flown: a point a flight, with its range.", WEIGHT * len(rows) * len(shown)
+    )
+
+
+# ------------------------------------------------------------------------------------------------------ inside
+
+
+def _cross(axis: Any, rows: Sequence[Row], pair: tuple[str, str], label: str, look: tuple[str, str]) -> None:
+    factors = [{**CONDITIONS, **SURFACES}[n][2] for n in pair]
+    values = [f * np.array([r[n] for r in rows], float) for n, f in zip(pair, factors, strict=True)]
+    spans = []
+    for n, f, v in zip(pair, factors, values, strict=True):
+        ends = [[r.get(f"{n}_{end}") for r in rows] for end in ("min", "max")]
+        known = rows and all(e is not None for side in ends for e in side)
+        spans.append(np.abs(f * np.array(ends, float) - v) if known else None)
+    colour, marker = look
+    axis.errorbar(*values, spans[1], spans[0], fmt=marker, ms=3.5, lw=0.4, alpha=0.6, color=colour, label=label)
+
+
+def _changes(p: Points, condition: str) -> bool:
+    known = p.conditions[condition][np.isfinite(p.conditions[condition])]
+    return known.size >= FEWEST_FOR_TRENDS and float(np.ptp(known)) > 0.0
+
+
+def _grid(count: int, across: int = PANELS, high: float = 2.1) -> tuple[Any, list[Any]]:
+    from matplotlib.figure import Figure
+
+    rows = -(-count // across)
+    figure = Figure(figsize=(11.6, high * rows + 0.6), layout="constrained")
+    axes = figure.subplots(rows, across, squeeze=False).ravel().tolist()
+    for spare in axes[count:]:
+        spare.set_visible(False)
+    return figure, axes
+
+
+def _draw(axis: Any, p: Points, x: Array, looks: Mapping[str, tuple[str, str]]) -> None:
+    """Estimates with corrected bounds, a symbol a group; the axis holds the middle nine tenths and what is near."""
+    for label, (colour, marker) in looks.items():
+        mine = np.array([g == label for g in p.groups]) & np.isfinite(x)
+        if mine.any():
+            axis.errorbar(x[mine], p.y[mine], p.std[mine], fmt=marker, ms=2.8, lw=0.7, color=colour, label=label)
+    if p.prior is not None:
+        axis.axhline(p.prior, color="#888888", lw=0.9, ls="--")
+    low, high = np.quantile(p.y, [0.05, 0.95])
+    room = max(float(high - low), float(np.median(p.std)) * 2.0)
+    axis.set_ylim(low - room, high + room)
+    axis.set_ylabel(f"${tex(p.parameter)}$")
+
+
+def _legend(figure: Any, axes: Sequence[Any]) -> None:
+    """Each symbol of any panel once."""
+    found = {label: handle for axis in axes for handle, label in zip(*axis.get_legend_handles_labels(), strict=True)}
+    if found:
+        figure.legend(found.values(), found.keys(), loc="outside upper center", ncols=3)
+
+
+def _name(method: str) -> str:
+    return method.replace(":", "_")

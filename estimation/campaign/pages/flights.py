@@ -1,0 +1,184 @@
+"""A page of each flight: its conditions, what every method found in it beside what the others say, its fit, its sentences."""
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from daq.contract.plain_words import file_name
+from estimation.campaign.groups import label_of
+from estimation.campaign.tasks import Row
+from estimation.report.html import write_page
+from estimation.report.tables import Table, number, significant
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+FOLDER = "flights"
+MOST_PAGES = 2000  # of 20 kB: beyond, only flights with something to say have one
+SHOWN: Mapping[str, tuple[str, float]] = {
+    "duration": ("s", 1.0),
+    "V": ("m/s", 1.0),
+    "alpha": ("deg", 57.29577951308232),
+    "beta_max": ("deg", 57.29577951308232),
+    "delta_e": ("deg", 57.29577951308232),
+    "altitude": ("m", 1.0),
+    "rho": ("kg/m3", 1.0),
+    "mass": ("kg", 1.0),
+}
+"""Conditions on a flight's page: unit and factor to it."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A line of the list of flights. page: relative to the campaign's page, or empty."""
+
+    flight: str
+    page: str
+    date: str
+    group: str
+    status: str
+    speed: str
+    alpha: str
+    sentences: int
+
+
+def write_flight_pages(results: "pa.Table", groups: Sequence[Row], keys: Sequence[str], folder: Path) -> list[Entry]:
+    """Pages in folder/flights and the list of all flights, in order of date and name."""
+    flights = _by_flight(results)
+    said = _sentences(groups)
+    pooled = {(r["group"], r["method"], r["parameter"]): r for r in groups if r["kind"] == "pooled"}
+    pages = folder / FOLDER
+    for old in pages.glob("*.html"):
+        old.unlink()
+    entries = []
+    for rows in sorted(flights.values(), key=lambda rows: (rows[0]["date"] or "", rows[0]["flight"])):
+        first = next((r for r in rows if r["kind"] == "run" and r["V"] is not None), rows[0])
+        words = said.get(first["flight"], [])
+        troubled = bool(words) or any(r["kind"] == "run" and r["status"] != "ok" for r in rows)
+        page = _page_name(first) if len(flights) <= MOST_PAGES or troubled else ""
+        if page:
+            _write(pages / page, rows, first, words, pooled, keys)
+        entries.append(_entry(first, rows, page, len(words), keys))
+    return entries
+
+
+def _by_flight(results: "pa.Table") -> dict[str, list[Row]]:
+    """Location of a flight -> its rows."""
+    import pyarrow.compute as pc
+
+    own = results.filter(pc.and_(pc.is_valid(results["source"]), pc.is_in(results["kind"], _kinds())))
+    flights: dict[str, list[Row]] = {}
+    for row in own.drop_columns(["covariance"]).to_pylist():
+        flights.setdefault(f"{row['source']} {row['sha256']}", []).append(row)
+    return flights
+
+
+def _kinds() -> "pa.Array":
+    import pyarrow as pa
+
+    return pa.array(["run", "estimate", "fit", "check", "match"])
+
+
+def _sentences(groups: Sequence[Row]) -> dict[str, list[str]]:
+    said: dict[str, list[str]] = {}
+    for r in groups:
+        if r.get("flight"):
+            said.setdefault(r["flight"], []).append(r["text"])
+    return said
+
+
+def _page_name(row: Row) -> str:
+    """Told apart where two flights of two folders have one name."""
+    digest = hashlib.sha256(f"{row['source']} {row['sha256']}".encode()).hexdigest()[:8]
+    return f"{file_name(row['flight'])[:60]}-{digest}.html"
+
+
+def _group(row: Row, keys: Sequence[str]) -> str:
+    return label_of({k: row[k] or "" for k in keys})
+
+
+def _entry(first: Row, rows: Sequence[Row], page: str, sentences: int, keys: Sequence[str]) -> Entry:
+    status = sorted({r["status"] for r in rows if r["kind"] == "run"})
+    return Entry(
+        first["flight"],
+        f"{FOLDER}/{page}" if page else "",
+        (first["date"] or "")[:16],
+        _group(first, keys),
+        ", ".join(status),
+        number(first["V"], 1),
+        number(None if first["alpha"] is None else 57.29577951308232 * first["alpha"], 1),
+        sentences,
+    )
+
+
+def _write(
+    path: Path,
+    rows: Sequence[Row],
+    first: Row,
+    words: Sequence[str],
+    pooled: Mapping[tuple[str, str, str], Row],
+    keys: Sequence[str],
+) -> None:
+    group = _group(first, keys)
+    conditions = tuple(
+        (name, number(factor * first[name], 3), unit)
+        for name, (unit, factor) in SHOWN.items()
+        if first[name] is not None
+    )
+    tables = [
+        Table(
+            "conditions", "Conditions, means over the flight", ("condition", "value", "unit"), conditions, symbols=False
+        )
+    ]
+    for method in sorted({r["method"] for r in rows if r["kind"] in ("estimate", "check")}):
+        tables.append(_estimates(method, [r for r in rows if r["method"] == method], group, pooled))
+    tables += [_fits(kind, rows) for kind in ("fit", "match") if any(r["kind"] == kind for r in rows)]
+    runs = [r for r in rows if r["kind"] == "run"]
+    write_page(
+        path,
+        "campaign_flight.html.j2",
+        title=first["flight"],
+        lead=f"{group}; {first['date'] or 'no date'}; {first['source']}",
+        back='<a href="../index.html">&larr; Campaign</a>',
+        words=list(dict.fromkeys([*words, *(r["why"] for r in runs if r["why"])])),
+        status=", ".join(dict.fromkeys(f"{r['method']}: {r['status']}" for r in runs)),
+        sound=all(r["status"] == "ok" for r in runs) and not words,
+        tables=tables,
+        source=first["source"],
+        sha256=first["sha256"] or "",
+    )
+
+
+def _estimates(method: str, rows: Sequence[Row], group: str, pooled: Mapping[tuple[str, str, str], Row]) -> Table:
+    """Beside the pooled value of the group, and how many bounds lie between."""
+    cells = []
+    for r in rows:
+        if r["kind"] not in ("estimate", "check"):
+            continue
+        whole = pooled.get((group, method, r["parameter"]), {})
+        told = r["identifiable"] and r["estimate"] is not None and r["std_coloured"]
+        off = (r["estimate"] - whole["estimate"]) / r["std_coloured"] if told and whole else None
+        cells.append(
+            (
+                r["parameter"],
+                number(r["estimate"]),
+                significant(r["std_coloured"], 2),
+                number(whole.get("estimate")),
+                number(off, 1),
+                "" if told else "cannot tell",
+            )
+        )
+    head = ("parameter", "estimate", "corrected bound", "pooled", "bounds apart", "")
+    return Table(f"estimates_{method.replace(':', '_')}", f"Estimates by {method}", head, tuple(cells))
+
+
+def _fits(kind: str, rows: Sequence[Row]) -> Table:
+    cells = tuple(
+        (r["parameter"], r["method"], number(r["r2"], 3), number(r["theil"], 3), significant(r["rms"]))
+        for r in rows
+        if r["kind"] == kind
+    )
+    title = "Fit of each channel" if kind == "fit" else "Predicted by the others of the group"
+    return Table(kind, title, ("channel", "method", "r²", "Theil", "rms [SI]"), cells, symbols=False)

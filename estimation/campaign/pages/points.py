@@ -1,0 +1,86 @@
+"""Estimates of the flights as points, and the curves of the database, ready to be drawn."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimation.campaign.aerodynamics.forms import CONDITIONS
+from estimation.campaign.groups import label_of
+from estimation.campaign.tasks import Row
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Points:
+    """Estimates of one parameter by one method over the flights: arrays (flights,), labels of their groups. prior: what was
+    believed before, where one thing was."""
+
+    parameter: str
+    order: Array
+    y: Array
+    std: Array
+    groups: tuple[str, ...]
+    conditions: Mapping[str, Array]
+    prior: float | None
+
+
+@dataclass(frozen=True)
+class Faired:
+    """A curve of the database along one condition: arrays (points,), NaN where nobody flew."""
+
+    x: Array
+    value: Array
+    low: Array
+    high: Array
+
+
+def points_of(results: "pa.Table", method: str, keys: Sequence[str]) -> list[Points]:
+    """Usable estimates by parameter, in order of date and name."""
+    import pyarrow.compute as pc
+
+    keep = pc.and_(pc.equal(results["kind"], "estimate"), pc.equal(results["method"], method))
+    own = ("flight", "date", "key", "parameter", "estimate", "std_coloured", "identifiable", "reference")
+    sound = results.filter(pc.and_(keep, pc.equal(results["status"], "ok")))
+    rows = sound.select(list(dict.fromkeys((*own, *CONDITIONS, *keys)))).to_pylist()
+    rows = [r for r in rows if r["identifiable"] and r["estimate"] is not None and r["std_coloured"]]
+    flights = sorted({(r["date"] or "", r["flight"], r["key"]) for r in rows})
+    place = {key: i for i, (_, _, key) in enumerate(flights)}
+    by_name: dict[str, list[Row]] = {}
+    for r in rows:
+        by_name.setdefault(r["parameter"], []).append(r)
+    return [_points(name, sorted(own, key=lambda r: place[r["key"]]), place, keys) for name, own in by_name.items()]
+
+
+def _points(name: str, rows: Sequence[Row], place: Mapping[str, int], keys: Sequence[str]) -> Points:
+    def column(key: str) -> Array:
+        return np.array([np.nan if r[key] is None else r[key] for r in rows], float)
+
+    groups = tuple(label_of({k: r[k] or "" for k in keys}) for r in rows)
+    order = np.array([place[r["key"]] for r in rows], float)
+    priors = {r["reference"] for r in rows} - {None}
+    prior = priors.pop() if len(priors) == 1 else None
+    conditions = {c: column(c) for c in CONDITIONS}
+    return Points(name, order, column("estimate"), column("std_coloured"), groups, conditions, prior)
+
+
+def faired(database: Sequence[Row], kind: str, method: str, parameter: str, along: str) -> dict[str, Faired]:
+    """Group -> its curve along a condition."""
+    mine: dict[str, list[Row]] = {}
+    for r in database:
+        if (r["kind"], r["method"], r["parameter"], r["along"]) == (kind, method, parameter, along):
+            mine.setdefault(r["group"], []).append(r)
+    return {group: _faired(rows, along) for group, rows in mine.items()}
+
+
+def _faired(rows: Sequence[Row], along: str) -> Faired:
+    def column(key: str) -> Array:
+        return np.array([r.get(key, np.nan) for r in rows], float)
+
+    return Faired(column(along), column("estimate"), column("low"), column("high"))
