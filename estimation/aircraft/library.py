@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from daq.contract.input_files import read_text
+from daq.contract.plain_words import meant
 from estimation.aircraft.aircraft import Aircraft
 from estimation.aircraft.schema import aircraft_from_text
 from estimation.errors import AircraftError
@@ -24,5 +25,7 @@ def load_aircraft(name_or_path: str | Path) -> Aircraft:
     path = BUILT_IN_FOLDER / f"{text}.toml" if text in built_in_aircraft() else Path(text)
     if not path.is_file():
         known = ", ".join(built_in_aircraft())
-        raise AircraftError(f"aircraft {text!r}: no such file and no built-in of that name (built in: {known})")
+        raise AircraftError(
+            f"aircraft {text!r}: no such file and no built-in of that name (built in: {known}){meant(text, built_in_aircraft())}"
+        )
     return aircraft_from_text(read_text(path, "file", AircraftError), str(path), path.stem)

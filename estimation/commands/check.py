@@ -61,6 +61,7 @@ def check(
 ) -> int:
     """Check that accelerations, rates, attitude and air data of each FLIGHT tell the same story."""
     from estimation.commands.outputs import check_outputs, write_json
+    from estimation.commands.progress import Progress
     from estimation.compatibility.correct import corrected
     from estimation.compatibility.left_out import left_out_findings, measurements
     from estimation.compatibility.reconstruction import compatibility
@@ -82,9 +83,16 @@ def check(
         )
         for f in read
     ]
-    results = [(f.name, compatibility(f, factors, known=known, keep_held=keep_held)) for f in read]
-    if joint and len(read) > 1:
-        results.append(("joint", compatibility(read, factors, known=known, keep_held=keep_held)))
+    results = []
+    several = len(read) > 1  # one flight takes a second or two
+    with Progress("checking") as progress:
+        for i, f in enumerate(read):
+            if several:
+                progress(f"checking {f.name}", i / len(read))
+            results.append((f.name, compatibility(f, factors, known=known, keep_held=keep_held)))
+        if joint and several:
+            progress("checking all together")
+            results.append(("joint", compatibility(read, factors, known=known, keep_held=keep_held)))
     for line in factor_lines(results):
         click.echo(line)
     if all(is_of(f.provenance.aircraft) for f in read) and set(STANDARD_FACTORS) <= set(factors):

@@ -87,6 +87,7 @@ def design(
         criterion=criterion,
         values=known.get("values", {}),
         noise=known.get("noise", {}),
+        noise_of_residuals=bool(known),
         rate_hz=rate_hz,
         held=held,
         seed=seed,
@@ -117,7 +118,7 @@ def lines(found: "Design", task: "Task") -> list[str]:
     """What a person reads on the terminal."""
     out = [
         f"{found.best.kind} of {task.duration:g} s at {task.speed:.1f} m/s on {', '.join(found.bench.controls)}: "
-        f"worst relative bound {found.gain:.2f} times better than doublets of equal length under the same limits"
+        f"worst relative error {found.gain:.2f} times smaller than of doublets of equal length under the same limits"
     ]
     out += [f"note: {note}" for note in found.notes]
     peaks = found.peak_factors()
@@ -130,9 +131,8 @@ def lines(found: "Design", task: "Task") -> list[str]:
         factor = 1.0 if use.name in ("load_factor", "V", "ax", "ay", "az") else math.degrees(1.0)
         unit = "" if factor == 1.0 else " deg"
         out.append(f"  {use.name:<14}{factor * use.used:>10.2f}{factor * use.allowed:>10.2f}{unit}")
-    out += ["", f"  {'parameter':<12}{'size':>10}{'bound':>10}{'relative':>10}{'doublets':>10}"]
-    plain = found.doublets.information.std
-    std = found.best.information.std
+    out += ["", f"  {'parameter':<12}{'size':>10}{'std':>10}{'relative':>10}{'doublets':>10}"]
+    plain, std = found.expected_of_doublets, found.expected
     for name, relative in found.relative.items():
         size = found.sizes[name]
         mark = "  cannot be told" if name in found.untold else ""
@@ -157,7 +157,7 @@ def with_effects(model: "Model", names: tuple[str, ...]) -> tuple["Model", dict[
 
     if len(names) < 2:
         raise EstimationError("--separate needs two names or more, like Cn_da,Ixz_error")
-    effects = {e.name: e for e in catalogue()}
+    effects = {e.name: e for e in catalogue(model=model)}
     sizes: dict[str, float] = {}
     for name in names:
         if name in model.parameter_names:

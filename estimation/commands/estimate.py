@@ -41,6 +41,10 @@ def _able(extra: Extra) -> str:
     help="lateral, lateral-simple, longitudinal, six-dof, a MODEL.toml, or module:Class.",
 )
 @click.option("--aircraft", help="Built-in aircraft or an AIRCRAFT.toml  [default: the one the flights carry or name].")
+@click.option(
+    "--simulation",
+    help="A simulation of your own as base: jsbsim:AIRCRAFT (name or folder), module:function or MODEL.toml.",
+)
 @click.option("--joint", is_flag=True, help="Also one estimate over all flights together.")
 @click.option("--device", default="cpu", show_default=True, help="Where ngn trains its networks: cpu, cuda or auto.")
 @click.option("--segments", help="Use only these stretches, each with its own initial states: 2:12,15:25 [s].")
@@ -118,6 +122,7 @@ def estimate(
     methods: str,
     model: str,
     aircraft: str | None,
+    simulation: str | None,
     joint: bool,
     device: str,
     segments: str | None,
@@ -148,6 +153,7 @@ def estimate(
     from estimation.aircraft.of_flight import aircraft_of
     from estimation.commands.outputs import check_outputs
     from estimation.commands.progress import Progress
+    from estimation.commands.simulation import attached_to
     from estimation.commands.truth import read_truth
     from estimation.models import load_model
     from estimation.models.load import asks_for_aircraft, check_model
@@ -164,11 +170,16 @@ def estimate(
     read = [select_segments(read_flight(path), segments) for path in flights]
     if each_segment:
         read = [part for flight in read for part in separated(flight)]
-    if aircraft is None and not asks_for_aircraft(model) and not any(m.needs_aircraft for m in found):
+    if simulation is not None:
+        attached = attached_to(simulation, model, read, aircraft, estimating=True)
+        craft, loaded, read = attached.aircraft, attached.model, list(attached.flights)
+    elif aircraft is None and not asks_for_aircraft(model) and not any(m.needs_aircraft for m in found):
         craft = unknown_aircraft(read[0].provenance.aircraft or "not stated")
+        loaded = load_model(model, craft)
     else:
         craft = aircraft_of(read, aircraft)
-    chosen = with_initial_states(load_model(model, craft), hold_initial, free_initial)
+        loaded = load_model(model, craft)
+    chosen = with_initial_states(loaded, hold_initial, free_initial)
     truth = {} if truth_path is None else read_truth(truth_path, [f.name for f in read])
     profiled = tuple(dict.fromkeys(n.strip() for n in profile.split(",") if n.strip()))
     extras = Extras(profiled, bootstrap, seed, raw_inputs, stepwise, keep_held)
@@ -222,10 +233,14 @@ def write_files(
 
         write_json(session.to_json(), json_path)
     if model_path is not None:
+        from dataclasses import replace
+
         from estimation.models import write_model
+        from estimation.session.flown import flown
 
         best = next(iter(session.joint.values()), None) or next(iter(session.flights[0].results.values()))
-        write_model(best.fitted_model, model_path)
+        used = [f.flight for f in (session.flights if session.joint else session.flights[:1])]
+        write_model(replace(best.fitted_model, flown=flown(best.model, used)), model_path)
         yield f"model: {model_path}"
     if figure_path is not None:
         from estimation.report.histories import write_histories
@@ -331,4 +346,5 @@ def _mean_lines(session: "Session") -> Iterator[str]:
         yield f"  {'parameter':<12}{'mean':>11}{'scatter':>10}{'bound':>11}{'flights':>9}{told}"
         for name, s in table.items():
             true = f"{session.truth[name]:11.4g}" if name in session.truth else " " * len(told)
-            yield f"  {name:<12}{s.mean:11.4g}{s.std:10.2g}{s.bound:11.2g}{s.count:9d}{true}  {s.text}".rstrip()
+            scatter = f"{s.std:.2g}" if s.count > 1 else "-"  # of one flight there is none
+            yield f"  {name:<12}{s.mean:11.4g}{scatter:>10}{s.bound:11.2g}{s.count:9d}{true}  {s.text}".rstrip()

@@ -42,9 +42,16 @@ class _ManyHoldouts(click.Command):
     help="Flights kept out of every fit, to confirm what is found; several may follow.",
 )
 @click.option(
-    "--model", default="lateral", show_default=True, help="Base model: built-in name, MODEL.toml or module:Class."
+    "--model",
+    default="lateral",
+    show_default=True,
+    help="Base model: built-in name (lateral, longitudinal, six-dof, ...), MODEL.toml or module:Class.",
 )
 @click.option("--aircraft", help="Built-in aircraft or an AIRCRAFT.toml  [default: the one the flights carry or name].")
+@click.option(
+    "--simulation",
+    help="A simulation of your own as base: jsbsim:AIRCRAFT (name or folder), module:function or MODEL.toml.",
+)
 @click.option(
     "--report",
     "report_folder",
@@ -72,6 +79,7 @@ def gap(
     holdout: tuple[Path, ...],
     model: str,
     aircraft: str | None,
+    simulation: str | None,
     report_folder: Path | None,
     json_path: Path | None,
     seed: int,
@@ -82,6 +90,7 @@ def gap(
     from estimation.aircraft.of_flight import aircraft_of
     from estimation.commands.outputs import check_outputs
     from estimation.commands.progress import Progress
+    from estimation.commands.simulation import attached_to
     from estimation.gap.effects import catalogue
     from estimation.gap.run import analyse
     from estimation.gap.workflow import Options
@@ -89,11 +98,16 @@ def gap(
     from groundstation.flight import read_flight
 
     check_outputs(json=json_path, report=report_folder)
-    effects = catalogue(effect_files)  # what is mistyped in them or in the model is said before a flight is read
+    catalogue(effect_files)  # what is mistyped in them or in the model is said before a flight is read
     check_model(model)
     training = [read_flight(path) for path in flights]
     held = [read_flight(path) for path in holdout]
-    chosen = load_model(model, aircraft_of([*training, *held], aircraft) if asks_for_aircraft(model) else None)
+    if simulation is None:
+        chosen = load_model(model, aircraft_of([*training, *held], aircraft) if asks_for_aircraft(model) else None)
+    else:
+        attached = attached_to(simulation, model, [*training, *held], aircraft)
+        chosen, training, held = attached.model, attached.training(len(training)), attached.holdout(len(training))
+    effects = catalogue(effect_files, chosen)
     options = Options(seed=seed, nulls=nulls)
     with Progress() as progress:
         result = analyse(chosen, training, held, effects, options, progress, report_folder, json_path)
@@ -124,6 +138,13 @@ def lines(result: "GapResult") -> list[str]:
             f"{s.effect:20s} {s.score:7.1f} {s.threshold:9.2f} {s.confidence:7.2f}  {s.gap.before:10.3f} {s.gap.after:7.3f} "
             f"{s.gap.floor:7.3f} {s.gap.closed:7.0%} {held:>9s}"
         )
+    before = result.model_before.parameters
+    believed = {p.name: p for p in before if p.reference_source.startswith("simulation")}
+    for step in result.steps:
+        for name, (value, _) in step.estimates.items():
+            if name in believed:
+                own = believed[name]
+                out.append(f"{name}: the {own.reference_source} has {own.reference:.4g}, the flights {value:.4g}")
     if result.files[1]:
         out.append(f"model: {result.files[0]} -> {result.files[1]}")
     return out

@@ -1,10 +1,14 @@
 """`sideslip match`: proof of match, a model's prediction of flights it was not estimated from."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from estimation.signals.goodness_of_fit import THEIL_LIMIT
+
+if TYPE_CHECKING:
+    from estimation.session.proof_of_match import Proof
 
 EXAMPLE = "Example: sideslip match ld4.toml ld2.mcap --json match.json"
 
@@ -32,6 +36,10 @@ EXAMPLE = "Example: sideslip match ld4.toml ld2.mcap --json match.json"
 @click.option(
     "--aircraft", help="For a built-in model or a class of one's own  [default: the one the flights carry or name]."
 )
+@click.option(
+    "--simulation",
+    help="A simulation of your own as base: jsbsim:AIRCRAFT (name or folder), module:function or MODEL.toml.",
+)
 @click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write the fit as JSON.")
 @click.option(
     "--figure",
@@ -47,12 +55,14 @@ def match(
     segments: str | None,
     histories_folder: Path | None,
     aircraft: str | None,
+    simulation: str | None,
     json_path: Path | None,
     figure_path: Path | None,
 ) -> int:
     """Predict each FLIGHT with MODEL.toml, parameters frozen and only initial states refitted, and judge the match."""
     from estimation.aircraft.of_flight import aircraft_of
     from estimation.commands.outputs import check_outputs, write_json
+    from estimation.commands.simulation import attached_to
     from estimation.models import load_model
     from estimation.models.load import asks_for_aircraft, check_model
     from estimation.session.flights import select_segments, unique_names
@@ -63,24 +73,18 @@ def match(
     wanted = tuple(n.strip() for n in free.split(",") if n.strip())
     check_model(str(model))
     read = unique_names([select_segments(read_flight(path), segments) for path in flights])
-    chosen = load_model(model, aircraft_of(read, aircraft) if asks_for_aircraft(str(model)) else None)
+    if simulation is None:
+        chosen = load_model(model, aircraft_of(read, aircraft) if asks_for_aircraft(str(model)) else None)
+    else:
+        attached = attached_to(simulation, str(model), read, aircraft, predicting=True)
+        chosen, read = attached.model, list(attached.flights)
     proofs = [predict(chosen, flight, free=wanted) for flight in read]
     good = True
     click.echo(f"limit: Theil's coefficient {limit:g} in every channel")
     for proof in proofs:
-        click.echo(f"{proof.name}: {proof.text}")
-        click.echo(
-            f"  {'channel':<10}{'r2':>8}{'Theil':>8}{'bias':>7}{'var':>7}{'cov':>7}{'rms':>11}{'white':>7}  match"
-        )
-        for name, f in proof.fit.items():
-            judged = "pass" if f.theil <= limit else f"FAIL, above {limit:g}"
-            click.echo(
-                f"  {name:<10}{f.r2:8.3f}{f.theil:8.3f}{f.theil_bias:7.2f}{f.theil_variance:7.2f}"
-                f"{f.theil_covariance:7.2f}{f.rms:11.4g}{f.whiteness:7.2f}  {judged}"
-            )
-            good = good and f.theil <= limit
-        for note in proof.result.flights[0].notes:
-            click.echo(f"  note: {note}")
+        for line in proof_lines(proof, limit):
+            click.echo(line)
+        good = good and all(f.theil <= limit for f in proof.fit.values())
         good = good and proof.converged
     if json_path is not None:
         write_json({"model": str(chosen.name), "limit": limit, "flights": [p.to_json() for p in proofs]}, json_path)
@@ -96,3 +100,17 @@ def match(
             path = write_beside(flight, proof.result, histories_folder)
             click.echo(f"histories: {path} (look at them with: sideslip view {path})")
     return 0 if good else 1
+
+
+def proof_lines(proof: "Proof", limit: float) -> list[str]:
+    """What a person reads on the terminal of one flight predicted."""
+    head = f"  {'channel':<10}{'r2':>8}{'Theil':>8}{'bias':>7}{'var':>7}{'cov':>7}{'rms':>11}{'white':>7}  match"
+    lines = [f"{proof.name}: {proof.text}", head]
+    for name, f in proof.fit.items():
+        judged = "pass" if f.theil <= limit else f"FAIL, above {limit:g}"
+        lines.append(
+            f"  {name:<10}{f.r2:8.3f}{f.theil:8.3f}{f.theil_bias:7.2f}{f.theil_variance:7.2f}"
+            f"{f.theil_covariance:7.2f}{f.rms:11.4g}{f.whiteness:7.2f}  {judged}"
+        )
+    lines += [f"  beyond what the model was estimated from: {b.text}" for b in proof.beyond]
+    return [*lines, *(f"  note: {note}" for note in proof.result.flights[0].notes)]

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Self
 
 import click
 
+from daq.contract.plain_words import VisibleStream, one_line
+
 if TYPE_CHECKING:
     from rich.progress import Progress as RichProgress
 
@@ -43,7 +45,9 @@ class Progress:
         shares = [min(t, 1.0) for t in told if not isinstance(t, str)]
         share = shares[0] if shares else None
         if self._bar is not None and self._task is not None:
-            self._bar.update(self._task, description=words, completed=share, total=None if share is None else 1.0)
+            self._bar.update(
+                self._task, description=one_line(words), completed=share, total=None if share is None else 1.0
+            )
         elif share is not None and int(STEPS_OF_A_LOG * share) >= self._told:
             self._told = int(STEPS_OF_A_LOG * share) + 1
             click.echo(f"{words}: {share:.0%}", err=True)
@@ -54,5 +58,10 @@ def _bar() -> "RichProgress":
     from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
     from rich.progress import Progress as RichProgress
 
-    columns = (TextColumn("{task.description:<45}"), BarColumn(), TextColumn("{task.percentage:>3.0f} %"))
-    return RichProgress(*columns, TimeRemainingColumn(), console=Console(stderr=True), transient=True)
+    terminal = sys.stderr.bare if isinstance(sys.stderr, VisibleStream) else sys.stderr
+    words = TextColumn("{task.description:<45}", markup=False)  # names of flights are among them
+    columns = (words, BarColumn(), TextColumn("{task.percentage:>3.0f} %"), TimeRemainingColumn())
+    # What is printed meanwhile goes where it would go without a bar.
+    return RichProgress(
+        *columns, console=Console(file=terminal), transient=True, redirect_stdout=False, redirect_stderr=False
+    )

@@ -121,30 +121,36 @@ def _fit_table(results: Sequence[Compatibility]) -> Table:
 
 def motion_figures(flights: Sequence[ReconstructedFlight]) -> list[Picture]:
     """Figure 7: measured and reconstructed motion, two flights beside each other."""
+    return [motion_figure(pair, i) for i, pair in enumerate(motion_pairs(flights))]
+
+
+def motion_pairs(flights: Sequence[ReconstructedFlight]) -> list[Sequence[ReconstructedFlight]]:
+    """The flights that share a figure."""
+    return [flights[start : start + COLUMNS] for start in range(0, len(flights), COLUMNS)]
+
+
+def motion_figure(shown: Sequence[ReconstructedFlight], number: int) -> Picture:
+    """One part of Figure 7, the number-th from 0; shown: the flights beside each other."""
     from matplotlib.figure import Figure
 
-    pictures = []
-    for start in range(0, len(flights), COLUMNS):
-        shown = flights[start : start + COLUMNS]
-        names = shown[0].outputs
-        with styled():
-            figure = Figure(figsize=(11.6, 1.25 * len(names) + 0.7), layout="constrained")
-            axes = figure.subplots(len(names), len(shown), squeeze=False, sharex="col")
-            for column, flight in enumerate(shown):
-                for row, name in enumerate(names):
-                    axis = axes[row][column]
-                    factor, unit = face(name, UNITS.get(name, "rad"))
-                    if np.isfinite(flight.measured[:, row]).any():
-                        measured = broken_at_gaps(flight.time, factor * flight.measured[:, row])
-                        axis.plot(flight.time, measured, color=MEASURED, lw=1.6, label="measured")
-                    again = broken_at_gaps(flight.time, factor * flight.reconstructed[:, row])
-                    axis.plot(flight.time, again, color=RECONSTRUCTED, lw=0.9, label="reconstructed")
-                    axis.set_ylabel(f"${tex(name)}$ [{unit}]")
-                axes[0][column].set_title(literal(flight.name), loc="left")
-                axes[-1][column].set_xlabel("time [s]")
-            axes[0][0].legend(ncols=2, **ABOVE)
-            figure.align_ylabels()
-        caption = f"Measured and reconstructed motion, {' and '.join(f.name for f in shown)} (Figure 7 of the paper)."
-        points = sum(2 * f.time.size * len(names) for f in shown)
-        pictures.append(picture(figure, f"figure7_{start // COLUMNS + 1}", caption, points))
-    return pictures
+    names = shown[0].outputs
+    with styled():
+        figure = Figure(figsize=(11.6, 1.25 * len(names) + 0.7), layout="constrained")
+        axes = figure.subplots(len(names), len(shown), squeeze=False, sharex="col")
+        for column, flight in enumerate(shown):
+            for row, name in enumerate(names):
+                axis = axes[row][column]
+                factor, unit = face(name, UNITS.get(name, "rad"))
+                if np.isfinite(flight.measured[:, row]).any():
+                    measured = broken_at_gaps(flight.time, factor * flight.measured[:, row])
+                    axis.plot(flight.time, measured, color=MEASURED, lw=1.6, label="measured")
+                again = broken_at_gaps(flight.time, factor * flight.reconstructed[:, row])
+                axis.plot(flight.time, again, color=RECONSTRUCTED, lw=0.9, label="reconstructed")
+                axis.set_ylabel(f"${tex(name)}$ [{unit}]")
+            axes[0][column].set_title(literal(flight.name), loc="left")
+            axes[-1][column].set_xlabel("time [s]")
+        axes[0][0].legend(ncols=2, **ABOVE)
+        figure.align_ylabels()
+    caption = f"Measured and reconstructed motion, {' and '.join(f.name for f in shown)} (Figure 7 of the paper)."
+    points = sum(2 * f.time.size * len(names) for f in shown)
+    return picture(figure, f"figure7_{number + 1}", caption, points)

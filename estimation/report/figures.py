@@ -7,12 +7,14 @@ import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from estimation.errors import EstimationError
 from estimation.estimators.estimator import Look
 from estimation.estimators.registry import find, names
 
@@ -37,7 +39,7 @@ ABOVE: dict[str, Any] = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "bo
 """Where a legend stands clear of the curves."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class Picture:
     """A figure ready for the page. uri: data URI; width, height: CSS pixels."""
 
@@ -46,6 +48,22 @@ class Picture:
     uri: str
     width: int
     height: int
+
+    def save(self, path: str | Path) -> Path:
+        """Write the figure as the page has it, an SVG file (or PNG where it was made from one); gives its path."""
+        path = Path(path)
+        kind = self.uri.partition(";")[0].rpartition("/")[2].removesuffix("+xml")
+        if path.suffix.lower() != f".{kind}":
+            raise EstimationError(f"{path}: this figure is written as {kind.upper()}; end the name in .{kind}")
+        path.write_bytes(base64.b64decode(self.uri.partition(",")[2]))
+        return path
+
+    def __repr__(self) -> str:
+        return f"<Picture {self.name}: {self.caption}>"
+
+    def _repr_html_(self) -> str:
+        shown = f'<img src="{self.uri}" alt="{escape(self.name)}" style="max-width:100%;height:auto;background:#fff">'
+        return f"<figure>{shown}<figcaption>{escape(self.caption)}</figcaption></figure>"
 
 
 def look(method: str) -> Look:
@@ -72,7 +90,8 @@ def picture(figure: "Figure", name: str, caption: str, points: int = 0) -> Pictu
         for line in axis.lines:
             if line.get_marker() not in ("None", None) and np.size(line.get_xdata()) > DOTS:
                 line.set_rasterized(True)
-    figure.savefig(buffer, format="svg", metadata={"Date": None}, transparent=True, dpi=150)
+    with styled():  # its salt makes the same figure the same bytes
+        figure.savefig(buffer, format="svg", metadata={"Date": None}, transparent=True, dpi=150)
     uri = f"data:image/svg+xml;base64,{base64.b64encode(buffer.getvalue()).decode()}"
     return Picture(name, caption, uri, width, height)
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from estimation.engine.trace import trace
 from estimation.estimators.result import Result
 from estimation.models.base import Model
-from estimation.report.tables import Table, significant
+from estimation.report.tables import Table, rounded, significant
 from groundstation.flight import Flight
 
 Array = NDArray[np.float64]
@@ -146,4 +146,4 @@ def _percent(share: float) -> str:
 
 
 def _pm(value: float, spread: float) -> str:
-    return f"{value:.3g} ± {spread:.2g}" if math.isfinite(spread) else f"{value:.3g}"
+    return " ± ".join(rounded(value, spread)) if math.isfinite(spread) and spread > 0.0 else f"{value:.3g}"

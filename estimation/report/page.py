@@ -1,7 +1,8 @@
 """The page of `sideslip estimate`: tables, figures, modes, and what could not be told."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,7 +11,7 @@ import numpy as np
 from estimation.models.base import ParameterRole
 from estimation.report import published
 from estimation.report.advice import grouped, untold
-from estimation.report.ellipses import ellipse_figure
+from estimation.report.ellipses import ellipse_figure, most_correlated
 from estimation.report.estimate_figures import (
     correlation_figure,
     history_figure,
@@ -26,11 +27,12 @@ from estimation.report.modes import SpreadMode, mode_table, modes_with_spread
 from estimation.report.names import html
 from estimation.report.notes import notes_table
 from estimation.report.provenance import provenance_table, simulated
-from estimation.report.residual_figures import against_figure, residual_figure
+from estimation.report.residual_figures import against_figure, moved, residual_figure
 from estimation.report.tables import Table, number, write_all
 from estimation.signals.goodness_of_fit import THEIL_LIMIT
 
 if TYPE_CHECKING:
+    from estimation.estimators.result import Result
     from estimation.session.proof_of_match import Proof
     from estimation.session.session import FlightEstimates, Session
     from estimation.session.verdict import Verdict
@@ -54,11 +56,7 @@ def write_estimate_report(session: "Session", folder: Path) -> Path:
     each = [estimate_table(session, f) for f in used]
     each = [*(replace(t, note="") for t in each[:-1]), *each[-1:]]  # one note on what the columns mean is enough
     write_all([*each, *(t for t in tables.values() if t is not None)], folder / "tables")
-    best = session.leading
-    whose = f"joint, {best.method}" if best is not None else ""
-    if best is None and used:
-        best = next(iter(used[0].results.values()))
-        whose = f"{used[0].flight.name}, {best.method}"
+    best, whose = _shown_as_map(session)
     return write_page(
         folder / "index.html", "estimate.html.j2",
         title=f"Aerodynamic derivatives of {session.aircraft.name}" if session.aircraft.name != UNNAMED else "Derivatives",
@@ -79,6 +77,40 @@ def write_estimate_report(session: "Session", folder: Path) -> Path:
         notes=notes_table((f.flight.name, n) for f in used for n in f.notes),
         model=session.model,
     )  # fmt: skip
+
+
+def estimate_figures(session: "Session") -> dict[str, Callable[[], Picture | None]]:
+    """What draws each figure of the page, by the figure's name, in the order of the page."""
+    used = [f for f in session.flights if f.results][:SHOWN]
+    best, whose = _shown_as_map(session)
+    if best is None:
+        return {}
+    ours = is_published(session)
+    drawn: dict[str, Callable[[], Picture | None]] = {"figure8": partial(scatter_figure, session)}
+    for f in used:
+        first, name = next(iter(f.results.values())), f.flight.name
+        drawn[f"figure9_{name}"] = partial(history_figure, f, ours)
+        drawn[f"residuals_{name}"] = partial(residual_figure, first.model, first)
+        if moved(first, f.flight):
+            drawn[f"against_{name}"] = partial(against_figure, first.model, first, f.flight)
+    if sum(r.converged for f in used for r in list(f.results.values())[:1]) > 1:
+        drawn["figure10"] = lambda: proof_figure(_proofs(session)[:2], refitted(session), ours)
+    if best.names:
+        drawn["correlations"] = partial(correlation_figure, best, whose)
+    if most_correlated(best):
+        drawn["ellipses"] = partial(_ellipses, session, used[:1], whose)
+    return drawn
+
+
+def _shown_as_map(session: "Session") -> "tuple[Result | None, str]":
+    """Whose correlations are drawn: the joint estimate's, else the first flight's; and whose that is in words."""
+    best = session.leading
+    if best is not None:
+        return best, f"joint, {best.method}"
+    for f in session.flights:
+        for result in f.results.values():
+            return result, f"{f.flight.name}, {result.method}"
+    return None, ""
 
 
 def _verdicts(session: "Session") -> list[tuple[str, "Verdict"]]:

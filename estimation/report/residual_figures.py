@@ -99,7 +99,7 @@ def against_figure(model: "Model", result: Result, flight: "Flight") -> Picture 
     from matplotlib.figure import Figure
 
     fit = result.flights[0]
-    shown = [c for c in AGAINST if flight.measured(c) and np.nanstd(flight[c]) > MOVED and len(flight) == fit.time.size]
+    shown = moved(result, flight)
     if not shown:
         return None
     colour = look(result.method).colour
@@ -122,6 +122,12 @@ def against_figure(model: "Model", result: Result, flight: "Flight") -> Picture 
         "bins with 95 % of what white noise of this size would leave; a bend that leaves them is a term the model lacks."
     )
     return picture(figure, f"against_{fit.name}", caption, points if points > LARGE else 0)
+
+
+def moved(result: Result, flight: "Flight") -> list[str]:
+    """Which of incidence, sideslip and surfaces were measured and moved, at the samples of the fit."""
+    here = len(flight) == result.flights[0].time.size
+    return [c for c in AGAINST if here and flight.measured(c) and np.nanstd(flight[c]) > MOVED]
 
 
 def binned(x: Array, residual: Array) -> tuple[Array, Array, Array]:

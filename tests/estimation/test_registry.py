@@ -55,10 +55,13 @@ def sideslip(*arguments: object, path: Path | None = None, cwd: Path | None = No
 
 
 def test_names_and_titles() -> None:
-    assert tuple(built_in()) == ("ml", "fem", "ngn", "ngn-improved", "ls", "live")
+    assert tuple(built_in()) == ("ml", "fem", "fem-noise", "ml-frequency", "ngn", "ngn-improved", "ls", "live")
     assert all(e.title and e.look is not None for e in built_in().values())
     assert names(Extra.STEPWISE) == ("ls",)
-    with pytest.raises(EstimationError, match=r"method 'guess' is unknown; known are ml, fem, ngn, ngn-improved, ls"):
+    with pytest.raises(
+        EstimationError,
+        match=r"method 'guess' is unknown; known are ml, fem, fem-noise, ml-frequency, ngn, ngn-improved, ls",
+    ):
         find("guess")
 
 
@@ -70,7 +73,9 @@ def test_extras_that_nobody_chosen_heeds_are_refused() -> None:
     check_extras(Extras(stepwise=True).asked, [find("ml"), find("ls")])
     with pytest.raises(EstimationError, match="--stepwise is for method ls: add ls to --method"):
         check_extras(Extras(stepwise=True).asked, [find("ml")])
-    with pytest.raises(EstimationError, match="--raw-inputs is for methods ml, fem and ls: add ml to --method"):
+    with pytest.raises(
+        EstimationError, match="--raw-inputs is for methods ml, fem, fem-noise, ml-frequency and ls: add ml to --method"
+    ):
         check_extras(Extras(raw_inputs=True).asked, [find("ngn")])
     assert [listed(w) for w in (["a"], ["a", "b"], ["a", "b", "c"])] == ["a", "a and b", "a, b and c"]
 
