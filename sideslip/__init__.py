@@ -15,17 +15,19 @@ if TYPE_CHECKING:
     from sideslip.chain import Flown, fly_scenario
     from sideslip.cli import software_version
     from sideslip.entry import main
+    from sideslip.responses import frequency_response
 
 _HOMES = {
     **dict.fromkeys(("check", "design", "estimate", "gap", "import_log", "match", "open", "simulate"), "sideslip.api"),
     "Flown": "sideslip.chain",
     "fly_scenario": "sideslip.chain",
+    "frequency_response": "sideslip.responses",
     "main": "sideslip.entry",
     "software_version": "sideslip.cli",
 }
 __all__ = [
-    "Flown", "check", "design", "estimate", "fly_scenario", "gap", "import_log", "main", "match", "open", "simulate",
-    "software_version",
+    "Flown", "check", "design", "estimate", "fly_scenario", "frequency_response", "gap", "import_log", "main", "match", "open",
+    "simulate", "software_version",
 ]  # fmt: skip
 
 

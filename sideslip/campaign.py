@@ -43,6 +43,12 @@ def _names(_context: object, _parameter: object, text: str | None) -> tuple[str,
     "--check", type=click.Choice(["none", "quality", "full"]), help="Data checks; full also reconstructs the motion."
 )
 @click.option("--joint", is_flag=True, default=None, help="Also one estimate over all flights of each group.")
+@click.option(
+    "--envelope",
+    is_flag=True,
+    default=None,
+    help="Also one model over the envelope, fitted to all flights of each group.",
+)
 @click.option("--match", is_flag=True, default=None, help="Also predict each flight with the others of its group.")
 @click.option("--bootstrap", type=click.IntRange(min=0), help="Replicates a flight.")
 @click.option("--each-segment", is_flag=True, default=None, help="Each segment of a flight is a manoeuvre of its own.")
@@ -138,12 +144,14 @@ def _page(outcome: "Outcome", plan: "Plan", folder: Path) -> Path:
     page = folder / "index.html"
     if outcome.unchanged and page.is_file():
         return page
-    from estimation.campaign.page import write_campaign_page
+    from estimation.campaign.pages.page import write_campaign_page
 
     return write_campaign_page(outcome, plan, folder)
 
 
 def _say(outcome: "Outcome", out: Path, page: Path | None, wall_s: float) -> None:
+    from estimation.campaign.claims import told
+
     click.echo(
         f"{outcome.flights} flights: {outcome.done} estimated, {len(outcome.failed)} not"
         f" ({outcome.skipped} were done before, {outcome.fitted} pieces of work now, {wall_s:.1f} s)"
@@ -154,14 +162,8 @@ def _say(outcome: "Outcome", out: Path, page: Path | None, wall_s: float) -> Non
         click.echo(f"  left out: {flight}: the same bytes as {same}")
     for path in outcome.damaged:
         click.echo(f"  set aside: {path}: cannot be read; its flights were done again")
-    for row in [r for r in outcome.groups if _worth_saying(r)][:SHOWN]:
+    for row in told(outcome.groups)[:SHOWN]:
         click.echo(f"  {row['text']}")
     click.echo(f"results: {out / 'results'}, groups: {out / 'groups'}, manifest: {out / 'manifest.json'}")
     if page is not None:
         click.echo(f"report: {page}")
-
-
-def _worth_saying(row: dict[str, Any]) -> bool:
-    from estimation.campaign.pooling import LEVEL
-
-    return row["kind"] in ("outlier", "step") or (row["kind"] == "difference" and row["probability"] <= LEVEL)

@@ -49,6 +49,7 @@ def fly_scenario(
     from groundstation.live.station import Station
     from groundstation.receiver.link_config import LinkConfig
     from groundstation.receiver.receive import Receiver
+    from sideslip.live_aircraft import live_aircraft
 
     config = GroundConfig(link=LinkConfig(ports=(), backfill="lost" if backfill else "off"))
     calibration = NOMINAL_DIRECTORY / config.calibration.directory
@@ -56,7 +57,7 @@ def fly_scenario(
         ground_folder = folder / "ground"
         ground_folder.mkdir(parents=True, exist_ok=True)
         receiver = Receiver(config.link, {"radio": flight.radio.ground}, flight.clock, folder=ground_folder)
-        station = Station(config, receiver, flight.clock, ground_folder, make_view=live)
+        station = Station(config, receiver, flight.clock, ground_folder, make_view=live, aircraft=live_aircraft)
         start_ns = flight.clock.monotonic_ns()
 
         def in_step(now_ns: int) -> None:
@@ -78,7 +79,13 @@ def fly_scenario(
     ground, lines = None, []
     recordings = sorted(ground_folder.glob("aircraft*.mcap"), key=lambda p: p.stat().st_size)
     if recordings:
-        handed = hand_over(recordings[-1], ground_folder, origin="telemetry and backfill" if agreed else "telemetry")
+        session = next((s for s, r in receiver.session_recorders().items() if r.path == recordings[-1]), None)
+        handed = hand_over(
+            recordings[-1],
+            ground_folder,
+            origin="telemetry and backfill" if agreed else "telemetry",
+            identified=None if session is None else station.identifications.kept(session),
+        )
         ground, lines = handed.path, handed.lines()
         summary["flight"] = str(ground)
     sequencer = _sequencer_words(folder / "onboard") if scenario.sequencer is not None else ()

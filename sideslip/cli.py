@@ -41,7 +41,7 @@ VERBS: dict[str, Verb] = {
     "info": Verb("sideslip.info", "info", "What is in a recording, flight or telemetry log."),
     "verify": Verb("daq.commands", "verify", "Integrity and scan accounting of a recording."),
     "recover": Verb("daq.commands", "recover", "Salvage a damaged recording."),
-    "ground": Verb("groundstation.cli.live", "ground", "Receive, decode, calibrate, view live, record, hand over."),
+    "ground": Verb("sideslip.ground", "ground", "Receive, decode, calibrate, view live, record, hand over."),
     "view": Verb("groundstation.cli.live", "view", "Any recording or flight in rerun."),
     "calibrate": Verb("groundstation.cli.data", "calibrate", "Counts to SI: a raw recording to a flight."),
     "bench": Verb("groundstation.cli.data", "bench", "Fit calibration curves from bench recordings."),
@@ -55,11 +55,15 @@ VERBS: dict[str, Verb] = {
     ),
     "estimate": Verb("estimation.commands.estimate", "estimate", "Aerodynamic parameters with bounds."),
     "match": Verb("estimation.commands.match", "match", "Proof of match on flights not used for the estimate."),
+    "frequency": Verb(
+        "estimation.commands.frequency", "frequency", "Frequency responses with error, fits and figures."
+    ),
     "design": Verb("estimation.commands.design", "design", "Inputs designed from what is known, under limits."),
     "aircraft": Verb(
         "estimation.commands.aircraft", "aircraft", "A file for an aircraft of one's own, and what it is good for."
     ),
     "campaign": Verb("sideslip.campaign", "campaign", "Hundreds of flights, resumable, into tables to query."),
+    "watch": Verb("estimation.commands.watch", "watch", "When a model stopped describing the aircraft in flight."),
     "gap": Verb("estimation.commands.gap", "gap", "Find, name and close the gap between model and flight."),
 }
 

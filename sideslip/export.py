@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from daq.contract.outputs import tried_file
+from daq.contract.outputs import tried_file, tried_folder
 
 _MODELS = (".toml", ".json")
 
@@ -16,20 +16,47 @@ _MODELS = (".toml", ".json")
     "--output",
     type=click.Path(path_type=Path),
     callback=tried_file,
-    required=True,
     help="Its ending chooses the format.",
 )
+@click.option(
+    "--to",
+    "target",
+    type=click.Choice(["jsbsim"]),
+    help="Write a model found on a JSBSim aircraft back into the aircraft, and prove it by flying both.",
+)
+@click.option(
+    "--out", type=click.Path(path_type=Path), callback=tried_folder, help="Of --to: the folder to write into."
+)
+@click.option("--aircraft-from", help="Of --to: jsbsim:NAME or jsbsim:FOLDER  [default: what the model was found on].")
+@click.option("--rate", default=120.0, show_default=True, help="Of --to: JSBSim's steps per second.")
 @click.option("--units-row", is_flag=True, help="CSV: a second line with the units.")
 @click.option("--raw", is_flag=True, help="Of a raw recording: counts as recorded, not calibrated columns.")
 @click.option(
     "--calibration", type=click.Path(path_type=Path), help="Directory of calibration files instead of the embedded set."
 )
-def export(file: Path, output: Path, units_row: bool, raw: bool, calibration: Path | None) -> int:
+def export(
+    file: Path,
+    output: Path | None,
+    target: str | None,
+    out: Path | None,
+    aircraft_from: str | None,
+    rate: float,
+    units_row: bool,
+    raw: bool,
+    calibration: Path | None,
+) -> int:
     """Write FILE for other programs.
 
     A flight or recording: .csv .parquet .mat .kml .gpx .rrd .mcap (the last draws in Foxglove). A model .toml or what
-    estimate --json wrote: .json .tex .csv. Units travel along.
+    estimate --json wrote: .json .tex .csv. Units travel along. A model
+    found with --simulation jsbsim:NAME: --to jsbsim --out DIR.
     """
+    if target is not None:
+        return _to_jsbsim(file, output, out, aircraft_from, rate)
+    if out is not None or aircraft_from is not None:
+        raise click.UsageError("--out and --aircraft-from belong to --to jsbsim")
+    if output is None:
+        raise click.UsageError("Missing option '-o' / '--output'")
     if file.suffix.lower() in _MODELS:
         from estimation.report.model_export import export_model
 
@@ -43,3 +70,21 @@ def export(file: Path, output: Path, units_row: bool, raw: bool, calibration: Pa
     for note in done.notes:
         click.echo(f"  note: {note}")
     return 0
+
+
+def _to_jsbsim(file: Path, output: Path | None, out: Path | None, aircraft_from: str | None, rate: float) -> int:
+    """Write and prove an aircraft; 1 where it does not fly like the model."""
+    from estimation.simulation.exporting import export_to_jsbsim
+
+    if out is None or output is not None:
+        raise click.UsageError("--to jsbsim writes a folder: give --out DIR, and no --output")
+    done = export_to_jsbsim(file, aircraft_from, out, rate)
+    click.echo(f"{done.exported.file}: written")
+    click.echo(f"  added: {', '.join(done.exported.terms) or 'nothing'}")
+    for what in done.exported.left_out:
+        click.echo(f"  left out: {what}")
+    click.echo(f"  {'output':<8}{'rms':>11}{'allowed':>11}")
+    for name, rms in done.proof.rms.items():
+        click.echo(f"  {name:<8}{rms:>11.3g}{done.proof.allowed[name]:>11.3g}")
+    click.echo(done.sentence())
+    return 1 if done.proof.failed else 0

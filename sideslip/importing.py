@@ -1,5 +1,6 @@
 """The verb `import`: the ground station's, and with --recipe what estimation can do with the log."""
 
+from collections.abc import Mapping
 from copy import copy
 from pathlib import Path
 from typing import Any
@@ -44,14 +45,18 @@ def say_recipe(data: tuple[Path, ...], mapping: Path | None, rate: float | None,
         click.echo(line)
     outputs = [o for path in data for o in servo_outputs(path)]
     for output in outputs:
-        click.echo(f"servo output {output.name}: {output.low:g} to {output.high:g}, most often {output.usual:g}")
+        click.echo(f"servo output {output.line()}")
     if outputs and not any(flight.measured(c) for c in ("delta_e", "delta_a", "delta_r")):
         click.echo(
             "which surface each servo moves, with trim and travel, goes into a mapping: see the example maps in docs/import.md"
         )
     content = found.to_json()
-    servos = [{"name": o.name, "low": o.low, "high": o.high, "usual": o.usual} for o in outputs]
+    servos = [{"name": o.name, "low": o.low, "high": o.high, "usual": o.usual, **_lower(o.stated)} for o in outputs]
     write_json(report, {**content, "servo_outputs": servos})
+
+
+def _lower(stated: Mapping[str, float]) -> dict[str, float]:
+    return {ending.lower(): value for ending, value in stated.items()}
 
 
 import_ = click.Command("import", params=_parameters(), callback=_run, help=import_alone.help)

@@ -1,4 +1,4 @@
-"""Screenshots of the viewer's page in headless Chromium. `python -m tests.browser.screenshot` makes docs/pictures/view.png.
+"""Pictures of the viewer in headless Chromium. `python -m tests.browser.screenshot` makes docs/pictures/view.png and view.webp.
 
 Nothing but loopback is reached. Software rendering: no GPU or display is needed.
 """
@@ -19,6 +19,7 @@ ARGUMENTS = (
     "--ignore-gpu-blocklist", "--disable-dev-shm-usage",
 )  # fmt: skip
 TIME_LINE_UP = 15  # pixels from the lower edge of the page to the time line
+TIME_LINE = (0.24, 0.82)  # where it begins and ends, as shares of the page's width
 COLOURFUL = 1500  # saturated pixels that make a page count as drawn
 
 
@@ -88,6 +89,37 @@ def take(
     return paths
 
 
+def film(
+    url: str, target: Path, *, frames: int = 24, size: tuple[int, int] = (1200, 720), wait_s: float = 75.0
+) -> Path:
+    """A moving picture (animated WebP) of a recorded flight: its time line from left to right, a frame at a time."""
+    from PIL import Image
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as tools, tempfile.TemporaryDirectory() as scratch:
+        browser = tools.chromium.launch(executable_path=chromium(), headless=True, args=list(ARGUMENTS))
+        page = browser.new_page(viewport={"width": size[0], "height": size[1]}, color_scheme="dark")
+        page.route("**/*", lambda route: route.continue_() if "//127.0.0.1" in route.request.url else route.abort())
+        page.goto(url, wait_until="commit")
+        shots = [Path(scratch) / f"{i:03d}.png" for i in range(frames)]
+        deadline = time.monotonic() + wait_s
+        while time.monotonic() < deadline:
+            page.wait_for_timeout(1500)
+            page.screenshot(path=str(shots[0]))
+            if saturated(shots[0]) > COLOURFUL:
+                break
+        for i, shot in enumerate(shots):
+            page.mouse.click(
+                (TIME_LINE[0] + i / (frames - 1) * (TIME_LINE[1] - TIME_LINE[0])) * size[0], size[1] - TIME_LINE_UP
+            )
+            page.wait_for_timeout(2500)
+            page.screenshot(path=str(shot))
+        browser.close()
+        first, *rest = [Image.open(shot).convert("RGB") for shot in shots]
+        first.save(target, save_all=True, append_images=rest, duration=350, loop=0, quality=60, method=4)
+    return target
+
+
 def picture(recording: Path, target: Path, **options: Any) -> Path:
     """The full page of a recorded flight, as `sideslip view` shows it."""
     from groundstation.viewer.live import free_port
@@ -103,8 +135,11 @@ def picture(recording: Path, target: Path, **options: Any) -> Path:
 
 
 def main() -> None:
-    """Fly, receive over a lossy radio, and take the picture of the README."""
+    """Fly, receive over a lossy radio, and take the pictures of the README."""
     from firmware_sim.world.scenario import load_scenario
+    from groundstation.viewer.live import free_port
+    from groundstation.viewer.recorded import as_rrd
+    from groundstation.viewer.window import WebPage
     from sideslip.chain import fly_scenario
     from sideslip.demo import DEMO_RADIO
 
@@ -113,6 +148,11 @@ def main() -> None:
         fly_scenario(load_scenario("cdfp_ld4").altered(radio=DEMO_RADIO), Path(scratch), seed=4)
         (received,) = (Path(scratch) / "ground").glob("aircraft*.mcap")
         picture(received, target, size=(1600, 960), at=0.585, apart_s=8.0)
+        shown = WebPage(as_rrd(received, Path(scratch) / "film.rrd"), free_port())
+        try:
+            film(shown.url, target.with_suffix(".webp"))
+        finally:
+            shown.close()
     print(target)
 
 

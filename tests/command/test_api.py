@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -93,6 +94,61 @@ def test_check_and_its_correction() -> None:
     assert flight.name == "cdfp_ld4"
     assert "K_beta" in found.summary()
     assert "<table>" in found._repr_html_()
+
+
+@pytest.fixture
+def drawing() -> Iterator[None]:
+    """Figures without a display, closed afterwards."""
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    from matplotlib import pyplot as plt
+
+    yield
+    plt.close("all")
+
+
+@pytest.mark.usefixtures("drawing")
+def test_checks_and_matches_draw_measured_beside_computed(result: Estimates, tmp_path: Path) -> None:
+    whole = ss.open(LD4)
+    found = ss.check(whole.part(whole.time < whole.time[0] + 8.0))
+    axes = found.plot()
+    assert [a.get_ylabel() for a in axes[:2]] == ["V [m/s]", "alpha [deg]"]
+    reconstructed = found.results["cdfp_ld4"].flights[0].reconstructed
+    np.testing.assert_allclose(axes[1].lines[1].get_ydata(), np.degrees(reconstructed[:, 1]))
+    proof = ss.match(result.model, LD4)
+    assert "match" in proof.summary().splitlines()[1]
+    assert len(proof.plot()) == len(result.model.outputs)
+    with pytest.raises(UserError, match="1 axes for 5 panels"):
+        proof.plot(ax=axes[0])
+    for kept in (found, proof):
+        assert kept.save(tmp_path / "t.csv").read_text().startswith("flight,")
+        with pytest.raises(UserError, match=r"t\.xls"):
+            kept.save(tmp_path / "t.xls")
+
+
+def test_figures_are_those_of_the_page(result: Estimates, tmp_path: Path) -> None:
+    figures = result.figures()
+    assert set(figures) == {
+        "figure8", "figure9_cdfp_ld4", "residuals_cdfp_ld4", "against_cdfp_ld4", "correlations", "ellipses",
+    }  # fmt: skip
+    one = figures["ellipses"]
+    assert one is figures["ellipses"]  # drawn once
+    shown = one._repr_html_()
+    assert "data:image/svg+xml" in shown
+    page = result.report(tmp_path / "page").read_text()
+    assert one.uri in page
+    assert one.save(tmp_path / "e.svg").read_text().lstrip().startswith("<?xml")
+    with pytest.raises(UserError, match=r"in \.svg"):
+        one.save(tmp_path / "e.png")
+
+
+def test_an_imported_log_carries_its_aircraft(tmp_path: Path) -> None:
+    file = tmp_path / "mine.toml"
+    file.write_text('name = "mine"\n[geometry]\nspan = 1.5\n')
+    flight = ss.import_log(RECORDINGS / "foreign" / "ordinary_0.csv", aircraft=file)
+    assert flight.provenance.aircraft == "mine"
+    assert ss.import_log(RECORDINGS / "foreign" / "ordinary_0.csv", aircraft="cdfp").provenance.aircraft == "cdfp"
 
 
 def test_design_and_import(tmp_path: Path) -> None:

@@ -21,6 +21,7 @@ VERBS = [
     ["check", "none.mcap"],
     ["estimate", "none.mcap"],
     ["match", "none.toml", "none.mcap"],
+    ["frequency", "none.mcap", "--input", "delta_a", "--output", "p"],
     ["gap", "none.mcap"],
     ["campaign", "none.mcap", "--out", "out"],
     ["aircraft", "check", "cdfp"],

@@ -37,6 +37,7 @@ def test_light_modules_import_nothing_heavy(module: str) -> None:
         ("estimate", "none.csv"),
         ("check", "none.csv"),
         ("match", "none.toml", "none.csv"),
+        ("frequency", "none.csv", "--input", "delta_a", "--output", "p"),
         ("gap", "none.csv"),
         ("view", "none.mcap", "--view", "none"),
         ("calibrate", "none.mcap", "-o", "out.mcap"),

@@ -1,0 +1,38 @@
+"""The aircraft as live identification is told of it: from the aircraft file that is given, carried along, or built in."""
+
+from daq.identification.airframe import DERIVATIVES, Airframe, Belief
+from estimation.aircraft import Aircraft
+from estimation.aircraft.library import load_aircraft
+from estimation.aircraft.schema import aircraft_from_text
+from groundstation.identification.aircraft import LiveAircraft
+
+DOUBTED = (
+    0.5  # of a believed value: its standard deviation where the file states none, as `estimate --method live` has it
+)
+NEEDED = ("b", "S", "m", "Ixx", "Iyy", "Izz", "Ixz")
+
+
+def live_aircraft(name: str, text: str | None = None) -> LiveAircraft:
+    """The aircraft of a name or file; text: that of the file which travelled with the recording.
+
+    Raises AircraftError where there is no such aircraft, or where its file lacks geometry, mass or inertia.
+    """
+    aircraft = (
+        load_aircraft(name) if text is None else aircraft_from_text(text, f"aircraft {name} of the recording", name)
+    )
+    aircraft.need(NEEDED, "live identification")
+    return LiveAircraft(
+        aircraft.name, airframe_of_file(aircraft), {n: p.source for n, p in aircraft.derivatives.items()}
+    )
+
+
+def airframe_of_file(aircraft: Aircraft) -> Airframe:
+    """Geometry, mass and beliefs of an aircraft, as the recursive estimator takes them."""
+    beliefs = {}
+    for name in DERIVATIVES:
+        prior = aircraft.prior(name)
+        if prior is not None:
+            beliefs[name] = Belief(prior.value, DOUBTED * abs(prior.value) if prior.std is None else prior.std)
+    lag = None if aircraft.servos is None else aircraft.servos.lag
+    a = aircraft
+    return Airframe(a.span, a.area, a.mass, a.Ixx, a.Iyy, a.Izz, a.Ixz, beliefs, lag)

@@ -1,0 +1,79 @@
+"""The companion of the logger: `python -m sideslip.onboard`, started by it where `[identification]` is configured.
+
+Reads frames from standard input (`daq.companion.wire`), brings scans to one instant, and answers every few seconds of flight. The
+same alignment and the same estimator as at the ground: same samples, same numbers.
+"""
+
+import math
+import sys
+from typing import BinaryIO
+
+from daq.companion.wire import Answer, Setup, read_frame, read_setup
+from daq.contract.errors import UserError
+from daq.contract.scan import ScanDecodeError
+from daq.identification.stretches import Stretches
+from groundstation.calibration.apply import Calibrator
+from groundstation.calibration.schema import load_calibration
+from groundstation.identification.alignment import ScanAlignment
+from groundstation.identification.session import LiveIdentification, LiveState
+from groundstation.identification.words import NAMES, short_line
+from groundstation.live.flight_phase import LandingLimits
+from sideslip.live_aircraft import live_aircraft
+
+BATCH_S = 2.0  # s of scans at once: nobody looks at a screen here, and half the work is saved
+WANTED = 0.05  # bound to be reached, as a share of a derivative; only for the words
+
+
+def answer_of(state: LiveState) -> Answer:
+    """What is told of a state."""
+    known = state.estimates.derivatives
+    told = {n: (known[n].estimate, known[n].std) for n in NAMES if known[n].told}
+    return Answer(state.time, told, short_line(state))
+
+
+def answers(source: BinaryIO, sink: BinaryIO) -> None:
+    """Until the source ends. Raises UserError where calibration or aircraft cannot be used."""
+    first = read_frame(source)
+    if first is None:
+        return
+    setup: Setup = read_setup(first)
+    calibrator = Calibrator(load_calibration(setup.calibration), setup.details)
+    alignment, landing = ScanAlignment(BATCH_S), LandingLimits()
+    stretches = Stretches(landing.flying_speed, landing.flying_s)
+    live = LiveIdentification(live_aircraft(setup.aircraft), calibrator, WANTED, alignment, stretches)
+    due = -math.inf
+    told_trouble = False
+    while (data := read_frame(source)) is not None:
+        try:
+            alignment.add(data)
+        except ScanDecodeError:
+            continue
+        state = live.step()
+        if state is not None and state.time >= due:
+            due = state.time + setup.every_s
+            _write(sink, answer_of(state))
+        if live.trouble and not told_trouble:
+            told_trouble = True
+            _write(sink, Answer(trouble=live.trouble))
+    final = live.finish()
+    if final is not None:
+        _write(sink, answer_of(final))
+
+
+def _write(sink: BinaryIO, answer: Answer) -> None:
+    sink.write(answer.line())
+    sink.flush()
+
+
+def main() -> None:
+    """Serve standard input and output."""
+    try:
+        answers(sys.stdin.buffer, sys.stdout.buffer)
+    except UserError as error:
+        _write(sys.stdout.buffer, Answer(trouble=str(error)))
+    except BrokenPipeError:
+        return
+
+
+if __name__ == "__main__":
+    main()
