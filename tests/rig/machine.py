@@ -1,0 +1,164 @@
+"""The booted computer: QEMU without KVM, its root file system read-only, its card an image that stays, its plug in our hand."""
+
+import base64
+import socket
+import subprocess
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+
+BOOT_LIMIT_S = 600.0
+MEMORY_MB = 768
+_PATIENCE_S = 0.5
+_LEFT_OUT = (
+    "dbus.service dbus.socket systemd-logind.service getty.target systemd-user-sessions.service systemd-journal-flush.service"
+    " modprobe@dm_mod.service modprobe@fuse.service modprobe@loop.service modprobe@efi_pstore.service modprobe@configfs.service"
+    " modprobe@drm.service kmod-static-nodes.service dev-hugepages.mount dev-mqueue.mount sys-kernel-debug.mount"
+    " sys-kernel-tracing.mount sys-kernel-config.mount sys-fs-fuse-connections.mount systemd-sysusers.service"
+    " systemd-random-seed.service systemd-update-utmp.service systemd-fsck-root.service systemd-remount-fs.service"
+    " systemd-sysctl.service systemd-machine-id-commit.service"
+).split()
+"""Of a lean start, units that the logger knows nothing of: half of the time of an emulated processor."""
+
+
+class RigError(Exception):
+    """The rig itself cannot go on, in a sentence."""
+
+
+@dataclass(frozen=True, slots=True)
+class Image:
+    """What is booted."""
+
+    kernel: Path
+    initrd: Path
+    root: Path
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What a command in the machine said."""
+
+    status: int
+    text: str
+
+
+class Machine:
+    """One power-up of the computer. folder: has the bench's sockets; console and agent are put beside them.
+
+    card: the image it records on; None for a computer whose card was left at home. read_only: the card's lock is on. lean: start
+    without what the logger knows nothing of, for many starts in a row.
+    Leaving the context pulls the plug.
+    """
+
+    def __init__(
+        self, image: Image, folder: Path, card: Path | None, *, read_only: bool = False, lean: bool = False
+    ) -> None:
+        self.console = folder / "console.log"
+        agent = folder / "agent"
+        agent.unlink(missing_ok=True)
+        self._listener = socket.socket(socket.AF_UNIX)
+        self._listener.bind(str(agent))
+        self._listener.listen(1)
+        self._listener.settimeout(BOOT_LIMIT_S)
+        self._connection: socket.socket | None = None
+        self._buffer = b""
+        self._process = subprocess.Popen(
+            _command(image, folder, card, read_only, lean),
+            stdin=subprocess.DEVNULL,
+            stderr=(folder / "qemu.log").open("wb"),
+        )
+        self.started = time.monotonic()
+
+    def wait_for_agent(self) -> float:
+        """Wait until the machine takes commands; returns the seconds since it was switched on. Raises RigError."""
+        try:
+            if self._connection is None:  # it is the emulator's, and lives through a restart of what is emulated
+                self._connection, _ = self._listener.accept()
+                self._connection.settimeout(BOOT_LIMIT_S)
+            self._line()
+        except OSError as error:
+            last = self.console.read_text(errors="replace")[-400:] if self.console.exists() else ""
+            raise RigError(
+                f"the machine did not boot within {BOOT_LIMIT_S:.0f} s ({error}); its console ends:\n{last}"
+            ) from error
+        return time.monotonic() - self.started
+
+    def run(self, command: str, *, check: bool = True) -> Answer:
+        """Run a command of bash in the machine, as root. Raises RigError where it fails and `check` holds."""
+        assert self._connection is not None
+        self._connection.sendall(base64.b64encode(command.encode()) + b"\n")
+        status, _, text = self._line().partition(b" ")
+        answer = Answer(int(status), base64.b64decode(text).decode(errors="replace"))
+        if check and answer.status != 0:
+            raise RigError(f"in the machine: {command}\nended with {answer.status}:\n{answer.text}")
+        return answer
+
+    def wait_until(self, command: str, limit_s: float) -> str:
+        """Repeat a command until it ends with 0; what it printed then. Raises RigError after `limit_s`."""
+        deadline = time.monotonic() + limit_s
+        while True:
+            answer = self.run(command, check=False)
+            if answer.status == 0:
+                return answer.text.strip()
+            if time.monotonic() > deadline:
+                raise RigError(f"in the machine, after {limit_s:.0f} s still not: {command}\n{answer.text}")
+            time.sleep(_PATIENCE_S)
+
+    def crash(self) -> None:
+        """Kill the kernel, as itself would at a fault; the agent is gone until `wait_for_agent` finds it again."""
+        assert self._connection is not None
+        word = base64.b64encode(b"echo 0 >/proc/sys/kernel/panic; echo c >/proc/sysrq-trigger")
+        self._connection.sendall(word + b"\n")
+        self.started = time.monotonic()
+
+    def cut(self) -> None:
+        """Pull the plug: nothing that is not on the card is there afterwards."""
+        self._process.kill()
+        self._process.wait()
+        if self._connection is not None:
+            self._connection.close()
+            self._connection = None
+        self._listener.close()
+
+    def __enter__(self) -> "Machine":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.cut()
+
+    def _line(self) -> bytes:
+        assert self._connection is not None
+        while b"\n" not in self._buffer:
+            data = self._connection.recv(1 << 16)
+            if not data:
+                raise RigError("the machine has ended by itself")
+            self._buffer += data
+        line, _, self._buffer = self._buffer.partition(b"\n")
+        return line
+
+
+def _command(image: Image, folder: Path, card: Path | None, read_only: bool, lean: bool) -> list[str]:
+    def unix(name: str) -> list[str]:
+        return ["-chardev", f"socket,id={name},path={folder / name}"]
+
+    words = ["nice", "-n", "5", "qemu-system-x86_64", "-nodefaults", "-vga", "none"]
+    words += ["-accel", "tcg,thread=multi,tb-size=512", "-cpu", "Nehalem", "-smp", "1"]
+    words += ["-m", str(MEMORY_MB), "-display", "none", "-monitor", "none", "-rtc", "base=utc"]
+    words += ["-kernel", str(image.kernel), "-initrd", str(image.initrd)]
+    masks = [f"systemd.mask={unit}" for unit in _LEFT_OUT] if lean else []
+    words += ["-append", " ".join(["root=/dev/vda ro console=ttyS0 quiet mitigations=off nowatchdog", *masks])]
+    words += ["-drive", f"file={image.root},if=virtio,format=raw,readonly=on"]
+    if card is not None:
+        words += ["-drive", f"file={card},if=virtio,format=raw,readonly={'on' if read_only else 'off'}"]
+    words += ["-device", "i6300esb", "-action", "watchdog=reset"]
+    words += ["-serial", f"file:{folder / 'console.log'}"]
+    for line in ("gps", "radio"):
+        words += [*unix(line), "-serial", f"chardev:{line}"]
+    words += ["-device", "qemu-xhci"]
+    for adapter in ("sensors", "spare"):
+        words += [*unix(adapter), "-device", f"usb-redir,chardev={adapter},id=usb_{adapter}"]
+    words += ["-device", "virtio-serial-pci", *unix("agent"), "-device", "virtserialport,chardev=agent,name=rig"]
+    return words
