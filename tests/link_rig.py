@@ -8,6 +8,7 @@ import numpy as np
 
 from daq.clock import SimulatedClock
 from daq.contract.channels import CHANNELS, GROUP_NAMES, Rate
+from daq.contract.control import Weigh
 from daq.contract.recordings.messages import Event
 from daq.contract.recordings.recording import RecordingInfo
 from daq.contract.scan import GroupStatus, Scan, SensorState
@@ -88,6 +89,8 @@ class FakeLogger:
     def ask_sequencer(self, digest: int | None) -> str:
         self.asked.append(digest)
         return self.answer
+
+    weigh: Weigh | None = None
 
     def statistics(self) -> None:
         return None

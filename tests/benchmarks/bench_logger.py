@@ -19,6 +19,7 @@ from daq.acquisition.health import HealthSummary
 from daq.contract.recordings.accounting import verify
 from firmware_sim.runs.flight import prepare_flight
 from firmware_sim.world.scenario import load_scenario
+from groundstation.calibration.schema import NOMINAL_DIRECTORY
 from tests.benchmarks.replayed_bus import RecordingBus, RecordingPort
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -49,10 +50,12 @@ def record_answers(folder: Path) -> Path:
     return path
 
 
-def bench_config(folder: Path, recordings: Path) -> Path:
-    """The example configuration, written into `folder`, recording into `recordings`."""
+def bench_config(folder: Path, recordings: Path, identifying: bool = False) -> Path:
+    """The example configuration, written into `folder`, recording into `recordings`; identifying: on board too."""
     text = (ROOT / "daq/configs/cdfp.toml").read_text()
-    text = text.replace('calibration = "/etc/sideslip/calibration"', "")
+    calibration = f'calibration = "{NOMINAL_DIRECTORY / "cdfp"}"' if identifying else ""
+    text = text.replace('calibration = "/etc/sideslip/calibration"', calibration)
+    text += "\n[identification]\n" if identifying else ""
     text = text.replace("/var/lib/sideslip/recordings", str(recordings))
     path = folder / "bench.toml"
     path.write_text(text)
@@ -82,9 +85,12 @@ class Look:
         return cls(time.monotonic(), running * 1e-9, waiting * 1e-9, resident, load)
 
 
-def measure(folder: Path, seconds: float, recordings: Path | None = None) -> dict[str, object]:
+def measure(
+    folder: Path, seconds: float, recordings: Path | None = None, *, identifying: bool = False
+) -> dict[str, object]:
     """Run the logger for a time and watch it; it records into `recordings`, on another card than `folder` perhaps."""
-    answers, config = record_answers(folder), bench_config(folder, recordings or folder / "recordings")
+    answers = record_answers(folder)
+    config = bench_config(folder, recordings or folder / "recordings", identifying)
     arguments = [str(config), str(answers), str(seconds + 60.0)]
     command = [sys.executable, str(ROOT / "tests/benchmarks/logger_process.py"), *arguments]
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as systemd:
@@ -100,6 +106,7 @@ def measure(folder: Path, seconds: float, recordings: Path | None = None) -> dic
         with subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) as process:
             assert systemd.recv(1000).startswith(b"READY=1")
             looks = _watch(process.pid, systemd, seconds)
+            companions = [running_s(child) for child in children(process.pid)]
             process.terminate()
             said, _ = process.communicate(timeout=60)
     assert process.returncode == 0
@@ -109,12 +116,23 @@ def measure(folder: Path, seconds: float, recordings: Path | None = None) -> dic
     return {
         "seconds": round(span, 1),
         "cpu_percent": round(100 * (last.running_s - first.running_s) / span, 2),
+        "companion_s": round(sum(companions), 2),
         "waiting_for_a_core_percent": round(100 * (last.waiting_s - first.waiting_s) / span, 2),
         "resident_mb": [round(resident[i], 1) for i in (0, len(resident) // 2, -1)],
         "resident_most_mb": round(max(resident), 1),
         "load_average": [first.load, last.load],
         **json.loads(said),
     }
+
+
+def children(pid: int) -> list[int]:
+    """Processes that a process has started."""
+    return [int(n) for task in Path(f"/proc/{pid}/task").iterdir() for n in (task / "children").read_text().split()]
+
+
+def running_s(pid: int) -> float:
+    """Processor time of a process so far, its start included."""
+    return Look.at(pid).running_s
 
 
 def _watch(pid: int, systemd: socket.socket, seconds: float) -> list[Look]:
@@ -139,3 +157,23 @@ def test_logger_in_real_time(tmp_path: Path) -> None:
     resident = result["resident_mb"]
     assert result["resident_most_mb"] < 80.0  # type: ignore[operator]
     assert resident[-1] - resident[0] < 2.0, "resident memory must be flat"  # type: ignore[index]
+
+
+@pytest.mark.benchmark
+@pytest.mark.timeout(2 * SECONDS + 240)
+def test_identification_on_board_beside_the_logger(tmp_path: Path) -> None:
+    """The same minute without and with `[identification]`: the loop's own cost, and that of the process beside it."""
+    (tmp_path / "without").mkdir()
+    (tmp_path / "with").mkdir()
+    without = measure(tmp_path / "without", SECONDS)
+    beside = measure(tmp_path / "with", SECONDS, identifying=True)
+    cost = {
+        "logger_percent": [without["cpu_percent"], beside["cpu_percent"]],
+        "slots": [without["slots"], beside["slots"]],
+        "written": [without["written"], beside["written"]],
+        "ratio": round(float(str(beside["cpu_percent"])) / float(str(without["cpu_percent"])), 3),
+        "companion_percent": round(100 * float(str(beside["companion_s"])) / float(str(beside["seconds"])), 2),
+    }
+    print(json.dumps(cost, indent=1))
+    assert verify(Path(str(beside["directory"]))).ok
+    assert float(str(beside["cpu_percent"])) < float(str(without["cpu_percent"])) + 0.5

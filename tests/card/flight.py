@@ -19,7 +19,7 @@ from daq.contract.scan import Scan, encode_scan
 from daq.recorder.storage import RealFile, RealStorage, StorageFile
 from daq.transport.ports import memory_pair
 from firmware_sim.hardware.faults import FaultSet
-from firmware_sim.hardware.sensor_models import SensorModels
+from firmware_sim.hardware.sensing.sensor_models import SensorModels
 from firmware_sim.hardware.serial import SimulatedSerial
 from firmware_sim.runs.flight import CONFIG_FILE, START_UTC_NS, build_aircraft, logger_config
 from firmware_sim.world.scenario import load_scenario

@@ -11,8 +11,8 @@ from daq.contract.recordings.reading import read_recording
 from daq.contract.scan import Scan, decode_scan, encode_scan
 from groundstation.flight import read_flight
 from groundstation.live.handover import hand_over
+from groundstation.receiver.kept.session_log import SessionLog
 from groundstation.receiver.link_config import LinkConfig
-from groundstation.receiver.session_log import Journal
 from groundstation.receiver.tlog import read_tlog
 from tests.card.cuts import ONE_SECOND
 from tests.card.forgetting import CUTS
@@ -58,7 +58,7 @@ def test_reception_goes_on_where_it_was(card: MountedCard, tmp_path: Path) -> No
     rig.close()
     stream = b"".join(frames)
     for name, so_far, folder in looks:
-        kept = Journal(journal_of(folder))
+        kept = SessionLog(journal_of(folder))
         data = {decode_scan(d).number: d for d in kept.scans()}
         versions = {(e.scan.number, encode_scan(e.scan)) for e in received}
         assert set(data.items()) <= versions, f"{name}: a scan that was never received like that"
@@ -113,9 +113,9 @@ def test_a_flight_handed_over_is_there(card: MountedCard, root: Path) -> None:
 def test_a_journal_of_which_only_the_name_or_zeros_are_left(tmp_path: Path, length: int) -> None:
     path = tmp_path / "s.journal"
     path.write_bytes(bytes(length))
-    journal = Journal(path)
+    journal = SessionLog(path)
     journal.add_received(decode_scan(encode_scan(quiet_scan(3, np.random.default_rng(1), time_ns=150_000_000))))
     journal.close()
-    again = Journal(path)
+    again = SessionLog(path)
     assert 3 in again.received
     again.close()

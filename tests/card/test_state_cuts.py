@@ -20,7 +20,7 @@ from daq.service.preflight import _probe
 from daq.transport.mavlink_codec import Frame, FrameDecoder
 from daq.transport.signing import Signer, SigningState, Verdict, load_state, save_state
 from groundstation.receiver import events as ev
-from groundstation.receiver.recording import SessionRecorder
+from groundstation.receiver.kept.recording import SessionRecorder
 from tests.card.cuts import FLIGHT
 from tests.card.flight import CardFlight
 from tests.card.forgetting import CUTS, Cut

@@ -13,7 +13,7 @@ from firmware_sim.physics.aerodynamics import LATERAL, true_derivatives
 from firmware_sim.world.scenario import load_scenario
 from firmware_sim.world.world import simulate_many
 from groundstation.flight import read_flight
-from groundstation.importers.ulog_scan import MAGIC
+from groundstation.importers.formats.ulog_scan import MAGIC
 from tests.chain.autopilot_logs import BOOT, dataflash, ulog
 from tests.docs.blocks import commands_of, files_of, write_files
 

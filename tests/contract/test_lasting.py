@@ -12,8 +12,8 @@ import pytest
 
 from daq.transport import reconnecting_port
 from daq.transport.ports import BytePort, PortError, SerialPort, TcpServerPort
-from daq.transport.reconnecting_port import FIRST_RETRY_NS, LONGEST_RETRY_NS, LastingPort, open_lasting
-from groundstation.receiver.link import open_port
+from daq.transport.reconnecting_port import FIRST_RETRY_NS, LONGEST_RETRY_NS, ReconnectingPort, open_lasting
+from groundstation.receiver.ports.link import open_port
 
 
 class StepClock:
@@ -48,9 +48,9 @@ def soon(what: Callable[[], object]) -> None:
     raise AssertionError("it never became so")
 
 
-def quick(port: BytePort) -> LastingPort:
+def quick(port: BytePort) -> ReconnectingPort:
     """A lasting port whose pauses are over at once."""
-    assert isinstance(port, LastingPort)
+    assert isinstance(port, ReconnectingPort)
     port._now_ns = StepClock()
     port._next_ns = 0
     return port
@@ -150,7 +150,7 @@ def test_pauses_grow_and_opening_happens_beside_the_caller() -> None:
         asked.append(clock.now)
         raise OSError("not yet")
 
-    port = LastingPort(refuse, None, why="unplugged", now_ns=clock)
+    port = ReconnectingPort(refuse, None, why="unplugged", now_ns=clock)
     while len(asked) < 8:
         with pytest.raises(OSError, match=r"away \(unplugged\)"):
             port.read()
@@ -192,7 +192,7 @@ def test_closing_does_not_wait_for_a_host_that_does_not_answer(monkeypatch: pyte
         assert answered.wait(20.0)
         return late
 
-    port = quick(LastingPort(opening, None, why="no answer"))  # type: ignore[arg-type]
+    port = quick(ReconnectingPort(opening, None, why="no answer"))  # type: ignore[arg-type]
     away(port)
     closer = threading.Thread(target=port.close)
     closer.start()

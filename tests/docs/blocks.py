@@ -18,7 +18,12 @@ def files_of(page: Path) -> dict[str, str]:
 
 def commands_of(page: Path) -> list[str]:
     """Every line after a `$ ` in the page's console blocks, in order."""
-    blocks = [body for kind, body in _BLOCK.findall(page.read_text(encoding="utf-8")) if kind == "console"]
+    return commands_in(page.read_text(encoding="utf-8"))
+
+
+def commands_in(text: str) -> list[str]:
+    """The same of a page's text, or of some of its sections."""
+    blocks = [body for kind, body in _BLOCK.findall(text) if kind == "console"]
     return [line[2:].split("  #")[0].strip() for body in blocks for line in body.splitlines() if line.startswith("$ ")]
 
 

@@ -62,6 +62,16 @@ def _lying_rows() -> bytes:
     return data.replace(b"\x16" + bytes([2 * seeds.ROWS]), b"\x16" + bytes([2 * seeds.ROWS + 2]))
 
 
+def _statistics_that_do_not_fit() -> bytes:
+    """A column said to have no empty cells, with statistics that count some: Arrow's accessor of it ends the process."""
+    import pyarrow as pa
+
+    data = _parquet(pa.table({"time": [0.0, 0.05], "p": [0.1, 0.2]}))
+    optional = b"\x25\x02\x18\x04time"
+    assert optional in data
+    return data.replace(optional, b"\x25\x00\x18\x04time")
+
+
 def _deep_parquet() -> bytes:
     import pyarrow as pa
 
@@ -158,6 +168,7 @@ def _tables() -> Iterator[Kept]:
     )
     for text in ("1,", "ab\n", "\n", "a", '"', "time,p\n", "#\n", "\x0c", ";", "0,0\n"):
         yield Kept("csv", f"16 MiB of {text!r}", lambda t=text: (t * (MOST // len(t))).encode(), large=True)  # type: ignore[misc]
+    yield Kept("csv", "8 million rows of a digit", lambda: b"time\n" + b"1\n" * (MOST // 2 - 9))
     yield Kept("csv", "16 MiB of numbers", lambda: b"time,p\n" + b"1,2\n" * (MOST // 4 - 9), large=True)
     yield Kept("csv", "16 MiB of words", lambda: b"time,p\n" + b"ab,cd\n" * (MOST // 6 - 9), large=True)
     yield Kept("csv", "16 MiB of wide rows", lambda: b"time," + b",".join(b"c%d" % i for i in range(4000)) + b"\n"
@@ -167,6 +178,7 @@ def _tables() -> Iterator[Kept]:
     yield Kept("parquet", "a page of a hundred megabytes in some kilobytes", _swollen_page, large=True)
     yield Kept("parquet", "more rows than pages", _lying_rows)
     yield Kept("parquet", "lists sixty deep", _deep_parquet)
+    yield Kept("parquet", "statistics that do not fit their column", _statistics_that_do_not_fit)
     yield Kept(
         "parquet", "a footer as long as the file", lambda: b"PAR1" + bytes(100) + struct.pack("<I", 100) + b"PAR1"
     )

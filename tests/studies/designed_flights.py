@@ -10,7 +10,7 @@ out the noise of what the model takes as exact. The last result is kept in docs/
 import argparse
 import tempfile
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +19,7 @@ from daq.contract.manoeuvre import Manoeuvre
 from estimation.aircraft import load_aircraft
 from estimation.commands.design import write_manoeuvre
 from estimation.design.design import Design, Task, design
-from estimation.design.predict import Bench, fly, information
+from estimation.design.predict import fly, information
 from estimation.estimators.output_error import OutputErrorOptions, output_error, prepared
 from estimation.models import load_model
 from firmware_sim.runs.direct import ORDINARY_NOISE, DirectNoise, Injected, direct_flights
@@ -105,36 +105,39 @@ def fitted(flights: Iterator[Flight]) -> Fits:
     )
 
 
-def again(first: Design, fits: Fits) -> dict[str, float]:
-    """Bounds of the same input as `design --from` would predict them: means of the estimates, noise as the residuals show it."""
+def again(first: Design, fits: Fits) -> Design:
+    """The same input as `design --from` would predict it: means of the estimates, noise as the residuals show it."""
     bench = first.bench
     means = {n: float(np.mean(v)) for n, v in fits.estimates.items() if n in bench.values}
-    values = {**bench.values, **means}
-    changed = Bench(bench.model, bench.condition, bench.controls, values, fits.residuals, fits.rate_hz, bench.held)
-    return information(changed, fly(changed, first.best.commands, DURATION)).std
+    changed = replace(bench, values={**bench.values, **means}, noise=fits.residuals, noise_of_residuals=True)
+    flown = fly(changed, first.best.commands, DURATION)
+    best = replace(first.best, motion=flown, information=information(changed, flown))
+    return replace(first, bench=changed, best=best)
 
 
-def table(title: str, first: Design, flights: Iterator[Flight]) -> None:
+def table(title: str, first: Design, flights: Iterator[Flight], exact: bool = False) -> None:
     fits = fitted(flights)
     count = len(next(iter(fits.estimates.values())))
-    before, after = first.best.information.std, again(first, fits)
+    after = again(first, fits)
+    predictions = (
+        [first.best.information.std, after.best.information.std] if exact else [first.expected, after.expected]
+    )
     known = 100 / np.sqrt(2 * (count - 1))
     print(f"\n{title}: {count} flights at {fits.rate_hz:.0f} Hz; each ratio is known to {known:.0f} % (1 sigma)")
     print("| | scatter | from beliefs | ratio | from the last flights | ratio | / corrected bound |")
     print("|---|---|---|---|---|---|---|")
     ratios = []
     for name, values in fits.estimates.items():
-        if name in AT_REST or name not in before:
+        if name in AT_REST or name not in predictions[0]:
             continue
         scatter = float(np.std(values, ddof=1))
-        ratios.append((scatter / before[name], scatter / after[name], scatter / float(np.median(fits.bounds[name]))))
-        one, two, three = ratios[-1]
-        print(
-            f"| {name} | {scatter:.2g} | {before[name]:.2g} | {one:.2f} | {after[name]:.2g} | {two:.2f} | {three:.2f} |"
-        )
-    one, two, three = np.sqrt(np.mean(np.square(ratios), axis=0))
+        one, two = (prediction[name] for prediction in predictions)
+        ratios.append((scatter / one, scatter / two, scatter / float(np.median(fits.bounds[name]))))
+        shares = [f"{r:.2f}" for r in ratios[-1]]
+        print(f"| {name} | {scatter:.2g} | {one:.2g} | {shares[0]} | {two:.2g} | {shares[1]} | {shares[2]} |")
+    rms = np.sqrt(np.mean(np.square(ratios), axis=0))
     print(
-        f"rms of the ratios: {one:.2f} from beliefs, {two:.2f} from the last flights, {three:.2f} to the corrected bound"
+        f"rms of the ratios: {rms[0]:.2f} from beliefs, {rms[1]:.2f} from the last flights, {rms[2]:.2f} to the corrected bound"
     )
 
 
@@ -152,7 +155,7 @@ def main() -> None:
     if options.flights:
         noise = EXACT_INPUTS if options.exact else ORDINARY_NOISE
         title = f"direct, gusts {options.gust:g} deg{', exact inputs' if options.exact else ''}"
-        table(title, first, direct(manoeuvre, options.flights, options.gust, noise))
+        table(title, first, direct(manoeuvre, options.flights, options.gust, noise), options.exact)
     if options.chain:
         table(f"chain, gusts {options.gust:g} deg", first, chained(first, options.chain, options.gust))
 

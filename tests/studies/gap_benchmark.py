@@ -1,7 +1,7 @@
 """Scores of the gap workflow on flights of the second truth, with hidden effects it is not told of.
 
 Run: python -m tests.studies.gap_benchmark [--kind nulls|effects|unknown|pairs|all] [--start N] [--count N] [--size S]
-    [--gust DEG] [--nulls N]
+    [--gust DEG] [--nulls N] [--model lateral|longitudinal|six-dof]
 Results are appended to a JSON-lines file as they come, so that a study can be stopped, continued and summed up
 (`--summary`, `--confusion PICTURE`).
 Scores: detected, exact (first name), in class, truth in the reported set, mean set size, false alarms,
@@ -37,13 +37,33 @@ CLASSES: tuple[frozenset[str], ...] = (
     frozenset({"surface_compliance", "Cl_da_de"}),
     frozenset({"motor_torque", "p_factor", "lateral_cg"}),
     frozenset({"Cl_beta3", "Cn_beta3", "CY_beta3"}),
+    # the pitching plane
+    frozenset({"thrust_z", "thrust_tilt", "propwash_CL"}),
+    frozenset({"thrust_scale", "mass_error"}),
+    frozenset({"CL_alphadot", "Cm_alphadot", "downwash_lag"}),
+    frozenset({"CL_alpha2", "Cm_alpha2"}),
+    frozenset({"CL_alpha3", "Cm_alpha3"}),
+    frozenset({"Cm_alpha2", "Cm_alpha_de"}),
+    frozenset({"CL_de3", "Cm_de3"}),
+    frozenset({"elevator_delay", "elevator_lag"}),
+    frozenset({"alpha_scale", "alpha_bias"}),
 )
 PAIRS = (
     ("Cn_da", "beta_lag"), ("Cl_beta3", "aileron_delay"), ("beta_scale", "CY_da"), ("Cn_da", "Cl_beta3"),
     ("rudder_delay", "imu_lever_arm"), ("attitude_lag", "Cn_beta3"), ("beta_lag", "aileron_lag"), ("gyro_scale", "Cn_da"),
     ("vane_position", "Cl_da3"), ("Ixz_error", "CY_beta3"), ("Cl_alpha_beta", "rudder_lag"), ("prop_gyroscopic", "beta_scale"),
 )  # fmt: skip
+PITCH_PAIRS = (
+    ("Cm_alphadot", "alpha_scale"), ("thrust_scale", "elevator_delay"), ("propwash_elevator", "imu_x"), ("CL_alpha2", "V_scale"),
+)  # fmt: skip
+CROSS_PAIRS = (("Cm_beta2", "Cn_da"), ("alpha_scale", "beta_lag"))
 INVISIBLE = ("stall_separation",)  # these flights do not come near the stall
+SUBJECTS: dict[str, tuple[tuple[str, ...], tuple[str, ...], tuple[tuple[str, str], ...], str]] = {
+    "lateral": (tuple(n for n in truth.TYPICAL if n not in INVISIBLE), truth.UNKNOWN, PAIRS, "rich"),
+    "longitudinal": (tuple(truth.pitch.PITCH), truth.pitch.PITCH_UNKNOWN, PITCH_PAIRS, "longitudinal"),
+    "six-dof": ((*truth.pitch.CROSS, "prop_gyroscopic"), truth.pitch.PITCH_UNKNOWN, CROSS_PAIRS, "all"),
+}
+"""Model -> effects, effects outside the catalogue, pairs, manoeuvres."""
 
 
 def requests(effects: dict[str, float], seed: int, gust: float, manoeuvres: str) -> list[truth.Request]:
@@ -54,20 +74,23 @@ def requests(effects: dict[str, float], seed: int, gust: float, manoeuvres: str)
     ]
 
 
-def cases(kind: str, size: float, start: int, count: int) -> list[tuple[str, dict[str, float], int]]:
+def cases(
+    kind: str, size: float, start: int, count: int, model: str = "lateral"
+) -> list[tuple[str, dict[str, float], int]]:
     """(label, hidden effects as multiples of their typical size, seed)."""
+    effects, unknown, pairs, _ = SUBJECTS[model]
     made: list[tuple[str, dict[str, float], int]] = []
     for k in range(start, start + count):
         if kind == "nulls":
             made.append(("none", {}, 9000 + k))
         elif kind == "effects":
-            for i, name in enumerate(n for n in truth.TYPICAL if n not in INVISIBLE):
+            for i, name in enumerate(effects):
                 sign = 1.0
                 made.append((name, {name: sign * size}, 1000 * (k + 1) + i))
         elif kind == "unknown":
-            made += [(n, {n: size}, 100000 + 1000 * k + i) for i, n in enumerate(truth.UNKNOWN)]
+            made += [(n, {n: size}, 100000 + 1000 * k + i) for i, n in enumerate(unknown)]
         elif kind == "pairs":
-            made += [("+".join(p), dict.fromkeys(p, size), 200000 + 1000 * k + i) for i, p in enumerate(PAIRS)]
+            made += [("+".join(p), dict.fromkeys(p, size), 200000 + 1000 * k + i) for i, p in enumerate(pairs)]
     return made
 
 
@@ -79,10 +102,10 @@ def flights(columns: Iterable[dict[str, Any]]) -> list[Flight]:
 
 
 def run(kind: str, size: float, start: int, count: int, gust: float, manoeuvres: str, nulls: int, out: Path,
-        only: Sequence[str] = ()) -> None:  # fmt: skip
+        only: Sequence[str] = (), base: str = "lateral") -> None:  # fmt: skip
     """Fly and analyse all cases; one JSON line each."""
-    chosen = [c for c in cases(kind, size, start, count) if not only or c[0] in only]
-    model = load_model("lateral", "cdfp")
+    chosen = [c for c in cases(kind, size, start, count, base) if not only or c[0] in only]
+    model = load_model(base, "cdfp")
     out.parent.mkdir(parents=True, exist_ok=True)
     for at in range(0, len(chosen), 12):
         block = chosen[at : at + 12]
@@ -94,6 +117,7 @@ def run(kind: str, size: float, start: int, count: int, gust: float, manoeuvres:
             seconds = round(time.perf_counter() - began, 1)
             row = {
                 "kind": kind,
+                "model": base,
                 "label": label,
                 "truth": list(effects),
                 "size": size,
@@ -249,7 +273,7 @@ def confusion(rows: Sequence[dict[str, Any]], path: Path) -> None:
     from matplotlib.figure import Figure
 
     single = [r for r in rows if r["kind"] == "effects"]
-    hidden = [n for n in truth.TYPICAL if any(r["label"] == n for r in single)]
+    hidden = [n for n in truth.EVERY if any(r["label"] == n for r in single)]
     named = [*hidden, *sorted({n for r in single for s in r["steps"][:1] for n in s["set"]} - set(hidden)), "nothing"]
     table = np.zeros((len(hidden), len(named)))
     for k, name in enumerate(hidden):
@@ -278,7 +302,8 @@ def main() -> None:
     parser.add_argument("--start", type=int, default=0)
     parser.add_argument("--count", type=int, default=1)
     parser.add_argument("--gust", type=float, default=0.15)
-    parser.add_argument("--manoeuvres", default="rich")
+    parser.add_argument("--model", default="lateral", choices=SUBJECTS)
+    parser.add_argument("--manoeuvres", help="rich, aileron_only, longitudinal or all; default: what suits the model")
     parser.add_argument("--nulls", type=int, default=100)
     parser.add_argument("--only", nargs="*", default=[])
     parser.add_argument("--out", type=Path, default=Path("build/gap_benchmark.jsonl"))
@@ -289,7 +314,8 @@ def main() -> None:
         kinds = ("nulls", "effects", "unknown", "pairs") if a.kind == "all" else (a.kind,)
         for kind in kinds:
             count = 10 * a.count if kind == "nulls" and a.kind == "all" else a.count
-            run(kind, a.size, a.start, count, a.gust, a.manoeuvres, a.nulls, a.out, a.only)
+            flown = a.manoeuvres or SUBJECTS[a.model][-1]
+            run(kind, a.size, a.start, count, a.gust, flown, a.nulls, a.out, a.only, a.model)
     print(summary(a.out))
     rows = read_rows(a.out)
     print(calibration(rows))

@@ -1,6 +1,7 @@
 """The gap workflow on flights that went the whole way: sensors, bus, logger, attitude filter and calibration.
 
-`python -m tests.studies.gap_through_chain [--nulls-from 400 --nulls 8] [--effects NAME ...] [--gust DEG] [--budget SECONDS]`:
+`python -m tests.studies.gap_through_chain [--nulls-from 400 --nulls 8] [--effects NAME ...] [--gust DEG] [--budget SECONDS]
+[--model lateral|longitudinal|six-dof]`:
 for each set three training flights and one held out of one aircraft are flown and given to the workflow, which is told
 nothing. A line a set, then the counts. The last result is kept in docs/gap.md.
 """
@@ -21,13 +22,28 @@ EFFECTS = (
     "Cn_da", "beta_lag", "Cl_alpha_beta", "rudder_delay", "Cl_beta3", "aileron_delay", "CY_da", "beta_scale",
     "Cn_beta3", "aileron_lag", "imu_lever_arm", "Cl_p_abs_p",
 )  # fmt: skip
+PITCH_EFFECTS = (
+    "alpha_scale",
+    "Cm_alphadot",
+    "propwash_elevator",
+    "elevator_lag",
+    "CL_alpha2",
+    "thrust_scale",
+    "imu_x",
+    "theta_lag",
+)
+CROSS_EFFECTS = ("Cm_beta2", "Cn_alpha_p", "Cm_da2", "prop_gyroscopic")
+SUBJECTS = {
+    "lateral": (EFFECTS, "rich"), "longitudinal": (PITCH_EFFECTS, "longitudinal"), "six-dof": (CROSS_EFFECTS, "all_axes"),
+}  # fmt: skip
+"""Model -> effects, plan of the flights."""
 
 
-def flown(hidden: tuple[tuple[str, float], ...], seed: int, gust_deg: float) -> list[Flight]:
+def flown(hidden: tuple[tuple[str, float], ...], seed: int, gust_deg: float, plan: str = "rich") -> list[Flight]:
     """Four calibrated flights of one aircraft."""
     flights = []
     with tempfile.TemporaryDirectory() as folder:
-        campaign = Campaign(hidden=hidden, seed=seed, gust_deg=gust_deg)
+        campaign = Campaign(hidden=hidden, seed=seed, gust_deg=gust_deg, manoeuvres=plan)
         for number, (scenario, own) in enumerate(campaign.scenarios()):
             done = fly_scenario(scenario, Path(folder) / str(number), seed=own, backfill=False)
             flights.append(read_flight(done.onboard))
@@ -39,12 +55,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--nulls-from", type=int, default=400)
     parser.add_argument("--nulls", type=int, default=8)
-    parser.add_argument("--effects", nargs="*", default=EFFECTS)
+    parser.add_argument("--effects", nargs="*", help="default: what suits the model")
+    parser.add_argument("--model", default="lateral", choices=SUBJECTS)
     parser.add_argument("--gust", type=float, default=0.15)
     parser.add_argument("--budget", type=float, default=float("inf"), help="begin no further set after so many seconds")
     given = parser.parse_args()
     plan: list[tuple[str, ...]] = []
-    effects = [(name,) for name in given.effects]
+    usual, manoeuvres = SUBJECTS[given.model]
+    model = load_model(given.model, "cdfp")
+    effects = [(name,) for name in (usual if given.effects is None else given.effects)]
     nulls: list[tuple[str, ...]] = [() for _ in range(given.nulls)]
     while effects or nulls:  # by turns, so that a study cut short has some of both
         plan += [part.pop(0) for part in (nulls, effects) if part]
@@ -54,8 +73,8 @@ def main() -> None:
         if time.monotonic() - begun > given.budget:
             break
         hidden = tuple((name, 1.0) for name in names)
-        flights = flown(hidden, given.nulls_from + number, given.gust)
-        result = run_gap(load_model("lateral", "cdfp"), flights[:3], flights[3:], catalogue())
+        flights = flown(hidden, given.nulls_from + number, given.gust, manoeuvres)
+        result = run_gap(model, flights[:3], flights[3:], catalogue(model=model))
         said = [step.effect for step in result.steps]
         print(f"{'+'.join(names) or 'nothing':<16} {result.verdict:<15} {' '.join(said)}", flush=True)
         if names:

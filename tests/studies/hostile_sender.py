@@ -98,7 +98,7 @@ def fly(
         link.service(clock.monotonic_ns())
         link.uplink.service(clock.monotonic_ns(), logger)
         time.sleep(max(0.0, PERIOD_S - (time.monotonic() - begun) % PERIOD_S))
-    sent.put((len(link.downlink.sent), link.downlink.outbox.frames_sent))
+    sent.put((len(link.downlink.sent), link.downlink.send_queue.frames_sent))
     link.close()
     wire.close()
 

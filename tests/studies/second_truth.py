@@ -6,12 +6,14 @@ limit, Ornstein-Uhlenbeck gusts, white sensor noise. `fly(requests)` returns one
 the names, units and signs of a flight file. Effects are physics with the sizes given in each request.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from tests.studies import second_truth_pitch as pitch
 
 Array = NDArray[np.float64]
 
@@ -54,6 +56,23 @@ UNKNOWN: tuple[str, ...] = (
     "flexible_fin", "shear_burst",
 )  # fmt: skip
 
+EVERY: Mapping[str, float] = {**TYPICAL, **pitch.PITCH, **pitch.CROSS}
+LOCAL: tuple[str, ...] = ("gyro_drift", "vane_slip", "short_burst")
+"""Faults of one stretch of flight: no term of any model is wrong."""
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """A part of one coefficient that no catalogue holds.
+
+    of: from beta, p_hat, q_hat, r_hat, alpha, delta_a, delta_e, delta_r and V, each (flights,), to the part (flights,).
+    memory: seconds by which it follows, 0 where at once.
+    """
+
+    line: str
+    of: Callable[[Mapping[str, Array]], Array]
+    memory: float = 0.0
+
 
 @dataclass(frozen=True)
 class Request:
@@ -63,14 +82,16 @@ class Request:
     speed: float = 16.5
     effects: Mapping[str, float] = field(default_factory=dict)
     gust: float = 0.15 * DEG  # rms sideslip angle of the gusts [rad]
-    manoeuvres: str = "rich"  # rich | aileron_only
+    manoeuvres: str = "rich"  # rich | aileron_only | longitudinal | all
     derivatives: Mapping[str, float] = field(default_factory=dict)
     duration: float = 30.0
     jitter: float = 1.0
+    throttle: float = 1.0  # share of the throttle steps that is flown
     inertia: Mapping[str, float] = field(default_factory=dict)
     centred: bool = (
         False  # surfaces recorded as the mean of what is held before and after; else 2.5 ms before their effect
     )
+    hidden: Hidden | None = None
 
 
 def perturbed_derivatives(rng: np.random.Generator, spread: float = 0.15) -> dict[str, float]:
@@ -89,16 +110,23 @@ def _schedule(request: Request, rng: np.random.Generator, steps: int) -> Array:
             u[row, (t >= a) & (t < a + w)] += sign * amplitude
             a, sign = a + w, -sign
 
+    if request.manoeuvres == "longitudinal":
+        pitch.schedule(u, t, rng, "longitudinal", multistep)
+        return u
     s = 1 if rng.uniform() < 0.5 else -1
     j = lambda x: x + rng.uniform(-0.4, 0.4)  # noqa: E731
     w = rng.uniform(0.9, 1.1)
     multistep(0, j(1.6), [0.6 * w, 0.6 * w], rng.uniform(5, 7) * DEG, s)
     multistep(0, j(12.2), [1.0 * w, 0.66 * w, 0.33 * w, 0.33 * w], rng.uniform(4, 6) * DEG, -s)
     multistep(0, j(21.6), [0.35 * w] * 4, rng.uniform(2.5, 3.5) * DEG, s)
-    if request.manoeuvres == "rich":
+    if request.manoeuvres in ("rich", "all"):
         multistep(1, j(5.8), [0.7 * w, 0.7 * w], rng.uniform(1.4, 3.2) * DEG, -s)
         multistep(1, j(16.6), [0.9 * w, 0.6 * w, 0.3 * w, 0.3 * w], rng.uniform(2.6, 3.4) * DEG, s)
         multistep(1, j(25.2), [0.5 * w, 0.5 * w], rng.uniform(2.0, 3.0) * DEG, s)
+    if request.manoeuvres == "all":
+        pitch.schedule(u, t, rng, "all", multistep)
+        return u
+    if request.manoeuvres == "rich":
         multistep(2, j(9.1), [0.4, 0.4], 0.9 * DEG, -1)
         multistep(2, j(20.1), [0.35, 0.35, 0.3], 0.7 * DEG, 1)
     for a, d in ((3.6, 1.3), (7.7, -1.9), (11.7, 0.3), (15.0, -1.3), (18.5, 1.9), (22.0, -1.5), (25.4, 0.3)):
@@ -111,16 +139,20 @@ def fly(requests: Sequence[Request]) -> list[dict[str, Array]]:
     n = len(requests)
     steps = round(max(r.duration for r in requests) * RATE) + 1
     rngs = [np.random.default_rng([r.seed, 20240713]) for r in requests]
-    e: dict[str, Any] = {k: np.array([r.effects.get(k, 0.0) * v for r in requests]) for k, v in TYPICAL.items()}
-    x_: dict[str, Any] = {k: np.array([r.effects.get(k, 0.0) for r in requests]) for k in UNKNOWN}
+    e: dict[str, Any] = {k: np.array([r.effects.get(k, 0.0) * v for r in requests]) for k, v in EVERY.items()}
+    x_: dict[str, Any] = {
+        k: np.array([r.effects.get(k, 0.0) for r in requests]) for k in (*UNKNOWN, *LOCAL, *pitch.PITCH_UNKNOWN)
+    }
     d = {k: np.array([r.derivatives.get(k, v) for r in requests]) for k, v in TRUE_DERIVATIVES.items()}
     inertia = {k: np.array([r.inertia.get(k, v) for r in requests]) for k, v in INERTIA.items()}
     speed = np.array([r.speed for r in requests])
     u = np.stack([_schedule(r, g, steps) for r, g in zip(requests, rngs, strict=True)], axis=-1)  # (4, steps, n)
+    u[3] *= np.array([r.throttle for r in requests])
     gust = np.stack([_gust(r, g, steps) for r, g in zip(requests, rngs, strict=True)], axis=-1)  # (3, steps, n)
     e["Ixz"] = inertia["Ixz"] + e["Ixz_error"]
     centred = np.array([r.centred for r in requests])
-    history = _integrate(d, inertia, speed, u, gust, e, x_, centred, steps, n)
+    hidden = {r.hidden: np.array([o.hidden is r.hidden for o in requests]) for r in requests if r.hidden is not None}
+    history = _integrate(d, inertia, speed, u, gust, e, x_, centred, hidden, steps, n)
     return [_measure({k: v[:, i] for k, v in history.items()}, r, g, {k: v[i] for k, v in e.items()},
                      {k: v[i] for k, v in x_.items()})
             for i, (r, g) in enumerate(zip(requests, rngs, strict=True))]  # fmt: skip
@@ -153,12 +185,12 @@ def _trim(d: Mapping[str, Array], V: Array) -> tuple[Array, Array, Array]:
 
 
 def _integrate(d: Mapping[str, Array], inertia: Mapping[str, Array], V0: Array, u: Array, gust: Array,
-               e: Mapping[str, Array], x_: Mapping[str, Array], centred: NDArray[np.bool_], steps: int,
-               n: int) -> dict[str, Array]:  # fmt: skip
+               e: Mapping[str, Array], x_: Mapping[str, Array], centred: NDArray[np.bool_],
+               hidden: Mapping[Hidden, NDArray[np.bool_]], steps: int, n: int) -> dict[str, Array]:  # fmt: skip
     Ixx, Iyy, Izz, Ixz = inertia["Ixx"], inertia["Iyy"], inertia["Izz"], e["Ixz"]
     det = Ixx * Izz - Ixz**2
     a0, de0, T0 = _trim(d, V0)
-    x = np.zeros((17, n))  # u v w p q r phi theta psi h eta X fin fin_dot pend pend_dot spare
+    x = np.zeros((19, n))  # u v w p q r phi theta psi h eta X fin fin_dot pend pend_dot slosh slosh_dot hidden
     x[0], x[2], x[7], x[9] = V0 * np.cos(a0), V0 * np.sin(a0), a0, 60.0
     lag_tau = np.maximum(e["indicial_lag"], 0.02)
     x[11] = 1.0
@@ -168,13 +200,14 @@ def _integrate(d: Mapping[str, Array], inertia: Mapping[str, Array], V0: Array, 
     pilot = np.zeros((2, n))
     delay = np.round(np.stack([e["aileron_delay"], e["rudder_delay"]]) * RATE).astype(int)
     line = np.zeros((2, steps, n))
-    thrust = T0.copy()
+    thrust, pull = T0.copy(), T0.copy()
+    elevator = pitch.Elevator(e, de0, RATE, steps)
     keep = "ax ay az p q r phi theta psi alpha beta V delta_e delta_a delta_r thrust altitude pdot rdot qdot".split()
     out = {k: np.zeros((steps, n)) for k in keep}
     dt = 1 / RATE
 
     def rhs(x: Array, da: Array, dr: Array, de: Array, T: Array, g: Array) -> tuple[Array, dict[str, Array]]:
-        uu, vv, ww, p, q, r, phi, th, psi, _h, eta, X, fin, find, pen, pend = x[:16]
+        uu, vv, ww, p, q, r, phi, th, psi, _h, eta, X, fin, find, pen, pend, slosh, sloshd, _hidden = x
         sp, cp, st, ct = np.sin(phi), np.cos(phi), np.sin(th), np.cos(th)
         hdot = uu * st - vv * sp * ct - ww * cp * ct
         va, wa, ua = vv - g[0], ww - g[1], uu - g[2]
@@ -185,23 +218,52 @@ def _integrate(d: Mapping[str, Array], inertia: Mapping[str, Array], V0: Array, 
         ph, qh, rh = p * SPAN / (2 * V), q * CHORD / (2 * V), r * SPAN / (2 * V)
         soft = 1 - e["surface_compliance"] * qd / 200.0
         da_, dr_ = da * soft, dr * soft
+        over, wash = al - pitch.LEVEL, T / (qd * pitch.DISC)
         slip = 1 + e["slipstream_rudder"] * T / (qd * AREA)
         b_mom = np.where(e["indicial_lag"] > 0, eta, be)
         ben = be + fin
         CL = d["CL_0"] + d["CL_alpha"] * al * np.where(e["stall_separation"] > 0, ((1 + np.sqrt(X)) / 2) ** 2, 1.0)
         CL = CL + d["CL_q"] * qh + d["CL_de"] * de
+        CL = CL + pitch.lift(d, e, over, al, be, da_, de, qd, wash)
         CD = d["CD_0"] + d["CD_k"] * CL**2
-        CX, CZ = CL * np.sin(al) - CD * np.cos(al), -CL * np.cos(al) - CD * np.sin(al)
+        CD = CD + pitch.drag(e, CL, al, be, da_, de, qh)
         CY = (d["CY_0"] + d["CY_beta"] * be + d["CY_p"] * ph + d["CY_r"] * rh + d["CY_dr"] * slip * dr_
               + e["CY_da"] * da_ + e["CY_beta3"] * be**3)  # fmt: skip
         Cl = (d["Cl_0"] + d["Cl_beta"] * b_mom + d["Cl_p"] * ph * (0.4 + 0.6 * X) + d["Cl_r"] * rh + d["Cl_da"] * da_
               + d["Cl_dr"] * slip * dr_ + e["Cl_alpha_beta"] * al * be + e["Cl_da_de"] * da_ * de
-              + e["Cl_beta3"] * be**3 + e["Cl_da3"] * da_**3 + e["Cl_p_abs_p"] * ph * np.abs(ph))  # fmt: skip
+              + e["Cl_beta3"] * be**3 + e["Cl_da3"] * da_**3 + e["Cl_p_abs_p"] * ph * np.abs(ph)
+              + pitch.rolling(e, over, da_, ph))  # fmt: skip
         Cn = (d["Cn_0"] + d["Cn_beta"] * b_mom + d["Cn_p"] * ph + d["Cn_r"] * rh + d["Cn_dr"] * slip * dr_
               + e["Cn_da"] * da_ + e["Cn_alpha_beta"] * al * be + e["Cn_beta3"] * be**3 + e["Cn_dr3"] * dr_**3
-              + 0.6 * d["Cn_beta"] * (ben - be))  # fmt: skip
+              + 0.6 * d["Cn_beta"] * (ben - be) + pitch.yawing(e, over, da_, dr_, ph))  # fmt: skip
         Cm = d["Cm_0"] + d["Cm_alpha"] * al + d["Cm_q"] * qh + d["Cm_de"] * de
-        ax, ay, az = (qd * AREA * CX + T) / MASS, qd * AREA * CY / MASS, qd * AREA * CZ / MASS
+        Cm = Cm + pitch.pitching(d, e, over, be, da_, de, qd, wash)
+        signals = {"beta": be, "p_hat": ph, "q_hat": qh, "r_hat": rh, "alpha": al, "V": V,
+                   "delta_a": da, "delta_e": de, "delta_r": dr}  # fmt: skip
+        parts = dict.fromkeys(("CL", "CD", "CY", "Cl", "Cm", "Cn"), np.zeros(n))
+        hidden_dot = np.zeros(n)
+        for one, flights in hidden.items():
+            part = one.of(signals)
+            if one.memory:
+                hidden_dot = np.where(flights, (part - x[18]) / one.memory, hidden_dot)
+                part = x[18]
+            parts[one.line] = parts[one.line] + np.where(flights, part, 0.0)
+        CL, CD, CY, Cl, Cm, Cn = (c + m for c, m in zip((CL, CD, CY, Cl, Cm, Cn), parts.values(), strict=True))
+        CX, CZ = CL * np.sin(al) - CD * np.cos(al), -CL * np.cos(al) - CD * np.sin(al)
+        up = e["thrust_tilt"]
+        ax, ay, az = (
+            (qd * AREA * CX + T * np.cos(up)) / MASS,
+            qd * AREA * CY / MASS,
+            (qd * AREA * CZ - T * np.sin(up)) / MASS,
+        )
+        if (e["CL_alphadot"] != 0).any():  # lift from the rate that it changes itself: passes until it stands
+            still_x, still_z, polar = ax, az, np.where(e["CL_alphadot"] != 0, d["CD_k"], 0.0)
+            for _ in range(4):
+                back = ww * (r * vv - q * ww - G * st + ax) - uu * (q * uu - p * vv + G * ct * cp + az)
+                more = e["CL_alphadot"] * (-back / (uu**2 + ww**2)) * CHORD / (2 * V)
+                drags = polar * ((CL + more) ** 2 - CL**2)  # all lift pays for itself
+                ax = still_x + qd * AREA / MASS * (more * np.sin(al) - drags * np.cos(al))
+                az = still_z - qd * AREA / MASS * (more * np.cos(al) + drags * np.sin(al))
         shear = e["wind_shear"] * hdot  # rate of change of the east wind met while climbing
         bx, by = -shear * np.sin(psi) * ct, -shear * np.cos(psi) * cp
         udot = r * vv - q * ww - G * st + ax + bx
@@ -213,7 +275,9 @@ def _integrate(d: Mapping[str, Array], inertia: Mapping[str, Array], V0: Array, 
         Cn = Cn + e["Cn_betadot"] * bdh
         L = qd * AREA * SPAN * Cl - e["lateral_cg"] * MASS * az + e["motor_torque"] * T * (-1)
         N = qd * AREA * SPAN * Cn + e["prop_gyroscopic"] * q - e["p_factor"] * T * al + e["lateral_cg"] * MASS * ax
-        M = qd * AREA * CHORD * Cm - e["prop_gyroscopic"] * r
+        aldot = (wdot * uu - udot * ww) / (uu**2 + ww**2)
+        Cm = Cm + e["Cm_alphadot"] * aldot * CHORD / (2 * V)
+        M = qd * AREA * CHORD * Cm - e["prop_gyroscopic"] * r + e["thrust_z"] * T - x_["pitch_slosh"] * 0.25 * slosh
         L = L - x_["pendulum"] * 0.35 * pen
         roll = L + Ixz * p * q - (Izz - Iyy) * q * r
         yaw = N - Ixz * q * r - (Iyy - Ixx) * p * q
@@ -228,8 +292,9 @@ def _integrate(d: Mapping[str, Array], inertia: Mapping[str, Array], V0: Array, 
             x_["flexible_fin"] > 0, (14.0**2) * (-x_["flexible_fin"] * 1.2 * (be + dr) - fin) - 3.0 * find, 0
         )
         pendd = np.where(x_["pendulum"] > 0, -(6.0**2) * pen - 0.8 * pend + 6.0 * ay + 1.5 * pdot, 0.0)
+        sloshdd = np.where(x_["pitch_slosh"] > 0, -(9.0**2) * slosh - 0.8 * sloshd + 6.0 * (ax - 1.0) + 1.5 * qdot, 0.0)
         rate = np.stack([udot, vdot, wdot, pdot, qdot, rdot, phidot, thdot, psidot, hdot, etadot, Xdot, find, findd,
-                         pend, pendd, np.zeros(n)])  # fmt: skip
+                         pend, pendd, sloshd, sloshdd, hidden_dot])  # fmt: skip
         return rate, {"ax": ax, "ay": ay, "az": az, "alpha": al, "beta": be, "V": V, "pdot": pdot, "rdot": rdot,
                       "qdot": qdot}  # fmt: skip
 
@@ -240,6 +305,8 @@ def _integrate(d: Mapping[str, Array], inertia: Mapping[str, Array], V0: Array, 
         want = np.stack([u[0, k] + quiet * pilot[0], u[1, k], de0 + u[2, k] + pilot[1]])
         servo = servo + dt * np.clip((want - servo) / 0.035, -6.0, 6.0)
         thrust = thrust + dt / 0.08 * (T0 + u[3, k] - thrust)
+        slow = e["thrust_lag"]
+        pull = np.where(slow > 0, pull + dt / np.maximum(slow, 1e-3) * (thrust - pull), thrust)
         line[:, k] = servo[:2]
         back = np.maximum(k - delay, 0)
         late = np.take_along_axis(line, back[:, None, :], axis=1)[:, 0]
@@ -253,7 +320,10 @@ def _integrate(d: Mapping[str, Array], inertia: Mapping[str, Array], V0: Array, 
         g = gust[:, k].copy()
         burst = (k > 14.0 * RATE) & (k < 17.0 * RATE)
         g[0] += x_["shear_burst"] * V0 * 2.0 * DEG * (burst * np.sin(np.pi * (k / RATE - 14.0) / 3.0))
-        args = (act[0], act[1], servo[2], thrust, g)
+        g[1] += x_["vertical_burst"] * V0 * 1.5 * DEG * (burst * np.sin(np.pi * (k / RATE - 14.0) / 3.0))
+        short = (k > 14.0 * RATE) & (k < 14.8 * RATE)
+        g[0] += x_["short_burst"] * V0 * 2.5 * DEG * (short * np.sin(np.pi * (k / RATE - 14.0) / 0.8))
+        args = (act[0], act[1], elevator.step(k, servo[2]), pull * (1 + e["thrust_scale"]), g)
         k1, obs = rhs(x, *args)
         for name in ("ax", "ay", "az", "alpha", "beta", "V", "pdot", "rdot", "qdot"):
             out[name][k] = obs[name]
@@ -293,6 +363,7 @@ def _measure(h: Mapping[str, Array], request: Request, rng: np.random.Generator,
     if e["attitude_lag"]:
         m["phi"], m["theta"] = _lagged(h["phi"], e["attitude_lag"]), _lagged(h["theta"], e["attitude_lag"])
     m["V"] = h["V"] * (1 + e["airspeed_scale"])
+    pitch.bend(m, h, e, x_, _lagged)
     if e["time_skew"]:
         lateness = round(e["time_skew"] * RATE)
         for k in ("p", "q", "r", "ax", "ay", "az"):
@@ -304,10 +375,15 @@ def _measure(h: Mapping[str, Array], request: Request, rng: np.random.Generator,
         m["ay"] = m["ay"] + x_["bank_accelerometer"] * 1.2 * h["phi"] * np.abs(h["phi"]) * 4
     if x_["attitude_turn_error"]:
         m["phi"] = h["phi"] - x_["attitude_turn_error"] * _lagged(h["r"] * h["V"] / G, 1.5) * 0.35
+    clock = np.arange(h["r"].size) / RATE
+    m["r"] = m["r"] + x_["gyro_drift"] * 1.0 * DEG * clock / 30.0
+    m["beta"] = m["beta"] + x_["vane_slip"] * 1.5 * DEG * (clock > 18.0)
     every = RATE // SAMPLE
     out = {k: m[k][::every] for k in NOISE}
     if x_["vane_friction"]:
         out["beta"] = _stick(out["beta"], 0.9 * DEG * x_["vane_friction"])
+    if x_["alpha_friction"]:
+        out["alpha"] = _stick(out["alpha"], 0.9 * DEG * x_["alpha_friction"])
     for k, sigma in NOISE.items():
         scale = request.jitter if k.startswith("delta") else 1.0
         out[k] = out[k] + sigma * scale * rng.standard_normal(out[k].size)
@@ -315,6 +391,9 @@ def _measure(h: Mapping[str, Array], request: Request, rng: np.random.Generator,
         hold = round(6 * x_["stale_vane"])
         index = (np.arange(out["beta"].size) // hold) * hold
         out["beta"] = out["beta"][index]
+    if x_["stale_alpha"]:
+        hold = round(6 * x_["stale_alpha"])
+        out["alpha"] = out["alpha"][(np.arange(out["alpha"].size) // hold) * hold]
     count = round(request.duration * SAMPLE) + 1
     out = {k: v[:count] for k, v in out.items()}
     return {"time": np.arange(count) / SAMPLE, **out, "rho": np.full(count, RHO)}

@@ -23,7 +23,7 @@ from groundstation.flight import Flight
 from tests.estimation.truth import DEG, JET, JET_TRUE, Case, fly
 from tests.studies import second_truth
 
-METHODS = ("ml", "fem", "ls")
+METHODS = ("ml", "fem", "fem-noise", "ls")
 GUSTS = (0.0, 0.15, 0.5, 1.0, 2.0, 3.5)  # deg of sideslip, rms
 JET_GUSTS = (0.0, 0.3, 1.0, 1.5)  # m/s rms
 OFF = 3.0  # corrected bounds

@@ -1,0 +1,172 @@
+"""Statistics of the gap monitor: false alarms an hour of manoeuvring, and how soon and by what name effects are noticed.
+
+`python -m tests.studies.monitor_statistics [-n 40] [--hours 5] [20hz|link]`. Nulls and changed derivatives are flown by the
+monitor's own equations of motion, with other random numbers than its calibration; sudden failures by the project's simulator
+through its direct sensor model, which shares no code with it. Effects begin at 20 s of a minute; times are from there. The last
+result is kept in docs/live.md.
+"""
+
+import argparse
+import math
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.identification.airframe import DERIVATIVES, SIGNALS, Airframe, Sample
+from daq.identification.monitor.bank import Effect, bank
+from daq.identification.monitor.innovations import Scan
+from daq.identification.monitor.monitor import GapMonitor
+from daq.identification.monitor.nulls import Conditions, fly
+from daq.identification.monitor.threshold import BEGIN_S, Calibration, calibrated, scores
+from firmware_sim.physics.effects.sudden import BEGINS_S
+from firmware_sim.runs.direct import direct_flights
+from firmware_sim.world.scenario import load_scenario
+from firmware_sim.world.simulation import derivatives_of
+from tests.studies.live_statistics import Case, airframe_for, through_link
+
+Array = NDArray[np.float64]
+
+USUAL = (1.0, 1.0)
+FLIGHT_S, BEGINS = 60.0, BEGINS_S
+CONDITIONS = {"20hz": Conditions(), "link": Conditions(rate=11.5, loss=0.05)}
+CHANGES = {
+    "Cn_da": -0.008, "Cl_da": 0.03, "Cn_dr": 0.01, "Cl_p": 0.1, "Cn_beta": -0.008, "Cl_0": 0.004,
+}  # fmt: skip
+HIDDEN = {
+    "elevon_stuck": ("Cl_da", "Cl_0", "Cl_beta", "Cl_p", "Cl_dr"),
+    "vane_slipped": ("beta_bias", "CY_0", "Cl_0", "Cn_0"),
+    "ice": ("Cl_da", "Cl_p", "Cl_beta"),
+    "mass_shift": ("Cl_0", "Cl_beta"),
+}
+"""Sudden effects of the simulator, and names that say the right thing of them."""
+
+
+@dataclass(frozen=True)
+class Set:
+    """A model and its calibration at one rate."""
+
+    airframe: Airframe
+    values: dict[str, float]
+    effects: tuple[Effect, ...]
+    conditions: Conditions
+    calibration: Calibration
+
+
+def made(rate: str, hours: float) -> Set:
+    airframe = airframe_for(Case("second", 0.1, False))
+    values = {n: airframe.believed(n) for n in DERIVATIVES}
+    effects, conditions = bank(airframe, values, {}), CONDITIONS[rate]
+    found = calibrated(airframe, values, effects, conditions, rng=np.random.default_rng(1), hours=hours)
+    return Set(airframe, values, effects, conditions, found)
+
+
+def alarms(s: Set, scans: Sequence[Scan]) -> tuple[Array, list[list[str]]]:
+    """(times, flights) whether either statistic is beyond its threshold from when on; names of the leading at each time."""
+    above, names, times = [], [], []
+    for time, score in scores(s.airframe, s.values, s.effects, s.calibration.whitening, scans):
+        if time < BEGIN_S:
+            continue
+        z = np.abs(s.calibration.effects.of(score.z))
+        u = np.nan_to_num(s.calibration.channels.of(np.log(score.unnamed)), nan=-9.0)
+        above.append((z.max(axis=1) > s.calibration.named) | (u.max(axis=1) > s.calibration.unnamed))
+        best = np.where(z.max(axis=1) > s.calibration.named, z.argmax(axis=1), -1)
+        names.append(["energy" if b < 0 else s.effects[b].name for b in best])
+        times.append(time)
+    return np.column_stack([times, np.array(above)]), names
+
+
+def false_alarms(s: Set, hours: float, gust: float) -> str:
+    """Alarms that stand apart by ten seconds, over so many hours."""
+    conditions = replace(s.conditions, gust=gust * s.conditions.gust, gust_spread=USUAL)
+    count, flown, hit, flights = 0, 0.0, 0, 0
+    for seed in range(max(1, round(hours * 3600.0 / (100 * 90.0)))):
+        scans = fly(s.airframe, s.values, s.effects, conditions, np.random.default_rng([seed, 71]), 100, 90.0)
+        table, _ = alarms(s, scans)
+        for flight in range(1, table.shape[1]):
+            times = table[table[:, flight] > 0.5, 0]
+            count += int(times.size > 0) + int(np.sum(np.diff(times) > 10.0))
+            hit += int(times.size > 0)
+        flown += 100 * (90.0 - BEGIN_S) / 3600.0
+        flights += 100
+    return f"| gusts x{gust:g} | {flown:.1f} | {count} | {count / flown:.2f} | {100 * hit / flights:.1f} |"
+
+
+def noticed(s: Set, name: str, size: float, n: int) -> str:
+    """A change of the model's own motion at 20 s."""
+    done: list[bool] = []
+
+    def change(time: float, truth: dict[str, Array]) -> None:
+        if time >= BEGINS and not done:
+            truth[name] = truth[name] + size
+            done.append(True)
+
+    conditions = replace(s.conditions, gust_spread=USUAL)
+    scans = fly(s.airframe, s.values, s.effects, conditions, np.random.default_rng([9, n]), n, FLIGHT_S, change)
+    table, names = alarms(s, scans)
+    after = table[:, 0] > BEGINS
+    first, what = [], []
+    for flight in range(1, table.shape[1]):
+        at = np.flatnonzero(after & (table[:, flight] > 0.5))
+        first.append(table[at[0], 0] - BEGINS if at.size else math.inf)
+        settled = np.flatnonzero(after & (table[:, flight] > 0.5) & (table[:, 0] > BEGINS + first[-1] + 2.0))
+        what.append(names[settled[0]][flight - 1] if settled.size else "")
+    return row(name, f"{size:g}", first, what, lambda w: w == name)
+
+
+def sudden(s: Set, name: str, n: int, rate: str) -> str:
+    """A failure of the simulated aircraft, through the monitor sample by sample."""
+    scenario = load_scenario("rich").altered(hidden=[{"name": name}], flight={"duration_s": FLIGHT_S})
+    truth = derivatives_of(scenario, 1)
+    values = {k: truth[k] for k in DERIVATIVES}
+    first, what = [], []
+    for seed, flown in enumerate(direct_flights([scenario] * n, list(range(1, n + 1)))):
+        columns = through_link(flown, seed, 0.05) if rate == "link" else flown
+        monitor = GapMonitor(s.airframe, values, s.effects, s.calibration)
+        for sample in (Sample(*r) for r in np.stack([columns[c] for c in ("time", *SIGNALS)], axis=1).tolist()):
+            monitor.add(sample)
+        after = [a for a in monitor.alarms if a.time > columns["time"][0] + BEGINS]
+        first.append(after[0].time - columns["time"][0] - BEGINS if after else math.inf)
+        what.append(after[0].leading[0].effect if after and after[0].leading else "")
+    return row(name, "1", first, what, lambda w: w in HIDDEN[name])
+
+
+def row(name: str, size: str, first: Sequence[float], what: Sequence[str], right: Callable[[str], bool]) -> str:
+    times = np.array(first)
+    found = np.isfinite(times)
+    named = [right(w) for w, f in zip(what, found, strict=True) if f]
+    most = ", ".join(f"{w or 'none'} {c}" for w, c in Counter(what).most_common(3))
+    share = 100 * float(np.mean(named)) if named else 0.0
+    middle = float(np.median(times[found])) if found.any() else math.nan
+    return (
+        f"| {name} | {size} | {len(times)} | {100 * found.mean():.0f} | {middle:.1f} "
+        f"| {100 * np.mean(times <= 5.0):.0f} | {share:.0f} | {most} |"
+    )
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("rates", nargs="*", default=list(CONDITIONS))
+    parser.add_argument("-n", type=int, default=40, help="flights of each effect")
+    parser.add_argument("--hours", type=float, default=5.0, help="of nulls, and of the calibration")
+    given = parser.parse_args(arguments)
+    for rate in given.rates:
+        s = made(rate, given.hours)
+        print(
+            f"\n{rate}: thresholds {s.calibration.named:.2f}, {s.calibration.unnamed:.2f} from {s.calibration.hours:.1f} h"
+        )
+        print("| air | hours | alarms | an hour | % of flights of 90 s |\n|---|---|---|---|---|")
+        for gust in (1.0, 3.0):
+            print(false_alarms(s, given.hours, gust), flush=True)
+        print("| effect | size | flights | noticed % | median s | within 5 s % | right name % | first names |")
+        print("|---|---|---|---|---|---|---|---|")
+        for name, size in CHANGES.items():
+            print(noticed(s, name, size, given.n), flush=True)
+        for name in HIDDEN:
+            print(sudden(s, name, min(given.n, 10), rate), flush=True)
+
+
+if __name__ == "__main__":
+    main()
