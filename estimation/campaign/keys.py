@@ -8,6 +8,8 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+from estimation.engine.compiled import compiler
+
 LIBRARIES = ("sideslip", "casadi", "numpy", "scipy")
 ROOT = Path(__file__).parents[2]
 DECIDING = (
@@ -28,8 +30,10 @@ SOURCES = (".py", ".c", ".toml")
 
 @cache
 def versions() -> Mapping[str, str]:
-    """Version of each library that decides a number, and a digest of our own deciding files as `code`."""
-    return {**{name: _version(name) for name in LIBRARIES}, "code": digest_of_files(DECIDING)}
+    """Version of each library that decides a number, the compiler of the equations (without one, sums are made in another order:
+    1e-12 of a number), and a digest of our own deciding files as `code`."""
+    libraries = {name: _version(name) for name in LIBRARIES}
+    return {**libraries, "compiler": Path(compiler() or "none").name, "code": digest_of_files(DECIDING)}
 
 
 def _version(name: str) -> str:

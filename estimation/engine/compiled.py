@@ -83,12 +83,6 @@ def compiler() -> str | None:
     return None if wanted == "none" else shutil.which(wanted)
 
 
-def cached_kernel(structure: Structure) -> CompiledKernel | None:
-    """The compiled back end if its library is in the cache already."""
-    path = _library_path(structure)
-    return _open(path, structure.sizes) if path.is_file() else None
-
-
 def compile_kernel(structure: Structure) -> CompiledKernel | None:
     """The compiled back end, compiling now if needed; None where there is no working compiler."""
     path = _library_path(structure)

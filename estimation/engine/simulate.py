@@ -10,7 +10,7 @@ from typing import Literal
 
 import numpy as np
 
-from estimation.engine.compiled import cached_kernel, compile_kernel
+from estimation.engine.compiled import compile_kernel
 from estimation.engine.data import AS_USUAL, FlightData, Preparation, Segment, prepare
 from estimation.engine.kernel import Array, Columns, Drive, Kernel, Motion
 from estimation.engine.transforms import apply_transforms, transform_derivatives
@@ -18,12 +18,10 @@ from estimation.models.base import Model
 from estimation.models.parts import Structure
 from groundstation.flight import Flight
 
-Compile = Literal["auto", "always", "never"]
+Compile = Literal["auto", "never"]
+"""auto: by gcc wherever there is one, whatever is in the cache already, so that the same fit gives the same bits every time."""
 Hold = Literal["smooth", "linear", "hold"]
 """Inputs between samples: on a monotone cubic, on straight lines, or held. See `usual_hold`."""
-
-WORTH_COMPILING = 200_000.0
-"""Samples x evaluations x columns / 20 from which gcc (about 0.4 s) repays itself."""
 
 
 def usual_hold(model: Model) -> Hold:
@@ -35,19 +33,18 @@ def usual_hold(model: Model) -> Hold:
 
 
 @lru_cache(maxsize=128)
-def _kernel(structure: Structure, compile_: Compile, worth: bool) -> Kernel:
-    if compile_ != "never":
-        found = compile_kernel(structure) if (worth or compile_ == "always") else cached_kernel(structure)
-        if found is not None:
-            return found
+def _kernel(structure: Structure, compile_: Compile) -> Kernel:
+    found = None if compile_ == "never" else compile_kernel(structure)
+    if found is not None:
+        return found
     from estimation.engine.virtual import VirtualKernel
 
     return VirtualKernel(structure)
 
 
-def kernel_for(model: Model, work: float = 0.0, compile_: Compile = "auto") -> Kernel:
-    """The back end for a model. work: samples x evaluations x columns / 20 that it is wanted for."""
-    return _kernel(model.structure, compile_, work > WORTH_COMPILING)
+def kernel_for(model: Model, compile_: Compile = "auto") -> Kernel:
+    """The back end for a model: compiled (0.6 s once a machine, then kept), or the virtual machine where there is no compiler."""
+    return _kernel(model.structure, compile_)
 
 
 @dataclass(frozen=True)
@@ -66,16 +63,13 @@ class Simulator:
         model: Model,
         free: tuple[str, ...] | None = None,
         *,
-        work: float = 0.0,
         compile_: Compile = "auto",
         substeps: int = 2,
         hold: Hold | None = None,
     ) -> "Simulator":
         """hold: as `usual_hold` says unless given."""
         chosen = hold or usual_hold(model)
-        return cls(
-            model, model.free_names if free is None else free, kernel_for(model, work, compile_), substeps, chosen
-        )
+        return cls(model, model.free_names if free is None else free, kernel_for(model, compile_), substeps, chosen)
 
     def vector(self, values: Mapping[str, float]) -> Array:
         """Parameters and constants in the order of the traced functions."""

@@ -44,7 +44,7 @@ def parametric_bootstrap(
     check_replicates(replicates)
     if not result.converged:
         return Bootstrap((), np.zeros((0, 0)), {}, 0, f"no bootstrap: {result.text}")
-    problem, best = reopened(model, flights, result, options, replicates)
+    problem, best = reopened(model, flights, result, options)
     point = best.point
     options = replace(options, substeps=problem.simulator.substeps)
     roots = [square_root(s) for s in noise_spectra(problem, best.unknowns, point)]
@@ -52,7 +52,7 @@ def parametric_bootstrap(
     rows = []
     for _ in range(replicates):
         again = build_problem(
-            _prior_redrawn(problem, best, rng), _repeated(problem, point, roots, inputs, rng), options, replicates
+            _prior_redrawn(problem, best, rng), _repeated(problem, point, roots, inputs, rng), options
         )
         outcome = minimise(again, best.unknowns, options.loop)
         if outcome.status.usable:

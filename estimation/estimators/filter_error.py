@@ -163,9 +163,7 @@ def filter_error(
         if name
     ]
     extended = chosen.with_starts(first.values).plus(parameters=parameters)
-    simulator = Simulator.build(
-        extended, work=1e9, compile_=options.compile_, substeps=options.substeps, hold=options.hold
-    )
+    simulator = Simulator.build(extended, compile_=options.compile_, substeps=options.substeps, hold=options.hold)
     problem = FilterErrorProblem(extended, data, simulator, noise="full", free_states=free_states_of(extended, options))
     problem.gains = names
     outcome = minimise(problem, problem.pack(extended.starts()), LOOP)
@@ -206,9 +204,7 @@ def _by_process_noise(chosen: Model, data: list[FlightData], first: Result, opti
         extended = chosen.with_starts({n: values[n] for n in first.values}).plus(
             parameters=[Parameter(n, start=values[n], lower=0.0, prior_mean=0.0, prior_std=NOISE_PRIOR) for n in names]
         )
-        simulator = Simulator.build(
-            extended, work=1e9, compile_=options.compile_, substeps=options.substeps, hold=options.hold
-        )
+        simulator = Simulator.build(extended, compile_=options.compile_, substeps=options.substeps, hold=options.hold)
         problem = ProcessNoiseProblem(
             extended, data, simulator, noise="full", free_states=free_states_of(extended, options)
         )

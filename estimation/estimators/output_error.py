@@ -35,7 +35,7 @@ class OutputErrorOptions:
     noise: diagonal or full covariance R of the residuals. sigma: standard deviation per output [its unit] given
     instead, every output named. free_states: names of the states whose initial values are estimated in each segment
     (default: those that the model does not hold); the others start where they were measured, or at their signal's
-    `start`. improve_start: try the equation-error solution as start too. `compile_`: auto uses gcc where it repays.
+    `start`. improve_start: try the equation-error solution as start too. `compile_`: auto uses gcc where there is one.
     substeps: Runge-Kutta steps per sample. hold: inputs between samples, by default as
     `engine.simulate.usual_hold`. preparation: of the inputs. loop: limits of the search. Names that the model does
     not have raise ModelError when the fit begins.
@@ -194,15 +194,9 @@ def _fine_enough(
     return problem, outcome
 
 
-def build_problem(
-    model: Model, data: list[FlightData], options: OutputErrorOptions, fits_wanted: int = 1
-) -> OutputErrorProblem:
-    """The likelihood of prepared flights, with the back end that the amount of work deserves."""
-    columns = len(model.free_names) + len(model.states)
-    work = fits_wanted * 12.0 * sum(d.used for d in data) * columns / 20.0
-    simulator = Simulator.build(
-        model, work=work, compile_=options.compile_, substeps=options.substeps, hold=options.hold
-    )
+def build_problem(model: Model, data: list[FlightData], options: OutputErrorOptions) -> OutputErrorProblem:
+    """The likelihood of prepared flights."""
+    simulator = Simulator.build(model, compile_=options.compile_, substeps=options.substeps, hold=options.hold)
     free_states = free_states_of(model, options)
     sigma = None
     if options.sigma is not None:
@@ -228,15 +222,14 @@ def reopened(
     flights: Flight | FlightData | Sequence[Flight | FlightData],
     result: Result,
     options: OutputErrorOptions = STANDARD,
-    fits_wanted: int = 1,
 ) -> tuple[OutputErrorProblem, Fit]:
-    """The problem of an earlier fit at its optimum, in the same pieces and steps, for `fits_wanted` fits more."""
+    """The problem of an earlier fit at its optimum, in the same pieces and steps."""
     chosen = load_model(model).with_starts(result.fitted_model.starts())
     chosen, data = compared(chosen, prepared(chosen, flights, options.preparation))
     if len(data) != len(result.flights):
         raise DataError(f"{len(data)} flights given for a fit of {len(result.flights)}: give those that were fitted")
     data = _in_pieces_of(data, result)
-    problem = build_problem(chosen, data, options, fits_wanted)
+    problem = build_problem(chosen, data, options)
     start = problem.pack(chosen.starts(), [list(f.initial_states) for f in result.flights])
     return _fine_enough(problem, minimise(problem, start, options.loop), options)
 

@@ -48,7 +48,7 @@ def profile_likelihood(
     if why := _no_curve(result, parameter):
         everything = (-math.inf, math.inf)
         return Profile(parameter, estimate.estimate, np.zeros(0), np.zeros(0), everything, everything, why)
-    problem, best = reopened(model, flights, result, options, points)
+    problem, best = reopened(model, flights, result, options)
     line = _Line(problem, best, parameter, replace(options, substeps=problem.simulator.substeps))
     ratio = estimate.std_coloured / estimate.std
     reach = BEYOND * ROOT_95 * ratio * estimate.std

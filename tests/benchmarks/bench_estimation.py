@@ -125,8 +125,8 @@ def main() -> None:
     options = OutputErrorOptions(sigma=sigma, compile_="never", improve_start=False)
     virtual = timed(lambda: output_error(MODEL, data, options=options))
     alone = timed(lambda: search([data], options))
-    quick = timed(lambda: search([data], replace(options, compile_="always")))
-    fast = timed(lambda: output_error(MODEL, data, options=replace(options, compile_="always")))
+    quick = timed(lambda: search([data], replace(options, compile_="auto")))
+    fast = timed(lambda: output_error(MODEL, data, options=replace(options, compile_="auto")))
     print(f"preparing one 601-sample flight (de-noising)   {prepare_time:8.3f} s")
     print(f"first fit of the process, no compiler          {first:8.3f} s")
     print(f"warm fit with both bounds, no compiler         {usual:8.3f} s")
@@ -144,22 +144,22 @@ def main() -> None:
         write_flight(flight, path)
         without = command_time(path, XDG_CACHE_HOME=folder, SIDESLIP_COMPILER="none")
     print(f"sideslip estimate of it from the shell         {without:8.3f} s without a compiler")
-    for label, kind in (("no compiler", "never"), ("compiled", "always")):
+    for label, kind in (("no compiler", "never"), ("compiled", "auto")):
         ms = 1e3 * timed(lambda kind=kind: simulate_with_sensitivities(MODEL, data, compile_=kind))  # type: ignore[misc]
         print(f"one cost + Jacobian, 601 samples, {label:12} {ms:8.2f} ms")
     print("\nsamples, compiled fit")
     for copies in (1, 4, 16):
         long = replace(data, segments=tuple(replace(s) for s in data.segments * copies), samples=601 * copies)
-        print(f"{601 * copies:8d} {timed(lambda long=long: fit([long], 'always'), 1):8.3f} s")  # type: ignore[misc]
+        print(f"{601 * copies:8d} {timed(lambda long=long: fit([long], 'auto'), 1):8.3f} s")  # type: ignore[misc]
     print("\nfree parameters, one cost + Jacobian, compiled")
     for count in (4, 8, 16):
         names = MODEL.parameter_names[:count]
-        ms = 1e3 * timed(lambda n=names: simulate_with_sensitivities(MODEL, data, free=n, compile_="always"))  # type: ignore[misc]
+        ms = 1e3 * timed(lambda n=names: simulate_with_sensitivities(MODEL, data, free=n))  # type: ignore[misc]
         print(f"{count:8d} {ms:8.2f} ms")
     print("\nflights together (own trims and initial states each)")
     flights = [prepare(MODEL, f) for f in fly(Case(noise=NOISE, servo=None), rng, 100)[0]]
     for count in (4, 25, 100):
-        print(f"{count:8d} {timed(lambda n=count: fit(flights[:n], 'always'), 1):8.3f} s compiled")  # type: ignore[misc]
+        print(f"{count:8d} {timed(lambda n=count: fit(flights[:n], 'auto'), 1):8.3f} s compiled")  # type: ignore[misc]
     print(f"{100:8d} {timed(lambda: fit(flights, 'never'), 1):8.3f} s without a compiler")
     print(f"peak memory {peak_mb():.0f} MB")
 

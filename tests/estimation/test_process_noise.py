@@ -63,7 +63,7 @@ def test_slopes_of_the_gain_and_no_noise_no_gain() -> None:
 def test_a_gain_laid_out_by_columns_is_the_same_gain() -> None:
     flights, _ = fly(Case(noise=NOISE, seconds=6.0), np.random.default_rng(3))
     data = prepared(LATERAL, flights[0])[0]
-    simulator = Simulator.build(LATERAL, work=1e9)
+    simulator = Simulator.build(LATERAL)
     if not isinstance(simulator.kernel, CompiledKernel):
         pytest.skip("no C compiler")
     gain = np.random.default_rng(1).normal(0, 0.02, (4, 5))

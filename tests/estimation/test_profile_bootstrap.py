@@ -21,7 +21,7 @@ from estimation.models import Model, Parameter, Signal, write_model
 from groundstation.flight import Flight
 
 SIGMA = 0.05
-GIVEN = OutputErrorOptions(sigma={"x": SIGMA}, substeps=4, preparation=Preparation(denoise=False), compile_="always")
+GIVEN = OutputErrorOptions(sigma={"x": SIGMA}, substeps=4, preparation=Preparation(denoise=False))
 COUNT, STEP, POLE = 1600, 0.05, -2.0
 LINEAR = Model(
     name="linear",

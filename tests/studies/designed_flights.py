@@ -92,7 +92,7 @@ class Fits:
 
 def fitted(flights: Iterator[Flight]) -> Fits:
     """Maximum likelihood of each flight."""
-    options = OutputErrorOptions(compile_="always")
+    options = OutputErrorOptions()
     all_of_them = list(flights)
     results = [output_error(MODEL, [flight], options=options) for flight in prepared(MODEL, all_of_them)]
     good = [r for r in results if r.converged]

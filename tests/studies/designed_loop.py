@@ -36,7 +36,7 @@ def flown(manoeuvre: Manoeuvre, seed: int, gust_deg: float) -> Flight:
 
 def joint(flights: Sequence[Flight]) -> Result:
     """Maximum likelihood of all flights together."""
-    return output_error(MODEL, prepared(MODEL, list(flights)), options=OutputErrorOptions(compile_="always"))
+    return output_error(MODEL, prepared(MODEL, list(flights)), options=OutputErrorOptions())
 
 
 def next_design(result: Result, seed: int) -> Design:

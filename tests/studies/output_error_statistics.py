@@ -129,7 +129,7 @@ def study(name: str, seeds: int, method: str) -> None:
     """Fit the flights of one set and print its tables."""
     title, groups = SETS[name]
     model = load_model("lateral", "cdfp")
-    options = OutputErrorOptions(compile_="always")
+    options = OutputErrorOptions()
     fit = {"ml": output_error, "fem": filter_error}[method]
     alone, joint, failed = Tally(), Tally(), 0
     started = time.perf_counter()

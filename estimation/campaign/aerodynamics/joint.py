@@ -105,7 +105,7 @@ def global_model(
     wide = with_terms(base, tried, reference)
     tell(f"{len(flights)} flights together, {len(tried)} terms to choose from")
     slim, data = compared(wide, prepared(wide, flights, AS_USUAL))
-    fit = _Fit(base, flights, data, slim, _simulator(slim, data), tried, reference)
+    fit = _Fit(base, flights, data, slim, Simulator.build(slim), tried, reference)
     result, gains = output_error(base, flights), tuple[Gain, ...]()
     for wave in ([t for t in tried if t.first], tried):
         for _ in range(ROUNDS):
@@ -169,8 +169,3 @@ def references(flights: Sequence[Flight]) -> dict[str, float]:
 
 def _in_all(flights: Sequence[Flight], column: str) -> bool:
     return all(f.measured(column) for f in flights)
-
-
-def _simulator(wide: Model, data: Sequence[FlightData]) -> Simulator:
-    work = 12.0 * sum(d.used for d in data) * (len(wide.free_names) + len(wide.states)) / 20.0
-    return Simulator.build(wide, work=work)

@@ -59,7 +59,5 @@ def _upper(problem: Problem, found: Fit, flyer: NullFlyer, seed: int) -> float:
 
 def refitted_with(problem: Problem, found: Fit, child: Baseline) -> tuple[Problem, Fit]:
     """A model fitted to the training flights again, weighed with the noise of another."""
-    same = Problem(
-        problem.model, problem.base, child.problem.records, child.problem.whiteners, problem.criteria, problem.work
-    )
+    same = Problem(problem.model, problem.base, child.problem.records, child.problem.whiteners, problem.criteria)
     return same, fit(same, found.values, found.locals)

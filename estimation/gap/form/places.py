@@ -9,7 +9,6 @@ from estimation.engine.kernel import Array
 from estimation.engine.simulate import Segment, Simulator
 from estimation.gap.criteria import Criteria
 from estimation.gap.form.spline import Range, basis
-from estimation.gap.likelihood.baseline import WORK
 from estimation.gap.likelihood.fitting import Fit, Problem
 from estimation.models.base import Model, ParameterRole, Signal
 from estimation.models.expressions import names_in, products_in
@@ -116,7 +115,7 @@ class Flown:
             terms={n: INCREMENT.format(n) for n in lines},
             observed=[Signal(n) for n in names if n not in model.output_names],
         )
-        simulator = Simulator.build(probe, (), substeps=1, work=WORK, hold="linear")
+        simulator = Simulator.build(probe, (), substeps=1, hold="linear")
         segments, shown, courses = [], [], []
         for i, local in enumerate(fit.locals):
             driven = problem.driven(problem.grids[i], fit.values)

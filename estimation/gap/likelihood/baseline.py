@@ -31,7 +31,6 @@ from estimation.models.driven import force_states
 PASSES = 3  # of noise and parameters in turn: the third changes neither by more than the nulls know them
 SPARE_PASSES = 3  # more of them where the fit has not come to rest
 STEP_TURNS = 2  # of stationary noise and freedom of the surfaces
-WORK = 1e7  # the same right-hand side serves every fit and null: compiling it repays
 
 
 @dataclass(frozen=True)
@@ -166,7 +165,7 @@ def fit_baseline(
         else:
             assert found is not None
             level, whiteners = whiteners_for(model, prepared, records, at, None, found.residuals, scatter, level)
-        problem = Problem(model, prepared.base, records, whiteners, prepared.criteria, WORK)
+        problem = Problem(model, prepared.base, records, whiteners, prepared.criteria)
         found = _careful(problem, values, own, afar=turn if start is None else passes)
         if found.diverged:
             raise GapError(

@@ -74,7 +74,6 @@ class Problem:
     records: tuple[Record, ...]
     whiteners: tuple[Whitener, ...]
     criteria: Criteria
-    work: float = 0.0  # how much simulation is coming: decides whether compiling repays
 
     @cached_property
     def coarse(self) -> tuple[Segment, ...]:
@@ -107,9 +106,7 @@ class Problem:
 
     @cached_property
     def simulator(self) -> Simulator:
-        return Simulator.build(
-            self.model, (*self.parameters, *self.local_names), substeps=1, work=self.work, hold="linear"
-        )
+        return Simulator.build(self.model, (*self.parameters, *self.local_names), substeps=1, hold="linear")
 
     def starts(self) -> dict[str, float]:
         """Start values of everything shared, held parameters included."""

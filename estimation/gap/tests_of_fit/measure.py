@@ -9,7 +9,7 @@ from estimation.engine.kernel import Array
 from estimation.estimators.arrow import eliminated, solved
 from estimation.gap.criteria import Criteria
 from estimation.gap.errors import GapError
-from estimation.gap.likelihood.baseline import WORK, Baseline, whiteners_for
+from estimation.gap.likelihood.baseline import Baseline, whiteners_for
 from estimation.gap.likelihood.fitting import Fit, Problem, fit, local_prior
 from estimation.gap.likelihood.whitening import NoiseModel
 from estimation.gap.random_streams import Stream
@@ -72,7 +72,7 @@ def on_holdout(
     model = baseline.model
     values = {**model.starts(), **baseline.fit.values}
     _, whiteners = whiteners_for(model, prepared, records, values, noise or baseline.noise, (), baseline.scatter)
-    problem = Problem(model, prepared.base, records, whiteners, prepared.criteria, WORK)
+    problem = Problem(model, prepared.base, records, whiteners, prepared.criteria)
     return problem, fit(problem, values, frozen=True)
 
 
