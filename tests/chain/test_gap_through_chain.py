@@ -20,7 +20,8 @@ def answer(letter: str) -> GapResult:
     return run_gap(load_model("lateral", "cdfp"), flights[:3], flights[3:], catalogue(), OPTIONS)
 
 
-@pytest.mark.parametrize("letter", ["b", pytest.param("c", marks=pytest.mark.study)])
+@pytest.mark.study
+@pytest.mark.parametrize("letter", ["b", "c"])
 def test_says_what_the_key_says(letter: str) -> None:
     """One set hides nothing, one a single effect of usual size; the key is read here, by the workflow never."""
     hidden = [name for name, _ in json.loads((FOLDER / "key.json").read_text(encoding="utf-8"))[letter]["hidden"]]

@@ -7,6 +7,7 @@ import pytest
 
 from estimation.gap.answer.result import GapResult
 from estimation.gap.criteria import AS_SET
+from estimation.gap.effects import catalogue
 from estimation.gap.pages.rerun_report import write_gap_recording
 from estimation.gap.records.sample_faults import sample_notes
 from estimation.gap.workflow import Options, run_gap
@@ -28,7 +29,8 @@ def answered() -> GapResult:
         Flight.build(f"f{i}", c["time"], {k: v for k, v in c.items() if k != "time"})
         for i, c in enumerate(truth.fly(requests))
     ]
-    return run_gap(load_model("lateral", "cdfp"), flights, options=Options(seed=2, nulls=30, most=1))
+    asked = [e for e in catalogue() if e.name in ("Cn_da", "Cl_betadot", "aileron_lag", "imu_lever_arm")]
+    return run_gap(load_model("lateral", "cdfp"), flights, (), asked, options=Options(seed=2, nulls=20, most=1))
 
 
 def test_the_flight_of_another_aircraft_does_not_repeat_the_others(answered: GapResult) -> None:
