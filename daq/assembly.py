@@ -9,8 +9,9 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 
 from daq.acquisition.sampler import Sampler
-from daq.actuation.actuation import Actuation, Devices
-from daq.actuation.heartbeat import Heartbeat, HeartbeatError
+from daq.actuation.actuation import Actuation, output_of
+from daq.actuation.devices import AutopilotPort, Devices
+from daq.actuation.heartbeat import Heartbeat
 from daq.actuation.servos import plan_of
 from daq.clock import Clock
 from daq.companion.config import IdentificationConfig
@@ -44,7 +45,8 @@ class Edge:
     """What the logger is connected to.
 
     bus, gnss, autopilot, pulse: as `daq.acquisition.sampler.Sampler` takes them. radio: the port to the ground, None without one.
-    source: real | simulated; every recording says it for good. heartbeat: the line that enables the servo driver.
+    source: real | simulated; every recording says it for good. heartbeat: the line that enables the servo driver. override: the
+    port to an autopilot that the sequencer goes through.
     """
 
     clock: Clock
@@ -56,6 +58,7 @@ class Edge:
     radio: BytePort | None = None
     storage: Storage | None = None
     heartbeat: Heartbeat | None = None
+    override: AutopilotPort | None = None
 
 
 @dataclass(frozen=True)
@@ -194,13 +197,10 @@ def _companion(config: LoggerConfig, wanted: IdentificationConfig, logger: Logge
 
 
 def _actuation(config: LoggerConfig, edge: Edge) -> Actuation | None:
-    """The sequencer with its manoeuvre checked; None where none is configured. Raises ManoeuvreError or HeartbeatError."""
+    """The sequencer with its manoeuvre checked; None where none is configured. Raises ManoeuvreError,
+    HeartbeatError or AutopilotError."""
     if config.sequencer is None:
         return None
-    if edge.bus is None or edge.heartbeat is None:
-        raise HeartbeatError(
-            "[sequencer] needs an I2C bus and a heartbeat line, and none was opened; set sequencer.heartbeat"
-        )
+    output = output_of(config.sequencer, Devices(edge.bus, edge.heartbeat, edge.clock, edge.override))
     plan = plan_of(load_manoeuvre(config.sequencer.manoeuvre), config.sequencer)
-    devices = Devices(edge.bus, edge.heartbeat, edge.clock)
-    return Actuation(config.sequencer, plan, config.sensors, devices, 1.0 / config.scan.rate_hz)
+    return Actuation(config.sequencer, plan, config.sensors, output, edge.clock, 1.0 / config.scan.rate_hz)

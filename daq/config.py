@@ -132,6 +132,13 @@ def check_sequencer(sequencer: SequencerConfig, sensors: SensorsConfig, rate_hz:
     missing = [group for group, limit in watched.items() if limit is not None and group not in sensors.fitted]
     if missing:
         raise ValueError(f"sequencer watches {', '.join(missing)}, not fitted; fit it or set its limit aside")
+    if sequencer.through != "pca9685":
+        capture = sensors.capture
+        if capture is not None and capture.driver == "mavlink_servo" and capture.device in sequencer.autopilot.port:
+            raise ValueError(
+                f"sequencer.autopilot and sensors.capture both read {capture.device}; give the sequencer a port of its own"
+            )
+        return
     taken = {getattr(sensors.section(g), "address", None): g for g in sensors.fitted}
     for name, address in (("chip", sequencer.chip.address), ("pilot", sequencer.pilot.address)):
         if address in taken or sequencer.chip.address == sequencer.pilot.address:

@@ -9,6 +9,10 @@ from daq.sensors.config import Address, NotNegative, Positive
 
 LEAST_RATE_HZ = 50.0
 """Frames a second: manoeuvre files have a sample every 20 ms, and 10 Hz has been found too slow in flight (PX4 #25775)."""
+PX4_WORDS = (
+    "PX4 takes either the sticks or MANUAL_CONTROL (COM_RC_IN_MODE), all axes and the throttle together, so increments cannot be "
+    'added to the pilot\'s own signals; use a servo driver behind a multiplexer (through = "pca9685")'
+)
 CONTROLS = ("delta_e", "delta_a", "delta_r")
 """Controls of a manoeuvre, in the order of recordings and messages."""
 
@@ -42,6 +46,21 @@ class PilotConfig(_Table):
     loopback_input: Annotated[int, Field(ge=1, le=6)] = 6
 
 
+class AutopilotConfig(_Table):
+    """`[sequencer.autopilot]`: an ArduPlane that drives the servos, with `through = "ardupilot"`.
+
+    port: as `[downlink]` has it, such as serial:/dev/ttyAMA2:115200; nobody else may read it. system_id: ours, the one whose
+    overrides are taken (MAV_GCS_SYSID). switch_channel: of the receiver, RCn_OPTION 46. watch: channels that end a manoeuvre when
+    moved by more than `stick_us`, the throttle first of all. longest_override_s: RC_OVERRIDE_TIME may be no longer.
+    """
+
+    port: str = ""
+    system_id: Annotated[int, Field(ge=1, le=255)] = 255
+    switch_channel: Annotated[int, Field(ge=1, le=16)] = 5
+    watch: tuple[Annotated[int, Field(ge=1, le=16)], ...] = (3,)
+    longest_override_s: Annotated[float, Field(ge=0.06, le=0.3)] = 0.1
+
+
 class HeartbeatConfig(_Table):
     """`[sequencer.heartbeat]`: files of the two lines to the monostable, such as a gpio-leds device's `brightness`.
 
@@ -56,11 +75,12 @@ class HeartbeatConfig(_Table):
 class OutputConfig(_Table):
     """`[sequencer.output.NAME]`: one servo. us_per_rad: pulse width for each radian of a control.
 
-    pilot_input: his signal for this servo. readback: the pulse input behind the multiplexer, 0 for none.
+    pilot_input: his signal for this servo. readback: the pulse input behind the multiplexer, 0 for none. Through an autopilot an
+    output is a stick: channel is that of the receiver, 1 to 8, and the other two are left out.
     """
 
     channel: Annotated[int, Field(ge=0, le=15)]
-    pilot_input: Annotated[int, Field(ge=1, le=6)]
+    pilot_input: Annotated[int, Field(ge=0, le=6)] = 0
     readback: Annotated[int, Field(ge=0, le=6)] = 0
     us_per_rad: dict[Literal["delta_e", "delta_a", "delta_r"], float]
     lowest_us: Annotated[float, Field(ge=800, le=1500)] = 1100.0
@@ -119,18 +139,20 @@ class VaneConfig(_Table):
 class SequencerConfig(_Table):
     """The whole of `[sequencer]`.
 
-    manoeuvre: file of `sideslip design`. start: `switch`: it begins when the pilot switches to go; `ground`: it begins by
-    a signed command while his switch is at go, which comes within wait_s. ramp_s: the increments of an aborted
-    manoeuvre fade in this time.
+    manoeuvre: file of `sideslip design`. through: a servo driver of our own, or an autopilot. start: `switch`: it begins when
+    the pilot switches to go; `ground`: it begins by a signed command while his switch is at go, which comes within wait_s.
+    ramp_s: the increments of an aborted manoeuvre fade in this time.
     """
 
     manoeuvre: Path
+    through: Literal["pca9685", "ardupilot", "px4"] = "pca9685"
     start: Literal["switch", "ground"] = "switch"
     wait_s: Annotated[float, Field(gt=0, le=120)] = 30.0
     ramp_s: Annotated[float, Field(ge=0.02, le=1.0)] = 0.2
     chip: ChipConfig = ChipConfig()
     pilot: PilotConfig = PilotConfig()
     heartbeat: HeartbeatConfig = HeartbeatConfig()
+    autopilot: AutopilotConfig = AutopilotConfig()
     output: dict[str, OutputConfig]
     limits: EnvelopeConfig = EnvelopeConfig()
     alpha_vane: VaneConfig = VaneConfig()
@@ -140,6 +162,30 @@ class SequencerConfig(_Table):
     def _consistent(self) -> "SequencerConfig":
         if not self.output:
             raise ValueError("output names no servo; add [sequencer.output.NAME]")
+        if self.through == "px4":
+            raise ValueError(PX4_WORDS)
+        if self.through == "ardupilot":
+            self._check_sticks()
+        else:
+            self._check_servos()
+        return self
+
+    def _check_sticks(self) -> None:
+        if not self.autopilot.port:
+            raise ValueError("autopilot.port is missing; name the serial port that leads to it")
+        for name, output in self.output.items():
+            if not 1 <= output.channel <= 8:
+                raise ValueError(f"output {name}: channel {output.channel} cannot be released by 0; use 1 to 8")
+            if output.pilot_input or output.readback:
+                raise ValueError(f"output {name}: the autopilot shows the sticks; leave pilot_input and readback out")
+        taken = [*(o.channel for o in self.output.values()), self.autopilot.switch_channel, *self.autopilot.watch]
+        if len(set(taken)) < len(taken):
+            raise ValueError(f"a channel of the receiver is used twice: {', '.join(map(str, taken))}")
+
+    def _check_servos(self) -> None:
+        unread = [name for name, o in self.output.items() if not o.pilot_input]
+        if unread:
+            raise ValueError(f"output {unread[0]}: pilot_input is missing; name the pulse input of the pilot's signal")
         channels = [o.channel for o in self.output.values()] + [self.chip.loopback_channel]
         inputs = [o.pilot_input for o in self.output.values()] + [self.pilot.switch_input, self.pilot.loopback_input]
         for what, taken in (("chip channel", channels), ("pilot input", inputs)):
@@ -149,4 +195,3 @@ class SequencerConfig(_Table):
             raise ValueError(
                 "output and loopback channels must lie within seven neighbours: one block write carries them"
             )
-        return self

@@ -9,49 +9,23 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import Enum, auto
-from statistics import fmean, median
+from statistics import median
 
 from daq.actuation.config import SequencerConfig
 from daq.actuation.envelope import Envelope
-from daq.actuation.motion import Motion
+from daq.actuation.proof import Proof
+from daq.actuation.seen import Glimpse, Seen
 from daq.actuation.servos import STILL, Increments, Plan, Servo
 from daq.contract.sequencing import TRANSITIONS, Exit, Reason, State, Switch
 
 SWITCH_FRAMES = 3
 """A new position counts when seen in so many frames (60 ms); leaving go counts at once."""
-SETTLE_S = 0.1
-"""After waking, the chip's first pulses are not looked at: it starts within a cycle, the co-processor keeps 50 ms."""
-SAMPLES = 25
-"""Loopback pulses averaged: half a second; jitter of 10 us then leaves 0.2 % of a 1500 us pulse."""
-MEASURE_S = 1.5
-"""So long they may take to come."""
 CAPTURE_FRAMES = 5
 """The pilot's signals at the start are the medians of so many frames."""
 FOLLOW_S = 0.15
 """Servo pulses are read back up to so late: a cycle of the chip, one of the co-processor, two scans, and one to spare."""
 FOLLOW_US = 25.0
 """They may differ by so much: two steps of 4.9 us, jitter of 10 us, and the co-processor's rounding."""
-
-
-@dataclass(frozen=True, slots=True)
-class Seen:
-    """What is known in a frame.
-
-    late_ns: how late the frame began. pilot: his signal for each output [us], None while not seen. loopback_us: the
-    chip's spare output as measured. link_s: since the ground was last heard, None where nobody listens. chip_fault: why the
-    servo driver cannot be used. readback: servo pulses behind the multiplexer [us], None where not seen.
-    """
-
-    now_ns: int
-    late_ns: int
-    switch: Switch
-    pilot: tuple[float, ...] | None
-    motion: Motion
-    recording: bool = True
-    loopback_us: float | None = None
-    link_s: float | None = None
-    chip_fault: str = ""
-    readback: tuple[float | None, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,10 +58,7 @@ class Move:
 
 
 class Sequencer:
-    """One manoeuvre for one aircraft. period_s: of the frames.
-
-    loopback_us, frequency_hz: width put out on the chip's spare output, and the frequency, if its oscillator is as configured.
-    """
+    """One manoeuvre for one aircraft. period_s: of the frames. proof: what its output has to show first."""
 
     def __init__(
         self,
@@ -95,15 +66,12 @@ class Sequencer:
         plan: Plan,
         servos: tuple[Servo, ...],
         period_s: float,
-        loopback_us: float,
-        frequency_hz: float,
+        proof: Proof,
     ) -> None:
         self.state, self.reason = State.IDLE, Reason.NONE
-        self.width_scale = 1.0
-        """Measured pulse width over the one asked for: the chip's oscillator."""
         self._config, self._limits = config, config.limits
         self.plan, self._servos = plan, servos
-        self._period_s, self._loopback_us, self._frequency_hz = period_s, loopback_us, frequency_hz
+        self._period_s, self._proof = period_s, proof
         self._envelope = Envelope(config.limits)
         self._off_seen = False
         self._wish: Wish | None = None  # of the ground, for the next frame
@@ -112,7 +80,7 @@ class Sequencer:
         self._last_ns: int | None = None
         self._positions: deque[Switch] = deque(maxlen=SWITCH_FRAMES)
         self._sticks: deque[tuple[float, ...]] = deque(maxlen=CAPTURE_FRAMES)
-        self._loopback: list[float] = []
+        self._watched: tuple[float, ...] = ()  # other channels of the pilot's, as they were at the start
         self._captured: tuple[float, ...] = ()
         self._last: tuple[float, ...] = ()
         self._increments = STILL
@@ -140,6 +108,8 @@ class Sequencer:
             return f"sequencer is {self.state.words}, not armed"
         if self._go_ns is None:
             return "the pilot's switch is not at go"
+        if self._proof.trying:
+            return self._proof.trying
         if self._wish is Wish.STOP:
             return "it is being stopped"
         self._wish = Wish.START
@@ -168,20 +138,22 @@ class Sequencer:
         """Decide one frame."""
         self._note(seen)
         move = self._handlers[self.state](seen)
-        words = "" if move is None else self._enter(move, seen.now_ns)
+        words = "" if move is None else self._enter(move, seen)
         self._wish = None
         frame = self._put(seen, words)
         self._last_ns = seen.now_ns
         return frame
 
     def _note(self, seen: Seen) -> None:
-        self._positions.append(seen.switch)
-        if seen.pilot is None:
+        output = seen.output
+        self._proof.note(seen)
+        self._positions.append(output.switch)
+        if output.pilot is not None:
+            self._sticks.append(output.pilot)
+        elif not output.hidden:
             self._sticks.clear()
-        else:
-            self._sticks.append(seen.pilot)
         self._off_seen = self._off_seen or self._held(Switch.OFF)
-        if seen.switch is not Switch.GO:
+        if output.switch is not Switch.GO:
             self._go_ns = None
         elif self._go_ns is None and self._held(Switch.GO):
             self._go_ns = seen.now_ns
@@ -189,16 +161,18 @@ class Sequencer:
     def _held(self, position: Switch) -> bool:
         return len(self._positions) == SWITCH_FRAMES and all(p is position for p in self._positions)
 
-    def _enter(self, move: Move, now_ns: int) -> str:
+    def _enter(self, move: Move, seen: Seen) -> str:
         if move.to not in TRANSITIONS[self.state]:
             raise RuntimeError(f"no transition from {self.state.words} to {move.to.words}")
-        self.state, self.reason, self._since_ns = move.to, move.reason, now_ns
+        self.state, self.reason, self._since_ns = move.to, move.reason, seen.now_ns
         if move.to is State.CHECKING:
-            self._loopback, self.width_scale, self._off_seen = [], 1.0, False
+            self._off_seen = False
+            self._proof.begin()
         if move.to is State.RUNNING:
             self._captured = self._last = tuple(median(c) for c in zip(*self._sticks, strict=True))
+            self._watched = seen.output.watched
             self._put_out.clear()
-            self._followed_ns = now_ns
+            self._followed_ns = seen.now_ns
         if move.to is State.RAMPING:
             self._fading = self._increments
         why = f": {move.reason.words}" if move.reason is not Reason.NONE else ""
@@ -217,34 +191,30 @@ class Sequencer:
         fault = self._standing(seen)
         if fault is not None:
             return fault
-        if seen.switch is Switch.GO:
+        if seen.output.switch is Switch.GO:
             return Move(State.RELEASED, Reason.TOO_EARLY)
-        elapsed = self._seconds(seen.now_ns)
-        if elapsed < SETTLE_S:
+        proven = self._proof.check(seen, self._seconds(seen.now_ns))
+        if proven is None:
             return None
-        if seen.loopback_us is not None:
-            self._loopback.append(seen.loopback_us)
-        if len(self._loopback) >= SAMPLES:
-            return self._frequency()
-        return Move(State.RELEASED, Reason.FREQUENCY, "no pulses come back") if elapsed > MEASURE_S else None
-
-    def _frequency(self) -> Move:
-        scale = fmean(self._loopback) / self._loopback_us
-        detail = f"{self._frequency_hz / scale:.2f} Hz measured, {self._frequency_hz:.2f} expected"
-        if abs(1.0 / scale - 1.0) > self._limits.frequency_error:
-            return Move(State.RELEASED, Reason.FREQUENCY, detail)
-        self.width_scale = scale
-        return Move(State.ARMED, detail=f"{self.plan.digest[:6]}, {self.plan.duration_s:.1f} s; {detail}")
+        if proven.reason is not Reason.NONE:
+            return Move(State.RELEASED, proven.reason, proven.detail)
+        return Move(State.ARMED, detail=f"{self.plan.digest[:6]}, {self.plan.duration_s:.1f} s; {proven.detail}")
 
     def _armed(self, seen: Seen) -> Move | None:
         fault = self._standing(seen)
         if fault is not None:
             return fault
         if self._go_ns is None:
+            self._proof.rest()
             return None
         wrong = self._untimely(seen) or self._outside(seen)
         if wrong is not None:
             return Move(State.RELEASED, wrong.reason, wrong.detail)
+        proven = self._proof.at_go(seen)
+        if proven is None:
+            return None
+        if proven.reason is not Reason.NONE:
+            return Move(State.RELEASED, proven.reason, proven.detail)
         if self._config.start == "switch" or self._wish is Wish.START:
             return self._start()
         waited = (seen.now_ns - self._go_ns) * 1e-9
@@ -287,14 +257,15 @@ class Sequencer:
 
     def _standing(self, seen: Seen) -> Move | None:
         """What ends checking and being armed, in whichever position the switch is."""
-        if seen.pilot is None:
+        output = seen.output
+        if output.pilot is None and not output.hidden:
             return Move(State.RELEASED, Reason.PILOT_SIGNALS)
-        if seen.switch is Switch.OFF:
+        if output.switch is Switch.OFF:
             return Move(State.IDLE, Reason.SWITCH)
-        if seen.switch is Switch.UNKNOWN:
+        if output.switch is Switch.UNKNOWN:
             return Move(State.RELEASED, Reason.SWITCH, "between its positions")
-        if seen.chip_fault:
-            return Move(State.RELEASED, Reason.CHIP, seen.chip_fault)
+        if output.fault:
+            return Move(State.RELEASED, self._proof.fault, output.fault)
         if not seen.recording:
             return Move(State.RELEASED, Reason.RECORDING)
         return Move(State.RELEASED, Reason.GROUND) if self._wish is Wish.STOP else None
@@ -308,21 +279,36 @@ class Sequencer:
 
     def _interruption(self, seen: Seen) -> Move | None:
         """What ends a manoeuvre other than the motion: hands first, then what can no longer be trusted, then the rest."""
-        if seen.pilot is None:
+        output = seen.output
+        if output.pilot is None and not output.hidden:
             return Move(State.RELEASED, Reason.PILOT_SIGNALS)
-        if seen.switch is not Switch.GO:
+        if output.switch is not Switch.GO:
             return Move(State.RELEASED, Reason.SWITCH)
-        for servo, now, then in zip(self._servos, seen.pilot, self._captured, strict=True):
-            if abs(now - then) > self._limits.stick_us:
-                return Move(State.RELEASED, Reason.STICK, f"{servo.name} by {now - then:+.0f} us")
-        if seen.chip_fault:
-            return Move(State.RELEASED, Reason.CHIP, seen.chip_fault)
+        moved = self._moved(output)
+        if moved:
+            return Move(State.RELEASED, Reason.STICK, moved)
+        if output.fault:
+            return Move(State.RELEASED, self._proof.fault, output.fault)
         wrong = self._untimely(seen) or self._not_followed(seen)
         if wrong is not None:
             return wrong
         if not seen.recording:
             return Move(State.RAMPING, Reason.RECORDING)
         return Move(State.RAMPING, Reason.GROUND) if self._wish is Wish.STOP else None
+
+    def _moved(self, output: Glimpse) -> str:
+        """Which of the pilot's signals that can be seen has left where it was at the start, empty for none."""
+        names = [servo.name for servo in self._servos] if output.pilot is not None else []
+        now, then = (*(output.pilot or ()), *output.watched), (*self._captured[: len(names)], *self._watched)
+        names += [f"watched channel {i + 1}" for i in range(len(output.watched))]
+        return next(
+            (
+                f"{name} by {a - b:+.0f} us"
+                for name, a, b in zip(names, now, then, strict=True)
+                if abs(a - b) > self._limits.stick_us
+            ),
+            "",
+        )
 
     def _outside(self, seen: Seen) -> Move | None:
         """What of motion and link forbids a manoeuvre."""
@@ -337,11 +323,11 @@ class Sequencer:
     def _not_followed(self, seen: Seen) -> Move | None:
         """Whether the servo pulses read back have, for longer than FOLLOW_S, been none of those put out lately."""
         recent = [pulses for at, pulses in self._put_out if (seen.now_ns - at) * 1e-9 <= FOLLOW_S]
-        if self._follows(recent, seen.readback):
+        if self._follows(recent, seen.output.readback):
             self._followed_ns = seen.now_ns
         if (seen.now_ns - self._followed_ns) * 1e-9 <= FOLLOW_S:
             return None
-        return Move(State.RELEASED, Reason.NOT_FOLLOWED, "multiplexer or wiring")
+        return Move(State.RELEASED, Reason.NOT_FOLLOWED, self._proof.unlike)
 
     def _follows(self, recent: list[tuple[float, ...]], readback: tuple[float | None, ...]) -> bool:
         if not recent:
@@ -359,7 +345,7 @@ class Sequencer:
     def _put(self, seen: Seen, words: str) -> Frame:
         elapsed = self._seconds(seen.now_ns)
         if self.state in (State.CHECKING, State.ARMED):
-            return Frame(self.state, self.reason, elapsed, pulses=seen.pilot, words=words)
+            return Frame(self.state, self.reason, elapsed, pulses=self._proof.pulses(seen), words=words)
         if self.state not in (State.RUNNING, State.RAMPING):
             self._increments = STILL
             return Frame(self.state, self.reason, elapsed, words=words)

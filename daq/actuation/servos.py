@@ -1,10 +1,10 @@
 """From increments of controls to servo pulses, and the limits of both; what a manoeuvre must keep to be taken on board."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-from daq.actuation.config import CONTROLS, OutputConfig, SequencerConfig
+from daq.actuation.config import CONTROLS, SequencerConfig
 from daq.contract.manoeuvre import Manoeuvre, ManoeuvreError
 
 Increments = tuple[float, ...]
@@ -69,8 +69,8 @@ class Plan:
         return min(shifts), max(shifts)
 
 
-def servos_of(outputs: Mapping[str, OutputConfig]) -> tuple[Servo, ...]:
-    """The servos of a configuration, in its order."""
+def servos_of(config: SequencerConfig) -> tuple[Servo, ...]:
+    """The servos of a configuration, in its order; an autopilot tells of each output what it takes it for."""
     return tuple(
         Servo(
             name,
@@ -78,9 +78,9 @@ def servos_of(outputs: Mapping[str, OutputConfig]) -> tuple[Servo, ...]:
             o.lowest_us,
             o.highest_us,
             o.slew_us_per_s,
-            o.readback > 0,
+            o.readback > 0 or config.through != "pca9685",
         )
-        for name, o in outputs.items()
+        for name, o in config.output.items()
     )
 
 
@@ -97,9 +97,9 @@ def plan_of(manoeuvre: Manoeuvre, config: SequencerConfig) -> Plan:
     still = (0.0,) * manoeuvre.samples
     rows = zip(*(manoeuvre.increments.get(c, still) for c in CONTROLS), strict=True)
     plan = Plan(manoeuvre.digest, manoeuvre.time_step, tuple(rows))
-    for servo in servos_of(config.output):
+    for servo in servos_of(config):
         _check_servo(servo, plan)
-    _check_moved(manoeuvre, servos_of(config.output))
+    _check_moved(manoeuvre, servos_of(config))
     return plan
 
 

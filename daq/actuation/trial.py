@@ -5,17 +5,18 @@ it shows as servo pulses that are not the pilot's.
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from statistics import fmean
 
-from daq.actuation.actuation import Devices, ServoDriver
 from daq.actuation.config import SequencerConfig
+from daq.actuation.finding import Finding, try_manoeuvre
+from daq.actuation.heartbeat import Heartbeat
 from daq.actuation.pilot_inputs import US_PER_COUNT, PilotInputs, PilotSignals
-from daq.actuation.servos import plan_of
-from daq.contract.manoeuvre import ManoeuvreError, load_manoeuvre
+from daq.actuation.pwm_output import ServoDriver
+from daq.clock import Clock
 from daq.contract.scan import Scan
 from daq.contract.sequencing import Switch
 from daq.sensors.base import MS
+from daq.sensors.bus import I2cBus
 
 FRAMES = 40
 """0.8 s at 50 Hz; the second half of them is looked at."""
@@ -25,27 +26,25 @@ SAME_US = 25.0
 """The pilot's pulses in front of and behind the multiplexer: two captures with 10 us of jitter each, and rounding."""
 
 
-@dataclass(frozen=True, slots=True)
-class Finding:
-    """One thing tried: well or not, in words."""
-
-    what: str
-    well: bool
-    text: str
-
-
 class Trial:
     """take_scan: one scan of the aircraft's sensors, now."""
 
-    def __init__(self, config: SequencerConfig, devices: Devices, take_scan: Callable[[], Scan]) -> None:
-        self._config, self._devices, self._take_scan = config, devices, take_scan
-        self._driver = ServoDriver(config, devices.bus)
+    def __init__(
+        self,
+        config: SequencerConfig,
+        bus: I2cBus,
+        heartbeat: Heartbeat,
+        clock: Clock,
+        take_scan: Callable[[], Scan],
+    ) -> None:
+        self._config, self._heartbeat, self._clock, self._take_scan = config, heartbeat, clock, take_scan
+        self._driver = ServoDriver(config, bus)
         inputs = [o.pilot_input for o in config.output.values()]
-        self._pilot = PilotInputs(config.pilot, inputs, devices.bus, devices.clock.monotonic_ns, 100 * MS)
+        self._pilot = PilotInputs(config.pilot, inputs, bus, clock.monotonic_ns, 100 * MS)
 
     def findings(self) -> Iterator[Finding]:
         """Everything, in order; what depends on a thing that fails is left out. The heartbeat is released at the end."""
-        yield self._manoeuvre()
+        yield try_manoeuvre(self._config)
         try:
             beating = [self._frame(beat=True) for _ in range(FRAMES)][FRAMES // 2 :]
         except OSError as error:
@@ -62,28 +61,21 @@ class Trial:
         yield self._gate()
 
     def _frame(self, *, beat: bool) -> tuple[PilotSignals, Scan]:
-        clock = self._devices.clock
+        clock = self._clock
         start = clock.monotonic_ns()
         scan = self._take_scan()
         signals = self._pilot.poll(clock.monotonic_ns())
         fault = self._driver.fault(clock.monotonic_ns(), running=False)
         if beat and not fault and self._driver.write(None, 1.0, clock.monotonic_ns()):
-            self._devices.heartbeat.beat()
+            self._heartbeat.beat()
         clock.sleep_until(start + 20 * MS)
         return signals, scan
 
     def _release(self) -> None:
         try:
-            self._devices.heartbeat.release()
+            self._heartbeat.release()
         except OSError:
             return  # said already; the monostable ends by itself
-
-    def _manoeuvre(self) -> Finding:
-        try:
-            plan = plan_of(load_manoeuvre(self._config.manoeuvre), self._config)
-        except ManoeuvreError as error:
-            return Finding("manoeuvre", False, str(error))
-        return Finding("manoeuvre", True, f"{plan.digest[:6]}, {plan.duration_s:.1f} s, within this aircraft's limits")
 
     def _chip(self) -> Finding:
         if not self._driver.part.up:
@@ -132,9 +124,9 @@ class Trial:
 
     def _gate(self) -> Finding:
         """With the heartbeat over, the driver's outputs must be dead."""
-        until = self._devices.clock.monotonic_ns() + FADE_MS * MS
+        until = self._clock.monotonic_ns() + FADE_MS * MS
         signals, _ = self._frame(beat=False)
-        while self._devices.clock.monotonic_ns() < until:
+        while self._clock.monotonic_ns() < until:
             signals, _ = self._frame(beat=False)
         if signals.loopback_us is not None:
             return Finding("heartbeat", False, "servo driver goes on without it: OE is not wired to the monostable")

@@ -56,11 +56,13 @@ class Reason(IntEnum):
     CHIP = 25
     NOT_FOLLOWED = 26
     RECORDING = 27
+    AUTOPILOT = 28
     FREQUENCY = 30
     STICKS_NOT_STILL = 31
     NO_ROOM = 32
     TOO_EARLY = 33
     WAITED = 34
+    OVERRIDES = 35
 
     @property
     def exit(self) -> Exit:
@@ -104,11 +106,13 @@ _WORDS: Mapping[Reason, str] = {
     Reason.CHIP: "servo driver does not answer as set",
     Reason.NOT_FOLLOWED: "servo pulses are not those put out",
     Reason.RECORDING: "nothing is recorded",
+    Reason.AUTOPILOT: "autopilot does not do as it must",
     Reason.FREQUENCY: "output frequency is wrong",
     Reason.STICKS_NOT_STILL: "sticks are not still",
     Reason.NO_ROOM: "pulses would leave their limits",
     Reason.TOO_EARLY: "switched to go before it was armed",
     Reason.WAITED: "no start came",
+    Reason.OVERRIDES: "overrides do not come and go as they must",
 }
 
 TRANSITIONS: Mapping[State, frozenset[State]] = {

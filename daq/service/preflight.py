@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from daq.acquisition.health import GroupHealth, HealthSummary
-from daq.actuation.actuation import Devices
-from daq.actuation.trial import Trial
+from daq.actuation.devices import Devices
+from daq.actuation.trials import findings
 from daq.clock import NS, Clock
 from daq.config import LoggerConfig
 from daq.contract.scan import Scan, SensorState
@@ -222,14 +222,14 @@ def _sequencer_checks(
     if config.sequencer is None:
         return
     if devices is None:
-        yield Check("sequencer", Verdict.NO_GO, "no bus or heartbeat line is open; set sequencer.heartbeat", True)
+        yield Check("sequencer", Verdict.NO_GO, "nothing of it is open; set sequencer.heartbeat", True)
         return
     numbers = count(config.preflight.scans)
 
     def take_scan() -> Scan:
         return sampler.finish(sampler.take(next(numbers), clock.monotonic_ns()))
 
-    for finding in Trial(config.sequencer, devices, take_scan).findings():
+    for finding in findings(config.sequencer, devices, take_scan):
         yield Check(finding.what, Verdict.GO if finding.well else Verdict.NO_GO, finding.text, of_sequencer=True)
 
 

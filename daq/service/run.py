@@ -12,7 +12,7 @@ from types import FrameType
 from typing import Any
 
 from daq.acquisition.sampler import Sampler
-from daq.actuation.actuation import Devices
+from daq.actuation.devices import Devices
 from daq.actuation.heartbeat import FileHeartbeat
 from daq.assembly import Assembly, Edge, assemble
 from daq.clock import RealClock
@@ -82,8 +82,8 @@ def preflight_on_hardware(path: Path) -> Preflight:
     """Open what the configuration names and carry out the preflight check."""
     config, _ = load_config(path)
     clock = RealClock()
-    with _opened(config, clock) as (hardware, radio, heartbeat):
-        return _preflight(config, clock, hardware, radio, heartbeat)
+    with _opened(config, clock) as (hardware, radio, devices):
+        return _preflight(config, clock, hardware, radio, devices)
 
 
 def record_on_hardware(path: Path, *, override: str | None, skip_preflight: bool) -> Outcome:
@@ -91,8 +91,8 @@ def record_on_hardware(path: Path, *, override: str | None, skip_preflight: bool
     logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s")
     config, text = load_config(path)
     clock = RealClock()
-    with _opened(config, clock) as (hardware, radio, heartbeat):
-        table = None if skip_preflight else _preflight(config, clock, hardware, radio, heartbeat)
+    with _opened(config, clock) as (hardware, radio, devices):
+        table = None if skip_preflight else _preflight(config, clock, hardware, radio, devices)
         opening = _opening(table, override)
         why = without_sequencer(config, table)
         if why is not None:
@@ -107,7 +107,8 @@ def record_on_hardware(path: Path, *, override: str | None, skip_preflight: bool
             hardware.pulse,
             radio,
             storage=RealStorage(),
-            heartbeat=heartbeat,
+            heartbeat=devices.heartbeat,
+            override=devices.autopilot,
         )
         return run_until_signal(config, text, edge, opening)
 
@@ -149,7 +150,7 @@ def _status_line(made: Assembly) -> str:
 
 
 def _preflight(
-    config: LoggerConfig, clock: RealClock, hardware: Hardware, radio: BytePort | None, heartbeat: FileHeartbeat | None
+    config: LoggerConfig, clock: RealClock, hardware: Hardware, radio: BytePort | None, devices: Devices
 ) -> Preflight:
     sampler = Sampler(
         config.sensors,
@@ -163,9 +164,6 @@ def _preflight(
     heard: Callable[[], RadioReport | None] | None = None
     if radio is not None:
         heard = lambda: listen(radio, clock)  # noqa: E731
-    devices = None
-    if hardware.bus is not None and heartbeat is not None:
-        devices = Devices(hardware.bus, heartbeat, clock)
     return run_preflight(config, clock, sampler, RealStorage(), heard, devices)
 
 
@@ -234,17 +232,26 @@ def _quick_turns() -> Iterator[None]:
 
 
 @contextmanager
-def _opened(config: LoggerConfig, clock: RealClock) -> Iterator[tuple[Hardware, BytePort | None, FileHeartbeat | None]]:
+def _opened(config: LoggerConfig, clock: RealClock) -> Iterator[tuple[Hardware, BytePort | None, Devices]]:
     with ExitStack() as opened:
         hardware = open_hardware(config.sensors, clock)
         opened.callback(hardware.close)
         radio = _open_radio(config)
         if radio is not None:
             opened.callback(radio.close)
-        heartbeat = None if config.sequencer is None else FileHeartbeat(config.sequencer.heartbeat)
-        if heartbeat is not None:
-            opened.callback(heartbeat.close)
-        yield hardware, radio, heartbeat
+        yield hardware, radio, _devices(config, clock, hardware, opened)
+
+
+def _devices(config: LoggerConfig, clock: RealClock, hardware: Hardware, opened: ExitStack) -> Devices:
+    """What the sequencer drives, opened; nothing without one."""
+    heartbeat = autopilot = None
+    if config.sequencer is not None and config.sequencer.through == "ardupilot":
+        autopilot = open_port(config.sequencer.autopilot.port)
+        opened.callback(autopilot.close)
+    elif config.sequencer is not None:
+        heartbeat = FileHeartbeat(config.sequencer.heartbeat)
+        opened.callback(heartbeat.close)
+    return Devices(hardware.bus, heartbeat, clock, autopilot)
 
 
 def _open_radio(config: LoggerConfig) -> BytePort | None:

@@ -4,8 +4,9 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
-from daq.actuation.actuation import Actuation, Devices
+from daq.actuation.actuation import Actuation, output_of
 from daq.actuation.config import SequencerConfig
+from daq.actuation.devices import Devices
 from daq.actuation.heartbeat import Heartbeat
 from daq.actuation.servos import Plan, plan_of
 from daq.clock import SimulatedClock
@@ -132,9 +133,8 @@ class Rig:
         self.sticks = (0.0, 0.0, 0.0)
         self.link_s: float | None = 0.1
         self.commands = Commands(0.0, 0.0, 0.0, 0.5)
-        self.actuation = Actuation(
-            self.config, self.plan, SENSORS, Devices(self.bus, also(self.monostable), self.clock), PERIOD_NS * 1e-9
-        )
+        output = output_of(self.config, Devices(self.bus, also(self.monostable), self.clock))
+        self.actuation = Actuation(self.config, self.plan, SENSORS, output, self.clock, PERIOD_NS * 1e-9)
         self.actuation.link_s = lambda now_ns: self.link_s
         self.number = 0
         self.alive = True

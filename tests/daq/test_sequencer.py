@@ -334,7 +334,7 @@ def test_every_state_leads_back_to_idle() -> None:
 
 
 def test_slew_and_limits_of_a_servo() -> None:
-    servo = servos_of(sequencer_config().output)[0]
+    servo = servos_of(sequencer_config())[0]
     assert servo.limited(1700.0, 1500.0, 0.02) == pytest.approx(1620.0)
     assert servo.limited(2500.0, 1890.0, 0.02) == 1900.0
     assert servo.limited(900.0, 1110.0, 0.02) == 1100.0

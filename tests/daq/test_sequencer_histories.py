@@ -4,7 +4,9 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from daq.actuation.motion import Motion
-from daq.actuation.sequencer import Seen, Sequencer
+from daq.actuation.proof import FrequencyProof
+from daq.actuation.seen import Glimpse, Seen
+from daq.actuation.sequencer import Sequencer
 from daq.actuation.servos import plan_of, servos_of
 from daq.contract.sequencing import TRANSITIONS, State, Switch
 from tests.daq.sequencer_histories import Happening, History, histories, played, unhindered
@@ -57,8 +59,8 @@ glimpses = st.tuples(
 def test_whatever_is_seen_gives_a_frame_in_its_limits(glimpsed: list[tuple], calm: int) -> None:  # type: ignore[type-arg]
     """The state machine alone: no input raises, no transition is outside the table, no pulse outside limits and slew."""
     config = sequencer_config(limits={"link_s": 1.0})
-    servos = servos_of(config.output)
-    sequencer = Sequencer(config, plan_of(short_manoeuvre(), config), servos, 0.02, 1500.0, 50.0)
+    servos = servos_of(config)
+    sequencer = Sequencer(config, plan_of(short_manoeuvre(), config), servos, 0.02, FrequencyProof(1500.0, 50.0, 0.02))
     now, state, last = 0, State.IDLE, None
     well = Motion(0.0, 1.0, 17.0, 0.05, 60.0)
     still = (1500.0, 1500.0, 1500.0)
@@ -67,7 +69,14 @@ def test_whatever_is_seen_gives_a_frame_in_its_limits(glimpsed: list[tuple], cal
     for gap, switch, pilot, motion, loopback, recording, fault, late in seen:
         now += gap * 1_000_000
         frame = sequencer.step(
-            Seen(now, late * 1_000_000, switch, pilot, motion, recording, loopback, 0.1, fault, (1500.0,) * 3)
+            Seen(
+                now,
+                late * 1_000_000,
+                motion,
+                Glimpse(switch, pilot, loopback_us=loopback, fault=fault, readback=(1500.0,) * 3),
+                recording,
+                0.1,
+            )
         )
         assert frame.state is state or frame.state in TRANSITIONS[state]
         assert frame.state.beats is (frame.pulses is not None)

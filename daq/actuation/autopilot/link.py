@@ -1,0 +1,160 @@
+"""The line to an autopilot: what it says of itself, what it is asked, and the overrides it is given.
+
+MAVLink 2 on a port that never waits. Each RC_CHANNELS is dated by the autopilot's own time since boot, carried to our clock by
+the quickest message of late: one that lay in a buffer, or took its time through a router, is as old as it is.
+"""
+
+from collections import deque
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+from daq.actuation.autopilot.messages import (
+    RC_CHANNELS,
+    RC_CHANNELS_OVERRIDE,
+    Channels,
+    override_payload,
+    read_channels,
+)
+from daq.actuation.devices import AutopilotPort
+from daq.contract.errors import UserError
+from daq.transport.mavlink_codec import Frame, FrameDecoder, FrameEncoder, frames_of
+
+COMPONENT = 191  # MAV_COMP_ID_ONBOARD_COMPUTER
+ASK_NS = 300_000_000  # between two requests of what has not been answered
+_READ_BYTES = 4096  # more than arrives in a third of a second at 115200 baud
+_CLOCK_DRIFT = 100e-6  # of the autopilot's clock against ours: twice what a crystal has
+_RATE_OF = 25  # messages
+_SET_MESSAGE_INTERVAL = 511
+_AUTOPILOT = 1  # MAV_COMP_ID_AUTOPILOT1
+
+
+class AutopilotError(UserError):
+    """An autopilot that the sequencer cannot go through."""
+
+
+@dataclass(frozen=True, slots=True)
+class Heard:
+    """A HEARTBEAT: when it came, whose it is, and MAV_AUTOPILOT, MAV_TYPE and custom mode in it."""
+
+    time_ns: int
+    system: int
+    autopilot: int
+    kind: int
+    mode: int
+
+
+class AutopilotLink:
+    """system: our own system id, which must be the one whose overrides are taken. rate_hz: of RC_CHANNELS. names: of the
+    parameters to ask for; of alternatives, in one tuple, one answer is enough."""
+
+    def __init__(self, port: AutopilotPort, system: int, rate_hz: float, names: Iterable[tuple[str, ...]]) -> None:
+        self._port = port
+        self._encoder = FrameEncoder(system, COMPONENT)
+        self._decoder = FrameDecoder()
+        self._interval_us = round(1e6 / rate_hz)
+        self._names = tuple(names)
+        self._offset_ns: float | None = None  # our clock minus the autopilot's, by the quickest message
+        self._offset_at_ns = 0
+        self._asked_ns = -ASK_NS
+        self._arrivals: deque[int] = deque(maxlen=_RATE_OF)
+        self.heard: Heard | None = None
+        self.channels: Channels | None = None
+        self.parameters: Mapping[str, float] = {}
+        self.port_fault = ""
+
+    # ---------------------------------------------------------------------------------------- what it says
+
+    def poll(self, now_ns: int) -> None:
+        """Take what has arrived, and ask again for what has not."""
+        try:
+            data = self._port.read(_READ_BYTES)
+            self.port_fault = ""
+        except OSError as error:
+            self.port_fault = f"port cannot be read ({error.strerror or error})"
+            return
+        for frame in frames_of(self._decoder.feed(data)):
+            if frame.component == _AUTOPILOT:
+                self._take(frame, now_ns)
+        if self.heard is not None and now_ns - self._asked_ns >= ASK_NS:
+            self._ask(now_ns)
+
+    def forget(self) -> None:
+        """Ask for the parameters anew: somebody may have changed them."""
+        self.parameters = {}
+        self._asked_ns = -ASK_NS
+
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """Parameters that have not been told."""
+        return tuple(" or ".join(n) for n in self._names if not any(name in self.parameters for name in n))
+
+    def rate_hz(self, now_ns: int) -> float:
+        """RC_CHANNELS a second, by those that came last."""
+        if len(self._arrivals) < 2:
+            return 0.0
+        return (len(self._arrivals) - 1) * 1e9 / max(now_ns - self._arrivals[0], 1)
+
+    def _take(self, frame: Frame, now_ns: int) -> None:
+        if frame.msg_id == RC_CHANNELS:
+            self._take_channels(frame, now_ns)
+        elif frame.name == "HEARTBEAT":
+            said = [_whole(frame, field) for field in ("autopilot", "type", "custom_mode")]
+            self.heard = Heard(now_ns, frame.system, *said)
+        elif frame.name == "PARAM_VALUE":
+            fields = frame.fields()
+            value = fields["param_value"]
+            if isinstance(value, float):
+                self.parameters = {**self.parameters, str(fields["param_id"]): value}
+
+    def _take_channels(self, frame: Frame, now_ns: int) -> None:
+        boot_ms, widths = read_channels(frame.payload)
+        offset = now_ns - boot_ms * 1e6
+        if self._offset_ns is None or offset < self._offset_ns - 1e9:  # first, or the autopilot was started anew
+            self._offset_ns = offset
+        else:
+            allowed = self._offset_ns + _CLOCK_DRIFT * (now_ns - self._offset_at_ns)
+            self._offset_ns = min(offset, allowed)
+        self._offset_at_ns = now_ns
+        sampled = round(boot_ms * 1e6 + self._offset_ns)
+        if self.channels is None or sampled >= self.channels.sampled_ns or now_ns - self.channels.sampled_ns > 10**9:
+            self.channels = Channels(sampled, widths)
+            self._arrivals.append(now_ns)
+
+    # ---------------------------------------------------------------------------------------- what it is told
+
+    def override(self, values: Mapping[int, int]) -> bool:
+        """Override channels [us], or release them (0); False when the port does not take it."""
+        if self.heard is None:
+            return False
+        payload = override_payload(values, self.heard.system)
+        return self._send(self._encoder.frame(RC_CHANNELS_OVERRIDE, payload))
+
+    def _ask(self, now_ns: int) -> None:
+        """Ask for RC_CHANNELS where it is slow, and for parameters that have not been told."""
+        self._asked_ns = now_ns
+        if self.heard is None:
+            return
+        to = {"target_system": self.heard.system, "target_component": _AUTOPILOT}
+        if self.rate_hz(now_ns) < 0.9e6 / self._interval_us:
+            wish = {"command": _SET_MESSAGE_INTERVAL, "param1": float(RC_CHANNELS), "param2": float(self._interval_us)}
+            self._send(self._encoder.message("COMMAND_LONG", **to, **wish))
+        for names in self._names:
+            if not any(name in self.parameters for name in names):
+                for name in names:
+                    self._send(self._encoder.message("PARAM_REQUEST_READ", **to, param_id=name, param_index=-1))
+
+    def _send(self, data: bytes) -> bool:
+        try:
+            taken = self._port.write(data)
+        except OSError as error:
+            self.port_fault = f"port cannot be written ({error.strerror or error})"
+            return False
+        if taken is not None and taken < len(data):
+            self.port_fault = "port takes no more; is the line too slow?"
+            return False
+        return True
+
+
+def _whole(frame: Frame, field: str) -> int:
+    value = frame.fields()[field]
+    return value if isinstance(value, int) else 0
