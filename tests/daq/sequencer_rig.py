@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from types import MappingProxyType
 
 from daq.actuation.actuation import Actuation, output_of
 from daq.actuation.config import SequencerConfig
@@ -169,24 +170,32 @@ class Rig:
 
     def scan(self, late_ns: int) -> Scan:
         """A scan that shows `flying`, and the servo pulses behind the multiplexer."""
-        f = self.flying
-        per_count, at_zero = nominal_transfer(SENSORS.pitot)
-        half = math.radians(f.bank_deg) / 2.0
         c = self.commands
-        values: dict[str, RawValue] = {
-            "accel_z": round(-4096 * f.load_factor),
-            "quaternion_w": round(32767 * math.cos(half)),
-            "quaternion_x": round(32767 * math.sin(half)),
-            "quaternion_y": 0,
-            "quaternion_z": 0,
-            "alpha_vane": round((2.5 + math.radians(f.alpha_deg) / 0.8) / 4.096 * 32768),
-            "pitot_pressure": round((0.5 * 1.225 * f.airspeed**2 - at_zero) / per_count),
-            "height_msl_mm": round(1000 * f.height),
-            **{f"pwm_{i + 1}": round(15000 + 10 * US_PER_RAD * a) for i, a in enumerate((c.left, c.right, c.rudder))},
-        }
-        states = {g: SensorState.ABSENT if g in f.absent else SensorState.OK for g in GROUPS}
-        groups = {g: GroupStatus(state) for g, state in states.items()}
-        return Scan(self.number, self.now, lateness_us=late_ns // 1000, groups=groups, values=values)
+        pulses = {f"pwm_{i + 1}": round(15000 + 10 * US_PER_RAD * a) for i, a in enumerate((c.left, c.right, c.rudder))}
+        return scan_of(self.number, self.now, self.flying, late_ns, pulses)
+
+
+def scan_of(
+    number: int, now_ns: int, flying: Flying, late_ns: int = 0, pulses: Mapping[str, RawValue] = MappingProxyType({})
+) -> Scan:
+    """A scan that shows an aircraft flying so, and servo pulses."""
+    f = flying
+    per_count, at_zero = nominal_transfer(SENSORS.pitot)
+    half = math.radians(f.bank_deg) / 2.0
+    values: dict[str, RawValue] = {
+        "accel_z": round(-4096 * f.load_factor),
+        "quaternion_w": round(32767 * math.cos(half)),
+        "quaternion_x": round(32767 * math.sin(half)),
+        "quaternion_y": 0,
+        "quaternion_z": 0,
+        "alpha_vane": round((2.5 + math.radians(f.alpha_deg) / 0.8) / 4.096 * 32768),
+        "pitot_pressure": round((0.5 * 1.225 * f.airspeed**2 - at_zero) / per_count),
+        "height_msl_mm": round(1000 * f.height),
+        **pulses,
+    }
+    states = {g: SensorState.ABSENT if g in f.absent else SensorState.OK for g in GROUPS}
+    groups = {g: GroupStatus(state) for g, state in states.items()}
+    return Scan(number, now_ns, lateness_us=late_ns // 1000, groups=groups, values=values)
 
 
 def switch_plan(*steps: tuple[float, float]) -> Callable[[int], float]:

@@ -1,0 +1,212 @@
+"""An ArduPlane with elevons and rudder on a serial line: its loop of 50 Hz, sticks to servos, failsafe, streams and commands.
+
+The order within a loop is that of ArduPlane's scheduler: servos are set from what was read before, then the receiver is read,
+ten times a second the switches, then messages are taken and sent. A message so reaches the servos in the second loop
+after the one that takes it. Modelled by ArduPlane 4.5 (radio.cpp, mode_manual.cpp, system.cpp; RC_Channel as in `rc_input`):
+
+* In MANUAL (0) sticks go straight to the surfaces. In any other mode they are a wish to a controller; here a third of them is a
+  stand-in for that. HEARTBEAT comes once a second and whenever the mode changes.
+* Overrides count as a receiver that is alive (Plane::read_radio): while they come, its loss is not noticed. Without either for
+  1 s roll, pitch and yaw are taken for trim, after 1.5 s the mode becomes CIRCLE (1).
+* RC_CHANNELS_OVERRIDE is taken from the system id in MAV_GCS_SYSID (SYSID_MYGCS before 4.7) alone; DO_SET_SERVO on an output
+  with a function fails (AP_ServoRelayEvents::do_set_servo); SET_MESSAGE_INTERVAL sets a stream.
+"""
+
+from bisect import bisect_right
+from collections.abc import Callable, Mapping
+
+from firmware_sim.hardware.autopilots.frames import (
+    COMMAND_ACK,
+    COMMAND_LONG,
+    HEARTBEAT,
+    PARAM_REQUEST_READ,
+    PARAM_SET,
+    PARAM_VALUE,
+    RC_CHANNELS,
+    RC_CHANNELS_OVERRIDE,
+    SERVO_OUTPUT_RAW,
+    Packer,
+    Received,
+    Unpacker,
+    text_of,
+)
+from firmware_sim.hardware.autopilots.line import Line
+from firmware_sim.hardware.autopilots.rc_input import CHANNELS, RcInput
+
+MS = 1_000_000
+LOOP_NS = 20 * MS
+RECEIVER_NS, RECEIVER_PHASE_NS = 22 * MS, 3 * MS
+SILENT_NS, SHORT_FAILSAFE_NS = 1000 * MS, 1500 * MS
+THROTTLE_FAILSAFE_US = 950
+TRIM_US, TRAVEL_US = 1500, 500
+MANUAL, CIRCLE = 0, 1
+STAND_IN = 1.0 / 3.0
+OUTPUTS = 4
+_KEPT = 1000
+_SET_SERVO, _SET_MESSAGE_INTERVAL = 183, 511
+_ACCEPTED, _UNSUPPORTED, _FAILED = 0, 3, 4
+_REAL32 = 9  # MAV_PARAM_TYPE
+
+PARAMETERS: Mapping[str, float] = {
+    "RC_OVERRIDE_TIME": 0.1,
+    "RC_OPTIONS": 32.0,
+    "SYSID_MYGCS": 255.0,
+    "RC5_OPTION": 46.0,
+    "SERVO1_FUNCTION": 77.0,  # elevon left, elevon right, rudder, throttle
+    "SERVO2_FUNCTION": 78.0,
+    "SERVO3_FUNCTION": 21.0,
+    "SERVO4_FUNCTION": 70.0,
+    "MIXING_GAIN": 1.0,
+}
+"""Set up as docs/sequencer.md asks for it."""
+
+
+class ArduPlane:
+    """A Talker. receiver: the pilot's eight channels at a time [us], None while it is silent. parameters: beside PARAMETERS."""
+
+    def __init__(
+        self,
+        receiver: Callable[[int], tuple[int, ...] | None],
+        parameters: Mapping[str, float] | None = None,
+        origin_ns: int = 0,
+    ) -> None:
+        self.parameters = {**PARAMETERS, **(parameters or {})}
+        self.rc = RcInput(self.parameters)
+        self.mode = MANUAL
+        self.inward, self.outward = Line(), Line()
+        self._receiver = receiver
+        self._packer, self._unpacker = Packer(), Unpacker()
+        self._origin_ns = self._next_ns = origin_ns
+        self._loops = 0
+        self._last_frame = -1
+        self._valid_ns = origin_ns  # when the receiver was last taken for alive
+        self._streams: dict[int, tuple[int, int]] = {}  # message: interval, when it is due [ns]
+        self._times: list[int] = [origin_ns]
+        self._history: list[tuple[int, ...]] = [(TRIM_US,) * 3 + (1000,)]
+
+    # ---------------------------------------------------------------------------------------- the line
+
+    def bytes_until(self, now_ns: int) -> bytes:
+        """Bytes that have arrived at the other end since the last call."""
+        self.run_to(now_ns)
+        return self.outward.arrived(now_ns)
+
+    def hear(self, data: bytes, now_ns: int) -> None:
+        """Take bytes, which arrive at the speed of the line."""
+        self.inward.send(data, now_ns)
+
+    # ---------------------------------------------------------------------------------------- for the servos and the pilot
+
+    def outputs_us(self, time_ns: int) -> tuple[int, ...]:
+        """Widths of outputs 1 to 4 at a time [us]."""
+        self.run_to(time_ns)
+        return self._history[max(bisect_right(self._times, time_ns) - 1, 0)]
+
+    def set_mode(self, mode: int, now_ns: int) -> None:
+        """As by switch, command or failsafe."""
+        if mode != self.mode:
+            self.mode = mode
+            self._send_heartbeat(now_ns)
+
+    def run_to(self, now_ns: int) -> None:
+        """All loops up to this time."""
+        while self._next_ns <= now_ns:
+            self._loop(self._next_ns)
+            self._next_ns += LOOP_NS
+
+    # ---------------------------------------------------------------------------------------- a loop
+
+    def _loop(self, now_ns: int) -> None:
+        self._set_servos(now_ns)
+        self._read_radio(now_ns)
+        if self._loops % 5 == 0:
+            self.rc.look_at_switch(now_ns)
+        for message in self._unpacker.feed(self.inward.arrived(now_ns)):
+            self._take(message, now_ns)
+        if self._loops % 50 == 0:
+            self._send_heartbeat(now_ns)
+        for number, (interval, due) in self._streams.items():
+            if now_ns >= due:
+                self._streams[number] = interval, max(due + interval, now_ns)
+                self._send_stream(number, now_ns)
+        self._loops += 1
+
+    def _set_servos(self, now_ns: int) -> None:
+        roll, pitch, throttle, yaw = self.rc.widths[:4]
+        share = self.parameters["MIXING_GAIN"] * (1.0 if self.mode == MANUAL else STAND_IN)
+        aileron, elevator, rudder = (share * _travel(w) for w in (roll, pitch, yaw))
+        wanted = (elevator - aileron, elevator + aileron, rudder)
+        surfaces = (TRIM_US + round(min(max(w, -TRAVEL_US), TRAVEL_US)) for w in wanted)
+        self._times.append(now_ns)
+        self._history.append((*surfaces, throttle or 1000))
+        if len(self._times) > 2 * _KEPT:
+            del self._times[:_KEPT], self._history[:_KEPT]
+
+    def _read_radio(self, now_ns: int) -> None:
+        number = (now_ns - RECEIVER_PHASE_NS) // RECEIVER_NS
+        frame = None
+        if number > self._last_frame:
+            self._last_frame = number
+            frame = self._receiver(number * RECEIVER_NS + RECEIVER_PHASE_NS)
+        if self.rc.read(frame, now_ns) and self.rc.widths[2] > THROTTLE_FAILSAFE_US:
+            self._valid_ns = now_ns
+        if now_ns - self._valid_ns > SILENT_NS:
+            for i in (0, 1, 3):
+                self.rc.widths[i] = TRIM_US
+        if now_ns - self._valid_ns > SHORT_FAILSAFE_NS and self.mode == MANUAL:
+            self.set_mode(CIRCLE, now_ns)
+
+    # ---------------------------------------------------------------------------------------- messages
+
+    def _take(self, message: Received, now_ns: int) -> None:
+        f = message.fields
+        if message.number == RC_CHANNELS_OVERRIDE.number:
+            if message.system == self._ground_system():
+                self.rc.override(tuple(int(v) for v in f[:CHANNELS]), now_ns)
+        elif message.number == PARAM_REQUEST_READ.number:
+            self._send_parameter(text_of(f[3]), now_ns)
+        elif message.number == PARAM_SET.number:
+            name = text_of(f[3])
+            if name in self.parameters:
+                self.parameters[name] = float(f[0])
+            self._send_parameter(name, now_ns)
+        elif message.number == COMMAND_LONG.number:
+            result = self._command(int(f[7]), [float(v) for v in f[:7]], now_ns)
+            self._send(self._packer.pack(COMMAND_ACK, int(f[7]), result), now_ns)
+
+    def _ground_system(self) -> float:
+        return self.parameters.get("MAV_GCS_SYSID", self.parameters.get("SYSID_MYGCS", 255.0))
+
+    def _command(self, command: int, values: list[float], now_ns: int) -> int:
+        if command == _SET_MESSAGE_INTERVAL and int(values[0]) in (RC_CHANNELS.number, SERVO_OUTPUT_RAW.number):
+            self._streams[int(values[0])] = max(round(values[1] * 1e3), LOOP_NS), now_ns
+            return _ACCEPTED
+        if command == _SET_SERVO:
+            return _FAILED if self.parameters.get(f"SERVO{int(values[0])}_FUNCTION", 0.0) else _ACCEPTED
+        return _UNSUPPORTED
+
+    def _send_parameter(self, name: str, now_ns: int) -> None:
+        if name in self.parameters:
+            fields = (self.parameters[name], len(self.parameters), 65535, name.encode(), _REAL32)
+            self._send(self._packer.pack(PARAM_VALUE, *fields), now_ns)
+
+    def _send_heartbeat(self, now_ns: int) -> None:
+        self._send(self._packer.pack(HEARTBEAT, self.mode, 1, 3, 0x51, 4, 3), now_ns)
+
+    def _send_stream(self, number: int, now_ns: int) -> None:
+        if number == RC_CHANNELS.number:
+            boot_ms = (now_ns - self._origin_ns) // MS
+            widths = (*self.rc.widths, *(0,) * (18 - CHANNELS))
+            self._send(self._packer.pack(RC_CHANNELS, boot_ms, *widths, 16, 255), now_ns)
+        else:
+            boot_us = (now_ns - self._origin_ns) // 1000 & 0xFFFFFFFF
+            outputs = (*self._history[-1], *(0,) * (8 - OUTPUTS))
+            self._send(self._packer.pack(SERVO_OUTPUT_RAW, boot_us, *outputs, 0), now_ns)
+
+    def _send(self, data: bytes, now_ns: int) -> None:
+        self.outward.send(data, now_ns)
+
+
+def _travel(width: int) -> float:
+    """Travel of a stick about trim [us]; a channel that was never read is at trim."""
+    return float(min(max(width - TRIM_US, -TRAVEL_US), TRAVEL_US)) if width else 0.0

@@ -1,0 +1,101 @@
+"""MAVLink 2 frames as an autopilot sends and takes them (MAVLink common.xml), written apart from the decoder on board.
+
+Payloads by `struct`, in the order of the wire; CRC_EXTRA of each message beside it.
+"""
+
+from binascii import crc_hqx
+from collections.abc import Iterator
+from dataclasses import dataclass
+from struct import Struct
+
+from firmware_sim.hardware.radio import MAGIC_V2
+
+_HEADER = 10
+_REVERSED = bytes(int(f"{i:08b}"[::-1], 2) for i in range(256))
+
+
+@dataclass(frozen=True, slots=True)
+class Message:
+    """A message's number, CRC_EXTRA and payload, extensions included."""
+
+    number: int
+    crc_extra: int
+    codec: Struct
+
+
+HEARTBEAT = Message(0, 50, Struct("<IBBBBB"))  # custom mode, type, autopilot, base mode, status, version
+PARAM_REQUEST_READ = Message(20, 214, Struct("<hBB16s"))  # index, system, component, id
+PARAM_VALUE = Message(22, 220, Struct("<fHH16sB"))  # value, count, index, id, type
+PARAM_SET = Message(23, 168, Struct("<fBB16sB"))  # value, system, component, id, type
+SERVO_OUTPUT_RAW = Message(36, 222, Struct("<I8HB"))  # time, widths, port
+RC_CHANNELS = Message(65, 118, Struct("<I18HBB"))  # time, widths, count, rssi
+MANUAL_CONTROL = Message(69, 243, Struct("<hhhhHB"))  # x, y, z, r, buttons, system
+RC_CHANNELS_OVERRIDE = Message(70, 124, Struct("<8HBB10H"))  # 1 to 8, system, component, 9 to 18
+COMMAND_LONG = Message(76, 152, Struct("<7fHBBB"))  # parameters, command, system, component, confirmation
+COMMAND_ACK = Message(77, 143, Struct("<HB"))  # command, result
+STATUSTEXT = Message(253, 83, Struct("<B50s"))  # severity, text
+TAKEN = {m.number: m for m in (PARAM_REQUEST_READ, PARAM_SET, MANUAL_CONTROL, RC_CHANNELS_OVERRIDE, COMMAND_LONG)}
+
+
+@dataclass(frozen=True, slots=True)
+class Received:
+    """A message that came in whole: its number, the system that sent it, and its fields in the order of the wire."""
+
+    number: int
+    system: int
+    fields: tuple[int | float | bytes, ...]
+
+
+class Packer:
+    """Makes frames of one sender."""
+
+    def __init__(self, system: int = 1, component: int = 1) -> None:
+        self._ids = bytes([system, component])
+        self._sequence = 0
+
+    def pack(self, message: Message, *fields: float | bytes) -> bytes:
+        """A frame; MAVLink 2 leaves trailing zeros out."""
+        payload = message.codec.pack(*fields).rstrip(b"\0") or b"\0"
+        head = bytes([len(payload), 0, 0, self._sequence]) + self._ids + message.number.to_bytes(3, "little")
+        self._sequence = (self._sequence + 1) & 0xFF
+        body = head + payload
+        return bytes([MAGIC_V2]) + body + checksum(body + bytes([message.crc_extra]))
+
+
+class Unpacker:
+    """Finds the messages an autopilot takes in what arrives."""
+
+    def __init__(self) -> None:
+        self._buffer = bytearray()
+
+    def feed(self, data: bytes) -> Iterator[Received]:
+        """Messages completed by `data`; others, and damaged ones, are passed over."""
+        self._buffer += data
+        buffer = self._buffer
+        while buffer:
+            if buffer[0] != MAGIC_V2:
+                del buffer[0]
+                continue
+            if len(buffer) < _HEADER or len(buffer) < _HEADER + buffer[1] + 2:
+                return
+            end = _HEADER + buffer[1]
+            message = TAKEN.get(int.from_bytes(buffer[7:10], "little"))
+            if message is None or not self._sound(message, end):
+                del buffer[0]
+                continue
+            payload = bytes(buffer[_HEADER:end]).ljust(message.codec.size, b"\0")[: message.codec.size]
+            yield Received(message.number, buffer[5], message.codec.unpack(payload))
+            del buffer[: end + 2]
+
+    def _sound(self, message: Message, end: int) -> bool:
+        return checksum(bytes(self._buffer[1:end]) + bytes([message.crc_extra])) == self._buffer[end : end + 2]
+
+
+def checksum(data: bytes) -> bytes:
+    """CRC-16/MCRF4XX, lower byte first: the CRC of `binascii` with all bits the other way round."""
+    return crc_hqx(data.translate(_REVERSED), 0xFFFF).to_bytes(2, "big").translate(_REVERSED)
+
+
+def text_of(field: float | bytes) -> str:
+    """The text of a field of characters."""
+    return field.split(b"\0", 1)[0].decode("ascii", "replace") if isinstance(field, bytes) else ""
