@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from firmware_sim.hardware.autopilot_cockpit import AutopilotCockpit
 from firmware_sim.hardware.bus import Chip
 from firmware_sim.hardware.cockpit import Cockpit
 from firmware_sim.hardware.faults import ADDRESSES, FaultSet
@@ -44,10 +45,11 @@ class Board:
     pitot: Ms4525do
 
 
-def build_board(instruments: Instruments, faults: FaultSet, cockpit: Cockpit | None = None) -> Board:
+def build_board(instruments: Instruments, faults: FaultSet, cockpit: Cockpit | AutopilotCockpit | None = None) -> Board:
     """All chips of the aircraft, looking at these instruments through the value faults of the scenario.
 
-    cockpit: with a sequencer, whose servo driver and second capture co-processor then are on the bus too.
+    cockpit: with a sequencer, whose servo driver and second capture co-processor then are on the bus too, unless it goes through
+    an autopilot.
     """
     models = instruments.models
     imu = _imu(instruments, faults)
@@ -71,7 +73,7 @@ def build_board(instruments: Instruments, faults: FaultSet, cockpit: Cockpit | N
     for device, wiring in ADC_WIRING.items():
         clock_error = float(instruments.generator(f"{device} clock").uniform(-0.08, 0.08))
         chips[ADDRESSES[device]] = Ads1115(_volts(instruments, faults, wiring), clock_error)
-    if cockpit is not None:
+    if isinstance(cockpit, Cockpit):
         chips[ADDRESSES["servo_driver"]] = cockpit.chip
         chips[ALLCALL_ADDRESS] = AllCall(cockpit.chip)
         chips[ADDRESSES["pilot_inputs"]] = Capture(_pilot_inputs(instruments, faults, cockpit))
@@ -121,7 +123,7 @@ def _thrust(instruments: Instruments, faults: FaultSet) -> Inputs:
     return faults.bend("thrust", lambda time_ns: (raw(time_ns)[0] + sigma * rng.standard_normal(),))
 
 
-def _capture(instruments: Instruments, faults: FaultSet, cockpit: Cockpit | None) -> Inputs:
+def _capture(instruments: Instruments, faults: FaultSet, cockpit: Cockpit | AutopilotCockpit | None) -> Inputs:
     names = (*(f"pwm_{i}" for i in range(1, 7)), *(f"digital_{i}" for i in range(1, 6)))
     raw, rng = instruments.inputs(*names), instruments.generator("capture")
     sigma = instruments.models.capture.jitter_us * 1e-6

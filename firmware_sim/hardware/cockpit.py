@@ -31,6 +31,9 @@ class CockpitTable(BaseModel):
 
     switch: when the pilot moves his switch where. take_over_s: he moves his sticks in spite of the switch. receiver_lost_s:
     his receiver goes silent. heartbeat_lost_s: the heartbeat's wire breaks. oscillator_error: of the servo driver, relative.
+    autopilot: what stands between receiver and servos in place of driver and multiplexer; with it parameters: its own, beside
+    `autopilots.arduplane.PARAMETERS`; modes: when it changes to which (0 MANUAL, 5 FBWA); line_lost_s: its line breaks;
+    throttle_s: when the pilot moves his throttle.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -40,6 +43,11 @@ class CockpitTable(BaseModel):
     receiver_lost_s: float | None = Field(default=None, ge=0.0)
     heartbeat_lost_s: float | None = Field(default=None, ge=0.0)
     oscillator_error: float = Field(default=0.004, ge=-0.08, le=0.08)
+    autopilot: Literal["ardupilot"] | None = None
+    parameters: Mapping[str, float] = Field(default_factory=dict)
+    modes: tuple[tuple[float, int], ...] = ()
+    line_lost_s: float | None = Field(default=None, ge=0.0)
+    throttle_s: float | None = Field(default=None, ge=0.0)
 
 
 def parse_cockpit(table: Mapping[str, Any], where: str) -> CockpitTable:
@@ -67,43 +75,72 @@ def switch_for(scenario: Scenario, manoeuvre_s: float) -> list[tuple[float, str]
     return [(0.0, "off"), (arm_s, "arm"), (arm_s + 3.0, "go"), (off_s, "off")]
 
 
-class Cockpit:
+class Transmitter:
+    """The pilot's switch and sticks as his receiver has them. takeoff_s: recording time of airborne zero."""
+
+    def __init__(self, table: CockpitTable, takeoff_s: float) -> None:
+        self.table, self.takeoff_s = table, takeoff_s
+        self._frames: list[int] = []  # when the receiver's pulses changed [ns]
+        self._wanted: list[Commands] = []
+
+    def silent(self, time_ns: int) -> bool:
+        """Whether the receiver is."""
+        lost = self.table.receiver_lost_s
+        return lost is not None and time_ns >= lost * 1e9
+
+    def switch_us(self, time_ns: int) -> float:
+        """Width of the switch's channel [us]; 0 while the receiver is silent."""
+        if self.silent(time_ns):
+            return 0.0
+        position = "off"
+        for start_s, chosen in self.table.switch:
+            position = chosen if time_ns >= start_s * 1e9 else position
+        return SWITCH_US[position]
+
+    def note(self, time_ns: int, wanted: Commands) -> None:
+        """From now on the sticks are so."""
+        self._frames.append(time_ns)
+        self._wanted.append(wanted)
+        if len(self._frames) > 2 * _FRAMES_KEPT:
+            del self._frames[:_FRAMES_KEPT], self._wanted[:_FRAMES_KEPT]
+
+    def sticks(self, time_ns: int) -> Commands | None:
+        """What the pilot wishes; None before he has touched them, and while the receiver is silent."""
+        if self.silent(time_ns) or not self._frames:
+            return None
+        return self._wanted[max(bisect_right(self._frames, time_ns) - 1, 0)]
+
+    def time_ns(self, airborne_s: float) -> int:
+        """Recording time of an instant of free flight [ns]."""
+        return round((airborne_s + self.takeoff_s) * 1e9)
+
+    def takes_over(self, time_ns: int) -> bool:
+        """Whether the pilot moves his sticks in spite of the switch."""
+        taken = self.table.take_over_s
+        return taken is not None and time_ns >= taken * 1e9
+
+
+class Cockpit(Transmitter):
     """Receiver, switch, servo driver, monostable, multiplexer and servos. takeoff_s: recording time of airborne zero."""
 
     def __init__(self, table: CockpitTable, monostable: Monostable, takeoff_s: float) -> None:
-        self._table = table
+        super().__init__(table, takeoff_s)
         self.monostable = monostable
         self.chip = Pca9685(table.oscillator_error, monostable.up)
         self.multiplexer = Multiplexer(self.switch_us, monostable.up)
-        self._takeoff_s = takeoff_s
-        self._frames: list[int] = []  # when the receiver's pulses changed [ns]
-        self._pulses: list[tuple[float, ...]] = []
         self._last: Commands | None = None
         if table.heartbeat_lost_s is not None:
             lost_ns = round(table.heartbeat_lost_s * 1e9)
             monostable.broken = lambda time_ns: time_ns >= lost_ns
 
-    def _silent(self, time_ns: int) -> bool:
-        lost = self._table.receiver_lost_s
-        return lost is not None and time_ns >= lost * 1e9
-
-    def switch_us(self, time_ns: int) -> float:
-        """Width of the switch's channel [us]; 0 while the receiver is silent."""
-        if self._silent(time_ns):
-            return 0.0
-        position = "off"
-        for start_s, chosen in self._table.switch:
-            position = chosen if time_ns >= start_s * 1e9 else position
-        return SWITCH_US[position]
-
     def receiver(self, time_ns: int) -> tuple[float, ...]:
         """What the pilot's capture co-processor sees: six widths [s] and five levels."""
         loopback = self.chip.width_us(LOOPBACK_CHANNEL, time_ns) * 1e-6
         quiet = (0.0,) * 5
-        if self._silent(time_ns) or not self._frames:
+        sticks = self.sticks(time_ns)
+        if sticks is None:
             return (*quiet, loopback, *quiet)
-        sticks = self._pulses[max(bisect_right(self._frames, time_ns) - 1, 0)]
-        return (*(w * 1e-6 for w in sticks), self.switch_us(time_ns) * 1e-6, loopback, *quiet)
+        return (*(w * 1e-6 for w in _pulses(sticks)), self.switch_us(time_ns) * 1e-6, loopback, *quiet)
 
     def behind(self, time_ns: int, pulses: NDArray[np.float64]) -> NDArray[np.float64]:
         """Servo pulses behind the multiplexer [s], those of the pilot's wish given; 0 where the driver puts out none."""
@@ -117,17 +154,13 @@ class Cockpit:
 
     def hands_still(self, airborne_s: float) -> bool:
         """Whether the pilot leaves his sticks where they are."""
-        time_s = airborne_s + self._takeoff_s
-        taken = self._table.take_over_s is not None and time_s >= self._table.take_over_s
-        return not taken and self.multiplexer.selects_second(round(time_s * 1e9))
+        time_ns = self.time_ns(airborne_s)
+        return not self.takes_over(time_ns) and self.multiplexer.selects_second(time_ns)
 
     def route(self, airborne_s: float, wanted: Commands) -> Commands:
         """What the servos get: the pilot's wish, or the servo driver's pulses; without pulses a servo stays where it is."""
-        time_ns = round((airborne_s + self._takeoff_s) * 1e9)
-        self._frames.append(time_ns)
-        self._pulses.append(_pulses(wanted))
-        if len(self._frames) > 2 * _FRAMES_KEPT:
-            del self._frames[:_FRAMES_KEPT], self._pulses[:_FRAMES_KEPT]
+        time_ns = self.time_ns(airborne_s)
+        self.note(time_ns, wanted)
         if not self.multiplexer.selects_second(time_ns):
             self._last = wanted
             return wanted

@@ -25,6 +25,7 @@ from daq.sensors.config import ExtraConfig
 from estimation.aircraft import built_in_aircraft, load_aircraft
 from firmware_sim.errors import ScenarioError
 from firmware_sim.hardware.autopilot import Autopilot
+from firmware_sim.hardware.autopilot_cockpit import AutopilotCockpit
 from firmware_sim.hardware.board import Board, build_board
 from firmware_sim.hardware.bus import SimulatedBus
 from firmware_sim.hardware.card import SimulatedCard
@@ -51,6 +52,10 @@ SERVE_STEP_NS = 50_000_000
 CONFIG_FILE = Path(__file__).parents[2] / "daq" / "configs" / "cdfp.toml"
 SEQUENCER_FILE = CONFIG_FILE.with_name("cdfp_sequencer.toml")
 """What a configuration with a sequencer has besides; merged in for scenarios with a table [sequencer]."""
+ARDUPILOT_FILE = CONFIG_FILE.with_name("cdfp_sequencer_ardupilot.toml")
+"""The same for a sequencer that goes through an ArduPlane."""
+BEFORE_NS = 10_000_000_000
+"""An autopilot is on so long before the recording begins, and before the simulated flight settles."""
 MANOEUVRE_FILE = Path(__file__).parents[1] / "scenarios" / "manoeuvres" / "lateral_3211.toml"
 """Flown by them unless the configuration or `sideslip fly --manoeuvre` names another."""
 
@@ -80,7 +85,7 @@ def build_aircraft(
     clock: SimulatedClock,
     seed: int,
     extra: Mapping[str, ExtraConfig] = MappingProxyType({}),
-    cockpit: Cockpit | None = None,
+    cockpit: Cockpit | AutopilotCockpit | None = None,
 ) -> Aircraft:
     """Instruments, chips, bus and GPS of an aircraft that moves as `source` says, time zero being the clock's now.
 
@@ -140,7 +145,7 @@ class SimulatedFlight:
     cancelled: bool = False
     scan_times: list[float] = field(default_factory=list)
     closers: list[Callable[[], None]] = field(default_factory=list)
-    cockpit: Cockpit | None = None
+    cockpit: Cockpit | AutopilotCockpit | None = None
 
     def run(self) -> FlightFiles:
         """Fly to the end, or until `cancelled`, and write the files beside the recording."""
@@ -256,7 +261,8 @@ def prepare_flight(
         pulse=aircraft.newest_pulse if models.gnss.pulse else None,
         radio=radio.air if config.downlink is not None else None,
         storage=SimulatedCard(faults, clock),
-        heartbeat=cockpit.monostable if cockpit is not None else None,
+        heartbeat=cockpit.monostable if isinstance(cockpit, Cockpit) else None,
+        override=SimulatedSerial(cockpit.plane, clock.monotonic_ns) if isinstance(cockpit, AutopilotCockpit) else None,
     )
     session = f"{scenario.name}_{seed}"
     assembly = assemble(config, text, edge, session=session, folder="", boot=1 + seed % 255)
@@ -288,7 +294,7 @@ def simulate_flight(scenario: Scenario, folder: Path, **options: Any) -> FlightF
         return flight.run()
 
 
-def _cockpit(scenario: Scenario, clock: SimulatedClock) -> Cockpit | None:
+def _cockpit(scenario: Scenario, clock: SimulatedClock) -> Cockpit | AutopilotCockpit | None:
     """The pilot's side, with the scenario's switch; None for a scenario without a sequencer."""
     if scenario.sequencer is None:
         lonely = [f["device"] for f in scenario.faults if f.get("device") in ONLY_WITH_SEQUENCER]
@@ -298,6 +304,8 @@ def _cockpit(scenario: Scenario, clock: SimulatedClock) -> Cockpit | None:
             )
         return None
     table = parse_cockpit(scenario.sequencer, scenario.name)
+    if table.autopilot is not None:
+        return AutopilotCockpit(table, scenario.takeoff_s, clock.monotonic_ns() - BEFORE_NS)
     return Cockpit(table, Monostable(clock.monotonic_ns), scenario.takeoff_s)
 
 
@@ -322,7 +330,8 @@ def logger_config(
     """
     table = tomllib.loads(config_file.read_text(encoding="utf-8"))
     if scenario.sequencer is not None:
-        table = merged(table, tomllib.loads(SEQUENCER_FILE.read_text(encoding="utf-8")))
+        more = ARDUPILOT_FILE if scenario.sequencer.get("autopilot") else SEQUENCER_FILE
+        table = merged(table, tomllib.loads(more.read_text(encoding="utf-8")))
         table["sequencer"]["manoeuvre"] = str(MANOEUVRE_FILE)
     table = merged(table, scenario.logger)
     craft = load_aircraft(scenario.flight.aircraft)

@@ -23,6 +23,7 @@ from daq.service.radio_probe import listen
 from daq.service.run import PreflightRefusal, _opening, without_sequencer
 from daq.transport.mavlink_codec import FrameDecoder, frames_of
 from daq.transport.ports import memory_pair
+from firmware_sim.hardware.cockpit import Cockpit
 from firmware_sim.runs.flight import prepare_flight
 from firmware_sim.world.scenario import load_scenario
 from tests.daq.synthetic import START_UTC_NS, FaultyStorage
@@ -229,7 +230,7 @@ def sequencer_table(tmp_path: Path, scenario: str = "sequencer", **changes: obje
     """The go/no-go table of the simulated aircraft with a sequencer; `changes` are tables of its scenario."""
     chosen = load_scenario(scenario).altered(**changes)
     with prepare_flight(chosen, tmp_path / "flight") as flight:
-        assert flight.cockpit is not None
+        assert isinstance(flight.cockpit, Cockpit)
         devices = Devices(flight.aircraft.bus, flight.cockpit.monostable, flight.clock)
         quick = flight.config.model_copy(update={"preflight": PreflightConfig(scans=10)})
         return run_preflight(quick, flight.clock, flight.assembly.sampler, RealStorage(), None, devices)

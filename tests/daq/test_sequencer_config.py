@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 
+from daq.actuation.autopilot.link import AutopilotError
 from daq.actuation.config import HeartbeatConfig
 from daq.actuation.heartbeat import FileHeartbeat, HeartbeatError
 from daq.assembly import Edge, assemble
@@ -59,6 +60,59 @@ def test_mistakes_are_named(path: tuple[str, ...], value: object, words: str) ->
         place = place[key]
     place[path[-1]] = value
     with pytest.raises(ConfigError, match=words):
+        read(changed)
+
+
+def through_an_autopilot() -> dict[str, Any]:
+    base = tomllib.loads((CONFIGS / "cdfp.toml").read_text())
+    more = tomllib.loads((CONFIGS / "cdfp_sequencer_ardupilot.toml").read_text())
+    return {**base, **more}
+
+
+def test_the_section_through_an_autopilot_is_accepted() -> None:
+    config = read(through_an_autopilot())
+    assert config.sequencer is not None
+    assert config.sequencer.through == "ardupilot"
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "words"),
+    [
+        (("through",), "px4", "PX4 takes either the sticks or MANUAL_CONTROL"),
+        (("autopilot", "port"), "", r"autopilot\.port is missing"),
+        (("autopilot", "longest_override_s"), 3.0, "less than or equal to 0.3"),
+        (("autopilot", "watch"), [3, 4], "channel of the receiver is used twice"),
+        (("output", "yaw", "channel"), 9, "channel 9 cannot be released by 0; use 1 to 8"),
+        (("output", "yaw", "readback"), 3, "leave pilot_input and readback out"),
+        (("output", "yaw", "channel"), 5, "channel of the receiver is used twice"),
+    ],
+)
+def test_mistakes_through_an_autopilot_are_named(path: tuple[str, ...], value: object, words: str) -> None:
+    changed = through_an_autopilot()
+    place = changed["sequencer"]
+    for key in path[:-1]:
+        place = place[key]
+    place[path[-1]] = value
+    with pytest.raises(ConfigError, match=words):
+        read(changed)
+
+
+def test_one_port_is_not_read_twice() -> None:
+    changed = through_an_autopilot()
+    changed["sensors"]["capture"] = {"driver": "mavlink_servo", "device": "/dev/ttyAMA2"}
+    with pytest.raises(ConfigError, match=r"both read /dev/ttyAMA2; give the sequencer a port of its own"):
+        read(changed)
+
+
+def test_without_a_port_to_the_autopilot_nothing_is_assembled() -> None:
+    with pytest.raises(AutopilotError, match="no port to it is open"):
+        assemble(read(through_an_autopilot()), "", Edge(SimulatedClock(), None, None, "simulated"))
+
+
+def test_an_output_without_the_pilots_signal_is_named() -> None:
+    changed = table()
+    del changed["sequencer"]["output"]["rudder"]["pilot_input"]
+    with pytest.raises(ConfigError, match="output rudder: pilot_input is missing"):
         read(changed)
 
 

@@ -32,9 +32,11 @@ SCENARIOS = {
     "sequencer_heartbeat": Reason.NOT_FOLLOWED,
     "sequencer_oscillator": Reason.FREQUENCY,
     "sequencer_link": Reason.LINK,
+    "sequencer_ardupilot": Reason.COMPLETE,
+    "sequencer_ardupilot_mode": Reason.AUTOPILOT,
 }
 """Every built-in scenario with a sequencer, and what ends its manoeuvre."""
-IN_SUITE = ("sequencer_bank", "sequencer_driver_gone", "sequencer_heartbeat")
+IN_SUITE = ("sequencer_bank", "sequencer_driver_gone", "sequencer_heartbeat", "sequencer_ardupilot_mode")
 
 
 def flown(scenario: Scenario, folder: Path) -> Recording:

@@ -78,7 +78,7 @@ class ArduPlane:
         self._packer, self._unpacker = Packer(), Unpacker()
         self._origin_ns = self._next_ns = origin_ns
         self._loops = 0
-        self._last_frame = -1
+        self._last_frame = (origin_ns - RECEIVER_PHASE_NS) // RECEIVER_NS
         self._valid_ns = origin_ns  # when the receiver was last taken for alive
         self._streams: dict[int, tuple[int, int]] = {}  # message: interval, when it is due [ns]
         self._times: list[int] = [origin_ns]

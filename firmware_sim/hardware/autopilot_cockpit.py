@@ -1,0 +1,78 @@
+"""The pilot's side of a flight whose servos are driven by an autopilot: his receiver goes into it, and nothing else out of it.
+
+Sticks are roll, pitch, throttle and yaw on channels 1 to 4, the switch on 5, 500 us for 25 deg; the ArduPlane mixes elevons.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_sim.hardware.autopilots.arduplane import ArduPlane
+from firmware_sim.hardware.cockpit import SWITCH_US, CockpitTable, Transmitter
+from firmware_sim.physics.plant import Commands
+from firmware_sim.world.truth import PULSE_CENTRE_US, PULSE_PER_RAD_US, THROTTLE_PULSE_US
+
+THROTTLE_MOVED = 0.1
+STILL_FROM_GO_NS = 2_500_000_000
+"""With his switch at go the pilot keeps his hands still so long, by when overrides have come, or will not come."""
+STILL_AFTER_NS = 500_000_000
+"""And as long as overrides come, which he sees by the aircraft, and a little longer."""
+
+
+class AutopilotCockpit(Transmitter):
+    """origin_ns: when the autopilot was switched on; before the first frame of the world."""
+
+    def __init__(self, table: CockpitTable, takeoff_s: float, origin_ns: int) -> None:
+        super().__init__(table, takeoff_s)
+        self.plane = ArduPlane(self.receiver, table.parameters, origin_ns)
+        self._modes = sorted(table.modes)
+        self._went_ns: int | None = None  # to go
+        self._overridden_ns = origin_ns - STILL_AFTER_NS
+        if table.line_lost_s is not None:
+            lost_ns = round(table.line_lost_s * 1e9)
+            for line in (self.plane.inward, self.plane.outward):
+                line.lost = lambda time_ns: time_ns >= lost_ns
+
+    def receiver(self, time_ns: int) -> tuple[int, ...] | None:
+        """The pilot's eight channels at a time [us], None while the receiver is silent."""
+        wanted = self.sticks(time_ns)
+        if wanted is None:
+            return None
+        aileron, elevator = (wanted.right - wanted.left) / 2.0, (wanted.right + wanted.left) / 2.0
+        roll, pitch, yaw = (round(PULSE_CENTRE_US + PULSE_PER_RAD_US * a) for a in (aileron, elevator, wanted.rudder))
+        idle, span = THROTTLE_PULSE_US
+        moved = self.table.throttle_s
+        throttle = wanted.throttle + (THROTTLE_MOVED if moved is not None and time_ns >= moved * 1e9 else 0.0)
+        return (roll, pitch, round(idle + span * throttle), yaw, round(self.switch_us(time_ns)), 1500, 1500, 1500)
+
+    def behind(self, time_ns: int, pulses: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Servo pulses out of the autopilot [s]."""
+        pulses = pulses.copy()
+        pulses[:4] = np.array(self.plane.outputs_us(time_ns)) * 1e-6
+        return pulses
+
+    # ---------------------------------------------------------------------------------------- for the world
+
+    def hands_still(self, airborne_s: float) -> bool:
+        """Whether the pilot leaves his sticks where they are."""
+        time_ns = self.time_ns(airborne_s)
+        if self.switch_us(time_ns) != SWITCH_US["go"]:
+            self._went_ns = None
+            return False
+        self._went_ns = time_ns if self._went_ns is None else self._went_ns
+        if self.plane.rc.any_holds(time_ns):
+            self._overridden_ns = time_ns
+        waits = time_ns - self._went_ns < STILL_FROM_GO_NS or time_ns - self._overridden_ns < STILL_AFTER_NS
+        return waits and not self.takes_over(time_ns)
+
+    def route(self, airborne_s: float, wanted: Commands) -> Commands:
+        """What the servos get from the autopilot."""
+        time_ns = self.time_ns(airborne_s)
+        self.note(time_ns, wanted)
+        while self._modes and time_ns >= self._modes[0][0] * 1e9:
+            self.plane.set_mode(self._modes.pop(0)[1], time_ns)
+        *surfaces, throttle = self.plane.outputs_us(time_ns)
+        if not any(self.plane.rc.widths):
+            return wanted  # nothing has come from the receiver yet
+        idle, span = THROTTLE_PULSE_US
+        left, right, rudder = ((width - PULSE_CENTRE_US) / PULSE_PER_RAD_US for width in surfaces)
+        return Commands(left, right, rudder, (throttle - idle) / span)
