@@ -22,6 +22,7 @@ from daq.transport.mavlink_codec import Frame, FrameDecoder, FrameEncoder, frame
 COMPONENT = 191  # MAV_COMP_ID_ONBOARD_COMPUTER
 ASK_NS = 300_000_000  # between two requests of what has not been answered
 _READ_BYTES = 4096  # more than arrives in a third of a second at 115200 baud
+_ANEW_MS = 1000  # time since boot that goes back by more is another boot, not a frame that came out of order
 _CLOCK_DRIFT = 100e-6  # of the autopilot's clock against ours: twice what a crystal has
 _RATE_OF = 25  # messages
 _SET_MESSAGE_INTERVAL = 511
@@ -54,7 +55,7 @@ class AutopilotLink:
         self._interval_us = round(1e6 / rate_hz)
         self._names = tuple(names)
         self._offset_ns: float | None = None  # our clock minus the autopilot's, by the quickest message
-        self._offset_at_ns = 0
+        self._offset_at_ns = self._boot_ms = 0
         self._asked_ns = -ASK_NS
         self._arrivals: deque[int] = deque(maxlen=_RATE_OF)
         self.heard: Heard | None = None
@@ -109,12 +110,12 @@ class AutopilotLink:
     def _take_channels(self, frame: Frame, now_ns: int) -> None:
         boot_ms, widths = read_channels(frame.payload)
         offset = now_ns - boot_ms * 1e6
-        if self._offset_ns is None or offset < self._offset_ns - 1e9:  # first, or the autopilot was started anew
+        if self._offset_ns is None or boot_ms < self._boot_ms - _ANEW_MS:
             self._offset_ns = offset
         else:
             allowed = self._offset_ns + _CLOCK_DRIFT * (now_ns - self._offset_at_ns)
             self._offset_ns = min(offset, allowed)
-        self._offset_at_ns = now_ns
+        self._offset_at_ns, self._boot_ms = now_ns, boot_ms
         sampled = round(boot_ms * 1e6 + self._offset_ns)
         if self.channels is None or sampled >= self.channels.sampled_ns or now_ns - self.channels.sampled_ns > 10**9:
             self.channels = Channels(sampled, widths)
