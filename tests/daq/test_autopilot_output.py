@@ -67,6 +67,16 @@ class TestWhatGoesOut:
         rig.run(0.1)
         assert rig.plane.outputs_us(rig.now)[3] == 1620
 
+    def test_a_second_manoeuvre_after_the_first(self) -> None:
+        rig = AutopilotRig(switch_plan(*USUAL, (5.3, OFF), (6.0, ARM), (7.0, GO)))
+        rig.run_until(State.RELEASED)
+        rig.run_until(State.IDLE)
+        asked = rig.output.link.parameters
+        rig.run_until(State.RUNNING)
+        assert rig.output.link.parameters is not asked  # read anew: somebody may have changed them
+        rig.run_until(State.RELEASED)
+        assert rig.reason is Reason.COMPLETE
+
     def test_the_sticks_are_recorded_as_not_seen(self) -> None:
         rig = running()
         assert rig.book.frames[-1].pilot_us == ()

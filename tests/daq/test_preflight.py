@@ -23,7 +23,9 @@ from daq.service.radio_probe import listen
 from daq.service.run import PreflightRefusal, _opening, without_sequencer
 from daq.transport.mavlink_codec import FrameDecoder, frames_of
 from daq.transport.ports import memory_pair
+from firmware_sim.hardware.autopilot_cockpit import AutopilotCockpit
 from firmware_sim.hardware.cockpit import Cockpit
+from firmware_sim.hardware.serial import SimulatedSerial
 from firmware_sim.runs.flight import prepare_flight
 from firmware_sim.world.scenario import load_scenario
 from tests.daq.synthetic import START_UTC_NS, FaultyStorage
@@ -253,6 +255,20 @@ def test_the_sequencer_is_tried_out(tmp_path: Path) -> None:
     for name in ("manoeuvre", "servo driver", "pilot's signals", "output frequency", "multiplexer", "heartbeat"):
         assert found[name][0] is Verdict.GO, found[name]
     assert "without it the servo driver is dead" in found["heartbeat"][1]
+
+
+def test_an_autopilot_that_the_sequencer_goes_through_is_tried_out(tmp_path: Path) -> None:
+    chosen = load_scenario("sequencer_ardupilot").altered(
+        sequencer={"switch": [[0.0, "off"]], "parameters": {"RC_OVERRIDE_TIME": 3.0}}
+    )
+    with prepare_flight(chosen, tmp_path / "flight") as flight:
+        assert isinstance(flight.cockpit, AutopilotCockpit)
+        port = SimulatedSerial(flight.cockpit.plane, flight.clock.monotonic_ns)
+        quick = flight.config.model_copy(update={"preflight": PreflightConfig(scans=10)})
+        devices = Devices(flight.aircraft.bus, None, flight.clock, port)
+        made = run_preflight(quick, flight.clock, flight.assembly.sampler, RealStorage(), None, devices)
+        assert "RC_OVERRIDE_TIME is 3 s; set it to 0.1" in lines(made)["autopilot"][1]
+        assert "RC_OVERRIDE_TIME is 3 s" in str(without_sequencer(flight.config, made))
 
 
 @pytest.mark.parametrize(
