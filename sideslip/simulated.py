@@ -6,19 +6,34 @@ from typing import Any
 from estimation.campaign.keys import digest_of_files
 from estimation.campaign.tasks import Simulator
 
+NOT_FLOWN = ("sensors", "faults", "radio", "logger", "sequencer")
+"""Tables of a scenario that decide nothing here: there is no bus, no chip and no radio."""
+
 
 def described(scenario: str, changes: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The whole scenario as plain data, with dotted keys changed. ScenarioError for an unknown name or key."""
+    """The whole scenario as plain data, with dotted keys changed. ScenarioError for an unknown name or key, and for a key that
+    would change nothing."""
+    from estimation.aircraft import load_aircraft
+    from firmware_sim.errors import ScenarioError
+    from firmware_sim.physics.aerodynamics import true_derivatives
     from firmware_sim.world.scenario import load_scenario
 
     tables: dict[str, Any] = {}
     for key, value in changes.items():
         table, dot, name = key.partition(".")
+        if table in NOT_FLOWN:
+            raise ScenarioError(
+                f"{key}: flights are made without bus, chips and radio, so it changes nothing; leave it out"
+            )
+        if key == "flight.seed":
+            raise ScenarioError("flight.seed: each flight has a seed of its own; give seed beside the scenario")
         if dot:
             tables.setdefault(table, {})[name] = value
         else:
             tables[key] = value
-    return load_scenario(scenario).altered(**tables).model_dump(mode="json")
+    made = load_scenario(scenario).altered(**tables)
+    true_derivatives(load_aircraft(made.flight.aircraft), made.derivatives)
+    return made.model_dump(mode="json")
 
 
 def flown(description: Mapping[str, Any]) -> bytes:

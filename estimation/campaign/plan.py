@@ -1,17 +1,26 @@
 """The plan of a campaign: which flights, what is known of each, what is done with them. From TOML or from options."""
 
+import contextlib
 import datetime as dt
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
+from daq.contract.errors import UserError
+from daq.contract.plain_words import meant
 from estimation.campaign.errors import CampaignError
+from estimation.estimators.estimator import Extra
+from estimation.estimators.registry import check_extras, find
 
 GROUPABLE = ("aircraft", "configuration", "day", "manoeuvre")
+LONGEST_LIMIT = 1e6  # s, eleven days: the clocks that end work count no longer
+MOST_REPLICATES = 100_000  # a flight: a spread is known to 0.3 % by then
 FLIGHT_SUFFIXES = (".mcap", ".csv", ".parquet")
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
 class _Table(BaseModel):
@@ -37,13 +46,35 @@ class Conditions(_Table):
         if isinstance(value, dt.date | dt.datetime):
             return value.isoformat()
         if isinstance(value, str) and value:
-            return dt.datetime.fromisoformat(value).isoformat() if len(value) > 10 else _day(value)
+            try:
+                return dt.datetime.fromisoformat(value).isoformat() if len(value) > 10 else _day(value)
+            except ValueError as error:
+                raise ValueError(f"{value!r} is no date; write it like 2026-03-01 or 2026-03-01T10:30:00") from error
         return value
+
+    @field_validator("segments")
+    @classmethod
+    def _stretches(cls, text: str) -> str:
+        from estimation.session.flights import spans_of
+
+        if text:
+            with _as_value_error():
+                spans_of(text)
+        return text
 
     @property
     def day(self) -> str:
         """The date without its time."""
         return self.date[:10]
+
+
+@contextlib.contextmanager
+def _as_value_error() -> Iterator[None]:
+    """What a person can act on, in the form that validation puts the key before."""
+    try:
+        yield
+    except UserError as error:
+        raise ValueError(str(error)) from error
 
 
 def _day(text: str) -> str:
@@ -57,20 +88,40 @@ class FlightEntry(Conditions):
 
 
 class SimulateEntry(Conditions):
-    """One [[simulate]]: a scenario flown `count` times with seeds of its own. `vary`: dotted keys of the scenario, each drawn
-    evenly between two ends."""
+    """One [[simulate]]: a scenario flown `count` times with seeds of its own. `set`: dotted keys of the scenario and their
+    values (tables are taken apart into them); `vary`: dotted keys, each drawn evenly between two ends."""
 
     scenario: str = Field(min_length=1)
     count: int = Field(default=1, ge=1, le=1_000_000)
     seed: int = Field(default=0, ge=0)
     set: Mapping[str, Any] = Field(default_factory=dict)
-    vary: Mapping[str, tuple[float, float]] = Field(default_factory=dict)
+    vary: Mapping[str, tuple[Finite, Finite]] = Field(default_factory=dict)
+
+    @field_validator("set")
+    @classmethod
+    def _dotted(cls, changes: Mapping[str, Any]) -> Mapping[str, Any]:
+        dotted: dict[str, Any] = {}
+        for key, value in changes.items():
+            own = {f"{key}.{name}": v for name, v in value.items()} if isinstance(value, Mapping) else {key: value}
+            if twice := sorted(own.keys() & dotted.keys()):
+                raise ValueError(f"{twice[0]} is given twice; give it once")
+            dotted |= own
+        return dotted
+
+    @model_validator(mode="after")
+    def _ranges(self) -> "SimulateEntry":
+        for key, (low, high) in self.vary.items():
+            if low > high:
+                raise ValueError(f"vary: {key} from {low:g} to {high:g} begins above its end; give the lower one first")
+            if key in self.set:
+                raise ValueError(f"{key} is both in set and in vary; leave one of them out")
+        return self
 
 
 class Plan(_Table):
     """What a campaign does. bootstrap: replicates a flight, 0 for none; time_limit [s]: of one piece of work."""
 
-    flights: tuple[str, ...] = ()
+    flights: tuple[Annotated[str, Field(min_length=1)], ...] = ()
     table: str = ""
     model: str = "lateral"
     aircraft: str = ""
@@ -80,10 +131,10 @@ class Plan(_Table):
     joint: bool = False
     match: bool = False
     envelope: bool = False
-    bootstrap: int = Field(default=0, ge=0)
+    bootstrap: int = Field(default=0, ge=0, le=MOST_REPLICATES)
     seed: int = Field(default=0, ge=0)
     each_segment: bool = False
-    time_limit: float = Field(default=300.0, gt=0.0, allow_inf_nan=False)
+    time_limit: float = Field(default=300.0, gt=0.0, le=LONGEST_LIMIT, allow_inf_nan=False)
     flight: tuple[FlightEntry, ...] = ()
     simulate: tuple[SimulateEntry, ...] = ()
 
@@ -91,6 +142,29 @@ class Plan(_Table):
     @classmethod
     def _listed(cls, value: object) -> object:
         return (value,) if isinstance(value, str) else value
+
+    @field_validator("methods", "groups")
+    @classmethod
+    def _once(cls, names: tuple[str, ...]) -> tuple[str, ...]:
+        return tuple(dict.fromkeys(names))
+
+    @field_validator("methods")
+    @classmethod
+    def _known_methods(cls, names: tuple[str, ...]) -> tuple[str, ...]:
+        for name in names:
+            with _as_value_error():
+                find(name)
+        return names
+
+    @model_validator(mode="after")
+    def _replicates_can_be_had(self) -> "Plan":
+        if self.bootstrap:
+            from estimation.estimators.bootstrap import check_replicates
+
+            with _as_value_error():
+                check_replicates(self.bootstrap)
+                check_extras((Extra.BOOTSTRAP,), [find(name) for name in self.methods])
+        return self
 
 
 def read_plan(path: Path) -> Plan:
@@ -115,4 +189,14 @@ def plan_from(data: Mapping[str, Any], where: str) -> Plan:
 def said_of(error: ValidationError) -> str:
     """The first complaint: which key, and what of it."""
     first = error.errors()[0]
-    return f"{'.'.join(str(part) for part in first['loc']) or 'the whole'}: {first['msg']}"
+    where = ".".join(str(part) for part in first["loc"])
+    if first["type"] == "extra_forbidden":
+        return f"{where}: no such key{meant(str(first['loc'][-1]), _keys_beside(first['loc']))}"
+    said = first["msg"].removeprefix("Value error, ")
+    return f"{where}: {said}" if where else said
+
+
+def _keys_beside(where: tuple[int | str, ...]) -> Iterable[str]:
+    """Names of the keys that stand where an unknown one does."""
+    tables: dict[str, type[BaseModel]] = {"flight": FlightEntry, "simulate": SimulateEntry}
+    return (tables.get(str(where[0]), Plan) if len(where) > 1 else Plan).model_fields

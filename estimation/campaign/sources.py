@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
+from daq.contract.errors import UserError
 from estimation.campaign.errors import CampaignError
 from estimation.campaign.keys import key_of
 from estimation.campaign.plan import FLIGHT_SUFFIXES, Conditions, FlightEntry, Plan, SimulateEntry, said_of
@@ -160,6 +161,11 @@ def _simulated(entry: SimulateEntry, number: int, folder: Path, simulator: Simul
     where = folder / entry.scenario
     scenario = str(where) if where.is_file() else entry.scenario
     label = f"{Path(scenario).stem}{number}"
+    for end in (0, 1):  # what lies between the ends of what varies can be flown if they can
+        try:
+            simulator.describe(scenario, {**entry.set, **{key: ends[end] for key, ends in entry.vary.items()}})
+        except UserError as error:
+            raise CampaignError(f"plan, simulate.{number}: {error}") from error
     for i in range(entry.count):
         made = simulator.describe(scenario, {**entry.set, **_drawn(entry, i)})
         description: Mapping[str, Any] = {"scenario": made, "seed": int(key_of(entry.seed, i)[:8], 16)}

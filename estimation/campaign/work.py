@@ -343,7 +343,7 @@ def _aircraft(subject: Subject, flight: Flight, work: Work) -> Aircraft:
     from estimation.models.load import asks_for_aircraft
 
     if subject.aircraft_text:
-        craft = _aircraft_from(subject.aircraft_text, subject.aircraft)
+        craft = aircraft_from_text(subject.aircraft_text, subject.aircraft)
     elif subject.model_text and not any(find(m).needs_aircraft for m in work.pieces if m != CHECK):
         craft = unknown_aircraft(flight.provenance.aircraft or "not stated")
     elif asks_for_aircraft(subject.model) or flight.provenance.aircraft:
@@ -354,10 +354,11 @@ def _aircraft(subject: Subject, flight: Flight, work: Work) -> Aircraft:
 
 
 @lru_cache(maxsize=32)
-def _aircraft_from(text: str, name: str) -> Aircraft:
-    from estimation.aircraft.schema import aircraft_from_text
+def aircraft_from_text(text: str, name: str) -> Aircraft:
+    """The aircraft of a file's text."""
+    from estimation.aircraft import schema
 
-    return aircraft_from_text(text, f"aircraft {name}", name)
+    return schema.aircraft_from_text(text, f"aircraft {name}", name)
 
 
 def model_of(subject: Subject, craft: Aircraft) -> Model:

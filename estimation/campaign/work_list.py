@@ -5,19 +5,21 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from estimation.aircraft import built_in_aircraft, load_aircraft
+from daq.contract.errors import UserError
+from estimation.aircraft import built_in_aircraft, load_aircraft, unknown_aircraft
 from estimation.campaign.errors import CampaignError
 from estimation.campaign.keys import digest_of_files, key_of, seed_of, versions
 from estimation.campaign.plan import Plan
 from estimation.campaign.schema import VERSION
 from estimation.campaign.sources import Entry
 from estimation.campaign.tasks import Subject, Work
-from estimation.campaign.work import CHECK
+from estimation.campaign.work import CHECK, aircraft_from_text, model_of
 from estimation.estimators.estimator import Extra
 from estimation.estimators.registry import find
 
 ENVELOPE_METHOD = "ml"
 """The method that a model over the envelope is fitted by: flights held out are judged by a likelihood."""
+LONGEST_CLOCK = 1e9  # s; timers of Python end at 9e9
 
 
 @dataclass(frozen=True)
@@ -51,6 +53,7 @@ def work_list(plan: Plan, entries: Iterable[Entry], folder: Path) -> WorkList:
     first: dict[str, Entry] = {}
     for entry in entries:
         if entry.source is None:
+            subjects.aircraft_text(entry)  # a wrong name is refused whether or not the flight is there
             unreadable.append(entry)
             continue
         work = _flight_work(plan, subjects.of(entry))
@@ -68,8 +71,7 @@ class _Subjects:
     def __init__(self, plan: Plan, folder: Path) -> None:
         self._plan, self._folder = plan, folder
         self._aircraft: dict[str, str] = {}
-        for method in plan.methods:
-            find(method)
+        self._judged = False
         self._text = self._model_text()
 
     def of(self, entry: Entry) -> Subject:
@@ -77,15 +79,36 @@ class _Subjects:
         if entry.source is None:
             raise ValueError(f"{entry.location} has no source")
         c = entry.conditions
-        name = c.aircraft or self._plan.aircraft
-        text = self._aircraft_text(name) if name else ""
-        return Subject(entry.source, self._plan.model, self._text, Path(name).stem, text, c.mass, c.segments)
+        stem = Path(self._name_of(entry)).stem
+        text = self.aircraft_text(entry)
+        subject = Subject(entry.source, self._plan.model, self._text, stem, text, c.mass, c.segments)
+        self._judge(subject)
+        return subject
 
-    def _aircraft_text(self, name: str) -> str:
-        if name not in self._aircraft:
+    def _judge(self, subject: Subject) -> None:
+        """CampaignError for a model that a method has no way for; a built-in one is seen with the first aircraft named."""
+        if self._judged or not (subject.model_text or subject.aircraft_text):
+            return
+        self._judged = True
+        craft = aircraft_from_text(subject.aircraft_text, subject.aircraft) if subject.aircraft_text else None
+        try:
+            model = model_of(subject, craft or unknown_aircraft("not stated"))
+        except UserError:  # this aircraft lacks something: its flights will say so, those of others can do without
+            return
+        for method in self._plan.methods:
+            if why := find(method).refuses(model):
+                raise CampaignError(f"plan, methods: {why}")
+
+    def _name_of(self, entry: Entry) -> str:
+        return entry.conditions.aircraft or self._plan.aircraft
+
+    def aircraft_text(self, entry: Entry) -> str:
+        """TOML of the aircraft that the plan names for a flight, empty for none; UserError where it cannot be had."""
+        name = self._name_of(entry)
+        if name and name not in self._aircraft:
             where = name if name in built_in_aircraft() else str(self._folder / name)
             self._aircraft[name] = load_aircraft(where).text
-        return self._aircraft[name]
+        return self._aircraft[name] if name else ""
 
     def _model_text(self) -> str:
         """TOML of a model of one's own; empty for a built-in one, which takes each flight's aircraft."""
@@ -169,7 +192,7 @@ def joint_work(plan: Plan, label: str, members: Sequence[Member]) -> Work | None
         (m for m in members if all(p in m.estimates for p in pieces)), key=lambda m: m.planned.work.identity
     )
     subjects = tuple(m.planned.work.subjects[0] for m in chosen)
-    limit = plan.time_limit * len(subjects)  # as long as its flights one by one
+    limit = _together(plan, len(subjects))
     return Work(
         "joint",
         f"joint fit of {label}",
@@ -184,6 +207,11 @@ def joint_work(plan: Plan, label: str, members: Sequence[Member]) -> Work | None
         limit,
         label,
     )
+
+
+def _together(plan: Plan, flights: int) -> float:
+    """Seconds for work on several flights: as long as for one after the other, as far as clocks count."""
+    return min(plan.time_limit * flights, LONGEST_CLOCK)
 
 
 def envelope_work(plan: Plan, label: str, members: Sequence[Member]) -> Work | None:
@@ -204,7 +232,7 @@ def envelope_work(plan: Plan, label: str, members: Sequence[Member]) -> Work | N
         versions(),
         False,
         each_segment=plan.each_segment,
-        limit_s=plan.time_limit * len(subjects),
+        limit_s=_together(plan, len(subjects)),
         group=label,
     )
 

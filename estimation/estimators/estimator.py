@@ -102,6 +102,7 @@ class Estimator:
     flights cannot be used; a fit that fails is a Result whose status says so. supports: the extras that `fit` heeds.
     fit_each: each flight of the task by itself, given only where that is cheaper than one after the other. rank: place in
     lists. look: in figures; one is chosen where none is given. needs_aircraft: takes geometry and mass from the aircraft itself.
+    refuses: a sentence on a model that it has no way for, empty for others: what can be said before any flight is there.
     """
 
     name: str
@@ -112,3 +113,4 @@ class Estimator:
     rank: int = 100
     look: Look | None = None
     needs_aircraft: bool = False
+    refuses: Callable[[Model], str] = lambda model: ""

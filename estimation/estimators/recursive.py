@@ -55,15 +55,18 @@ def recursive(model: Model, flights: Sequence[Flight], aircraft: Aircraft) -> Re
     return _result(chosen, data, run)
 
 
+def refusal(model: Model) -> str:
+    """Why a model cannot be taken, empty where it can."""
+    if set(model.parameter_names) != set(DERIVATIVES):
+        return f"method live knows the derivatives of model lateral only, not those of {model.name}; take method ml"
+    held = [p.name for p in model.parameters if p.fixed]
+    return f"method live holds no parameter ({', '.join(held)}): free it, or take method ml" if held else ""
+
+
 def airframe_of(model: Model, aircraft: Aircraft) -> Airframe:
     """The airframe and what is believed of it, as a model and its aircraft have it."""
-    if set(model.parameter_names) != set(DERIVATIVES):
-        raise EstimationError(
-            f"method live knows the derivatives of model lateral only, not those of {model.name}; take method ml"
-        )
-    held = [p.name for p in model.parameters if p.fixed]
-    if held:
-        raise EstimationError(f"method live holds no parameter ({', '.join(held)}): free it, or take method ml")
+    if why := refusal(model):
+        raise EstimationError(why)
     lag = None if aircraft.servos is None else aircraft.servos.lag
     c = model.constants
     try:

@@ -21,22 +21,31 @@ def unique_names(flights: Sequence[Flight]) -> list[Flight]:
     return result
 
 
+def spans_of(text: str) -> dict[str, tuple[float, float]]:
+    """Each stretch of `2:12,15:25`, as it is written -> (begin, end) [s]; EstimationError where they make no sense."""
+    spans: dict[str, tuple[float, float]] = {}
+    for part in text.split(","):
+        begin, _, end = part.partition(":")
+        try:
+            a, b = float(begin), float(end)
+        except ValueError:
+            a = b = np.nan
+        if not a < b < np.inf or a == -np.inf:
+            raise EstimationError(f"--segments {text!r}: write stretches as begin:end in seconds, like 2:12,15:25")
+        if any(a < other_end and b > other_begin for other_begin, other_end in spans.values()):
+            raise EstimationError(f"--segments {text}: {part} overlaps another stretch; give each sample once")
+        spans[part] = (a, b)
+    return spans
+
+
 def select_segments(flight: Flight, text: str | None) -> Flight:
     """The stretches `2:12,15:25` [s] of a flight, as segments; EstimationError where they make no sense."""
     if text is None:
         return flight
     label = np.full(len(flight), -1)
-    spans: list[tuple[float, float]] = []
-    for i, part in enumerate(text.split(",")):
-        begin, colon, end = part.partition(":")
-        try:
-            a, b = float(begin), float(end)
-        except ValueError:
-            raise EstimationError(
-                f"--segments {text!r}: write stretches as begin:end in seconds, like 2:12,15:25"
-            ) from None
+    for i, (part, (a, b)) in enumerate(spans_of(text).items()):
         inside = (flight.time >= a) & (flight.time <= b)
-        if not colon or b <= a or not inside.any():
+        if not inside.any():
             raise EstimationError(
                 f"--segments {part}: no samples of {flight.name} there; it runs from {flight.time[0]:g} to {flight.time[-1]:g} s"
             )
@@ -45,9 +54,6 @@ def select_segments(flight: Flight, text: str | None) -> Flight:
                 f"--segments {part}: only {int(inside.sum())} samples of {flight.name} lie there, one each "
                 f"{flight.sample_interval:.3g} s; a stretch needs at least {SHORTEST_SEGMENT}"
             )
-        if any(a < end_ and b > begin_ for begin_, end_ in spans):
-            raise EstimationError(f"--segments {text}: {part} overlaps another stretch; give each sample once")
-        spans.append((a, b))
         label[inside] = i
     keep = label >= 0
     chosen = flight.part(keep)

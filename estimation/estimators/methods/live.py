@@ -6,12 +6,19 @@ from estimation.estimators.estimator import Estimator, Look, Task
 
 if TYPE_CHECKING:
     from estimation.estimators.result import Result
+    from estimation.models.base import Model
 
 
 def _fit(task: Task) -> "Result":
     from estimation.estimators.recursive import recursive
 
     return recursive(task.model, task.flights, task.aircraft)
+
+
+def _refuses(model: "Model") -> str:
+    from estimation.estimators.recursive import refusal
+
+    return refusal(model)
 
 
 ESTIMATORS = (
@@ -22,5 +29,6 @@ ESTIMATORS = (
         rank=5,
         look=Look("#56B4E9", "P"),
         needs_aircraft=True,
+        refuses=_refuses,
     ),
 )

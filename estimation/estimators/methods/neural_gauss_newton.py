@@ -6,6 +6,7 @@ from estimation.estimators.estimator import Estimator, Extra, Look, Task
 
 if TYPE_CHECKING:
     from estimation.estimators.result import Result
+    from estimation.models.base import Model
 
 
 def _form(name: str, title: str, improved: bool, rank: int, look: Look) -> Estimator:
@@ -34,7 +35,14 @@ def _form(name: str, title: str, improved: bool, rank: int, look: Look) -> Estim
         rank,
         look,
         needs_aircraft=True,
+        refuses=_refuses,
     )
+
+
+def _refuses(model: "Model") -> str:
+    from estimation.estimators.neural_gauss_newton.formulated import refusal
+
+    return refusal(model.name)
 
 
 ESTIMATORS = (

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimation.aircraft import Aircraft
+from estimation.estimators.neural_gauss_newton.formulated import LATERAL, LONGITUDINAL
 
 Array = NDArray[np.float64]
 Signals = Mapping[str, Array]
@@ -160,8 +161,8 @@ class LongitudinalAxis:
 
 def axis_for(name: str, aircraft: Aircraft) -> LateralAxis | LongitudinalAxis | None:
     """The axis a model name stands for; None where Neural Gauss-Newton has no formulation."""
-    if name in ("lateral", "lateral-simple"):
+    if name in LATERAL:
         return LateralAxis(aircraft)
-    if name == "longitudinal":
+    if name in LONGITUDINAL:
         return LongitudinalAxis(aircraft)
     return None

@@ -21,6 +21,7 @@ from estimation.engine.derived import with_derived
 from estimation.errors import EstimationError
 from estimation.estimators.neural_gauss_newton.axes import Axis, axis_for
 from estimation.estimators.neural_gauss_newton.device import one_thread, usable_device
+from estimation.estimators.neural_gauss_newton.formulated import refusal
 from estimation.estimators.neural_gauss_newton.formulation import Rows, Unknowns
 from estimation.estimators.neural_gauss_newton.options import NgnOptions, default_options
 from estimation.estimators.neural_gauss_newton.present import describe
@@ -85,10 +86,7 @@ def _estimate(
     chosen = load_model("lateral", aircraft) if model is None else model
     axis = axis_for(chosen.name, aircraft)
     if axis is None:
-        raise EstimationError(
-            f"model {chosen.name}: Neural Gauss-Newton has a formulation for lateral, lateral-simple and longitudinal; "
-            "use method ml"
-        )
+        raise EstimationError(refusal(chosen.name))
     opt = options or default_options(improved, axis.name)
     opt = replace(
         opt,

@@ -29,6 +29,7 @@ from estimation.estimators.neural_gauss_newton.training import Job, Trained, mea
 
 Array = NDArray[np.float64]
 
+SEEDS = 2**63  # torch takes smaller ones; that of a campaign is a digest
 FEW_STEPS = 3  # of the parameters in a bootstrap: it starts at the solution
 
 
@@ -144,6 +145,11 @@ def solve(problems: Sequence[Problem], options: NgnOptions) -> list[Solution]:
     return solutions
 
 
+def generator_of(seed: int, member: int) -> torch.Generator:
+    """The draws of one network of an ensemble; seed: any whole number from 0."""
+    return torch.Generator().manual_seed((1000 * seed + member) % SEEDS)
+
+
 def _trained(problems: Sequence[Problem], options: NgnOptions) -> list[list[Trained]]:
     """Networks of every problem's ensemble: chosen among restarts by the held-out blocks, trained on with all rows."""
     training, members = options.training, max(1, options.ensemble)
@@ -152,8 +158,7 @@ def _trained(problems: Sequence[Problem], options: NgnOptions) -> list[list[Trai
     for problem in problems:
         seen = (~problem.rows.held_out).double()
         for member in range(members):
-            generator = torch.Generator().manual_seed(1000 * options.seed + member)
-            starts = initial_weights(problem.shape, generator, training.restarts)
+            starts = initial_weights(problem.shape, generator_of(options.seed, member), training.restarts)
             jobs += [problem.job(seen, start) for start in starts]
     tried = train_jobs(jobs, training, options.device)
     chosen: list[tuple[torch.Tensor, int, float]] = []
