@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,6 +20,8 @@ Array = NDArray[np.float64]
 FEWEST_TO_POOL = 2
 FEWEST_FOR_OUTLIERS = 5  # below, the median of the others says too little
 FEWEST_BEFORE_A_STEP = 3  # flights on either side
+Starts = Mapping[tuple[str, str, str], Sequence[tuple[str, str]]]
+"""Group, method, parameter -> date and name of the first flight after each step that moved it, in order of time."""
 NEIGHBOURS = 5  # flights before and after whose medians an estimate may follow
 
 
@@ -104,15 +107,29 @@ def _series(place: tuple[Any, ...], rows: list[_Found], keys: Sequence[str]) -> 
     return Series(group, label_of(group), place[1], place[2], flights, dates, places, np.array(y), np.array(v))
 
 
-def group_rows(results: "pa.Table", keys: Sequence[str]) -> list[Row]:
-    """What each parameter of each group says by itself: flights far from the others, and the pooled value of the rest."""
+def group_rows(results: "pa.Table", keys: Sequence[str], starts: Starts = MappingProxyType({})) -> list[Row]:
+    """What each parameter of each group says by itself: flights far from the others, and the pooled value of the rest.
+
+    starts: of what a step in time moved; it is pooled on each side by itself.
+    """
     rows: list[Row] = []
     for s in series_of(results, keys):
         far = outlying(s)
         rows += outlier_rows(s, far)
         kept = s.part(~(far > _limit(s)))
-        rows += pooled_rows(kept)
+        for side in _sides(kept, starts.get((s.label, s.method, s.parameter), ())):
+            rows += pooled_rows(side, apart=side is not kept)
     return rows
+
+
+def _sides(s: Series, starts: Sequence[tuple[str, str]]) -> Iterator[Series]:
+    """The flights between steps. starts: date and name of the first flight after each, in order."""
+    if not starts:
+        yield s
+        return
+    side = np.array([sum(start <= flight for start in starts) for flight in zip(s.dates, s.flights, strict=True)])
+    for number in range(len(starts) + 1):
+        yield s.part(side == number)
 
 
 # ------------------------------------------------------------------------------------------- within a group
@@ -160,8 +177,8 @@ def outlier_rows(s: Series, distance: Array) -> Iterator[Row]:
         }
 
 
-def pooled_rows(s: Series) -> Iterator[Row]:
-    """The group's estimate, its scatter and what that says of the bounds."""
+def pooled_rows(s: Series, *, apart: bool = False) -> Iterator[Row]:
+    """The group's estimate, its scatter and what that says of the bounds. apart: these flights are one side of a step."""
     if s.y.size < FEWEST_TO_POOL:
         return
     fit = pooling.pool(s.y, s.v)
@@ -172,6 +189,8 @@ def pooled_rows(s: Series) -> Iterator[Row]:
         text = f"scatter is {scatter / bound:.1f} times the bounds: these are too small, or the flights differ"
     yield {
         **_about(s),
+        "since": s.dates[0] if apart else None,
+        "until": s.dates[-1] if apart else None,
         "kind": "pooled",
         "estimate": float(fit.b[0]),
         "std": float(fit.std[0]),

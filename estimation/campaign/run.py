@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 from estimation.campaign.aerodynamics.change_tables import difference_rows, step_rows
 from estimation.campaign.aerodynamics.joint_tables import joint_model_rows, joint_rows, model_texts
 from estimation.campaign.aerodynamics.jsbsim import aerodynamics_files
-from estimation.campaign.aerodynamics.tables import database_rows, envelopes, flight_rows
+from estimation.campaign.aerodynamics.tables import database_rows, envelopes, flight_rows, starts_in
 from estimation.campaign.groups import group_rows, label_of
 from estimation.campaign.plan import Plan
 from estimation.campaign.publish import (
@@ -173,12 +173,13 @@ class Campaign:
         self._store.replace_all(results, superseded)
         keys = self._plan.groups
         curves = envelopes(results, keys, self._plan.seed)
+        starts = starts_in(curves)
         groups = [
-            *group_rows(results, keys),
+            *group_rows(results, keys, starts),
             *flight_rows(curves),
             *step_rows(curves),
             *difference_rows(curves, keys),
-            *joint_model_rows(results),
+            *joint_model_rows(results, starts),
         ]
         folder = self._store.folder
         write_table(groups, GROUPS, folder / "groups" / "groups.parquet")

@@ -99,6 +99,8 @@ GROUPS = {
     "at": TEXT,
     "flight": TEXT,
     "text": TEXT,
+    "since": TEXT,
+    "until": TEXT,
 }
 
 DATABASE = {
@@ -125,6 +127,8 @@ DATABASE = {
     "delta_e": NUMBER,
     "bootstrap_std": NUMBER,
     "form": TEXT,
+    "since": TEXT,
+    "until": TEXT,
 }
 
 UNREPEATABLE = ("attempts", "cpu")

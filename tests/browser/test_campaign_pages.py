@@ -9,7 +9,7 @@ import pyarrow as pa
 import pytest
 
 from estimation.campaign.aerodynamics.change_tables import difference_rows, step_rows
-from estimation.campaign.aerodynamics.tables import database_rows, envelopes, flight_rows
+from estimation.campaign.aerodynamics.tables import database_rows, envelopes, flight_rows, starts_in
 from estimation.campaign.groups import group_rows
 from estimation.campaign.pages.page import write_campaign_page
 from estimation.campaign.plan import Plan
@@ -58,7 +58,12 @@ def results() -> pa.Table:
 def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
     found, keys = results(), ("configuration",)
     curves = envelopes(found, keys, 0)
-    groups = [*group_rows(found, keys), *flight_rows(curves), *step_rows(curves), *difference_rows(curves, keys)]
+    groups = [
+        *group_rows(found, keys, starts_in(curves)),
+        *flight_rows(curves),
+        *step_rows(curves),
+        *difference_rows(curves, keys),
+    ]
     outcome = Outcome(
         FLIGHTS + 1,
         FLIGHTS,

@@ -3,6 +3,7 @@
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,6 +15,7 @@ from estimation.campaign.aerodynamics.joint import curve, half_band
 from estimation.campaign.aerodynamics.pooled import Envelope
 from estimation.campaign.aerodynamics.tables import Curves, points_of
 from estimation.campaign.aerodynamics.terms import derivatives_of, terms_of
+from estimation.campaign.groups import Starts
 from estimation.campaign.tasks import Row
 from estimation.models import Model
 
@@ -35,12 +37,28 @@ class Found:
     about: Row
 
 
-def joint_model_rows(results: "pa.Table") -> Iterator[Row]:
-    """A row for each group whose model over the envelope was asked for: what came of it."""
+def joint_model_rows(results: "pa.Table", starts: Starts = MappingProxyType({})) -> Iterator[Row]:
+    """A row for each group whose model over the envelope was asked for: what came of it, and what of it mixes the sides of a
+    step in time (constants do not: each flight has its own). starts: of what steps moved."""
     for run in _runs(results):
         found = "model over the envelope" if run["model_text"] else "no model over the envelope"
         text = f"{run['group']}: {found} ({run['method']}): {run['why']}"
+        if run["model_text"]:
+            text += _mixed(Model.from_dict(tomllib.loads(run["model_text"])), run["group"], starts)
         yield {"kind": "envelope", "group": run["group"], "method": run["method"], "text": text}
+
+
+def _mixed(model: Model, group: str, starts: Starts) -> str:
+    """A sentence on derivatives that a step moved, by whatever method it was seen; the model has one value for both sides."""
+    own = set(derivatives_of(model))
+    moved = {name: at[0][0] for (label, _, name), at in sorted(starts.items()) if label == group and name in own}
+    if not moved:
+        return ""
+    said = ", ".join(f"{name} ({date})" for name, date in moved.items())
+    return (
+        f"; its flights lie on both sides of a step in time that moved {said}, and it mixes them: give the sides"
+        " configurations of their own"
+    )
 
 
 def model_texts(results: "pa.Table") -> dict[str, str]:

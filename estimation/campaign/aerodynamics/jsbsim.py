@@ -22,10 +22,12 @@ ALPHA, SPEED = "aero/alpha-rad", "velocities/vt-fps"
 
 
 def aerodynamics_files(database: Sequence[Row]) -> dict[str, str]:
-    """Name of a file without its ending -> XML, for each group, method and way of estimation."""
+    """Name of a file without its ending -> XML, for each group, method and way of estimation; of what a step in time moved, the
+    last side."""
+    last = {_of(r): r["until"] for r in sorted(database, key=lambda r: r.get("until") or "") if r.get("until")}
     sets: dict[tuple[str, str, str], dict[str, list[Row]]] = {}
     for r in database:
-        if r["along"] in (SURFACE, ""):
+        if r["along"] in (SURFACE, "") and r.get("until") in (None, last.get(_of(r))):
             sets.setdefault((r["group"], r["method"], r["kind"]), {}).setdefault(r["parameter"], []).append(r)
     return {
         file_name("_".join(which).replace(", ", "_").replace(" ", "_")): _xml(", ".join(which), parameters)
@@ -33,11 +35,14 @@ def aerodynamics_files(database: Sequence[Row]) -> dict[str, str]:
     }
 
 
+def _of(r: Row) -> tuple[str, str, str, str]:
+    return r["group"], r["method"], r["kind"], r["parameter"]
+
+
 def _xml(what: str, parameters: dict[str, list[Row]]) -> str:
     root = ET.Element("aerodynamics")
-    root.append(
-        ET.Comment(f" Sideslip, {what}: derivatives per rad; where nobody flew, as at the nearest point flown ")
-    )
+    where = "where nobody flew, as at the nearest point flown; after the last step in time"
+    root.append(ET.Comment(f" Sideslip, {what}: derivatives per rad; {where} "))
     for name, rows in parameters.items():
         root.append(_function(name, rows))
     ET.indent(root)

@@ -59,10 +59,12 @@ class Envelope:
         """(sound flights, 4) scaled conditions."""
         return self.scale.scaled(self.of.conditions[self.sound])
 
-    def columns(self, parameter: int, conditions: Array) -> Array:
-        """(points, terms) of a parameter's form; shifts at their mean, which is zero."""
+    def columns(self, parameter: int, conditions: Array, shifts: Array | None = None) -> Array:
+        """(points, terms) of a parameter's form. shifts: (effects,), by default at their mean, which is zero."""
         own = self.forms[parameter].columns(self.scale.scaled(conditions))
-        return np.column_stack([own, np.zeros((len(own), len(self.shifted[parameter])))])
+        told = self.shifted[parameter]
+        beside = np.zeros(len(told)) if shifts is None else shifts[list(told)]
+        return np.column_stack([own, np.tile(beside, (len(own), 1))])
 
     def shift(self, parameter: int, effect: int) -> tuple[float, float] | None:
         """Coefficient and standard error of an effect on a parameter; None where its flights do not tell it."""
@@ -72,9 +74,9 @@ class Envelope:
         place = first + self.shifted[parameter].index(effect)
         return float(self.fit.b[place]), float(np.sqrt(self.fit.covariance[place, place]))
 
-    def at(self, parameter: int, conditions: Array) -> tuple[Array, Array]:
-        """(points,) value and standard error of a parameter's curve at (points, 4) conditions."""
-        return mixed.predicted(self.fit, self.columns(parameter, conditions), self.design.owner, parameter)
+    def at(self, parameter: int, conditions: Array, shifts: Array | None = None) -> tuple[Array, Array]:
+        """(points,) value and standard error of a parameter's curve at (points, 4) conditions. shifts: as of `columns`."""
+        return mixed.predicted(self.fit, self.columns(parameter, conditions, shifts), self.design.owner, parameter)
 
     def of_flight(self, parameter: int, flight: int) -> tuple[float, float]:
         """Value and standard error of a parameter in one flight, with what moved it."""
@@ -88,14 +90,20 @@ class Envelope:
         half: Array = pooling.t_quantile(1.0 - pooling.LEVEL / 2.0, int(self.fit.freedom[parameter])) * std
         return half
 
-    def flown(self, conditions: Array) -> Mask:
-        """(points,) whether a flight was near enough, in every condition that changed."""
-        return flown(self.scale.scaled(conditions), self.x, np.flatnonzero(self.scale.changed))
+    def flown(self, conditions: Array, flights: Mask | None = None) -> Mask:
+        """(points,) whether one of the sound flights (of those in the mask `flights`) was near enough, in every condition that
+        changed."""
+        near = self.x if flights is None else self.x[flights[self.sound]]
+        return flown(self.scale.scaled(conditions), near, np.flatnonzero(self.scale.changed))
 
-    def formula(self, parameter: int) -> str | None:
-        """An expression of alpha, V and delta_e for a model file, where the form has one."""
-        form = self.forms[parameter]
-        return form.formula(self.scale, self.fit.b[self.design.owner == parameter][: form.size])
+    def formula(self, parameter: int, shifts: Array | None = None) -> str | None:
+        """An expression of alpha, V and delta_e for a model file, where the form has one. shifts: as of `columns`."""
+        form, told = self.forms[parameter], self.shifted[parameter]
+        b = self.fit.b[self.design.owner == parameter]
+        free = b[: form.size].copy()
+        if shifts is not None and told:
+            free[0] += b[len(form.penalty) :] @ shifts[list(told)]
+        return form.formula(self.scale, free)
 
 
 def envelope(of: Flown, shifts: Array | None = None) -> Envelope | None:

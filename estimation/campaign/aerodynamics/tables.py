@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from estimation.campaign.aerodynamics import pooled
 from estimation.campaign.aerodynamics.forms import CONDITIONS
 from estimation.campaign.aerodynamics.pooled import Envelope, Flown
+from estimation.campaign.aerodynamics.sides import Side, sides, starts_of
 from estimation.campaign.aerodynamics.steps import Step, with_steps
-from estimation.campaign.groups import label_of
+from estimation.campaign.groups import Starts, label_of
 from estimation.campaign.tasks import Row
 
 if TYPE_CHECKING:
@@ -57,7 +58,8 @@ def envelopes(results: "pa.Table", keys: Sequence[str], seed: int) -> list[Curve
 
 
 def database_rows(found: Sequence[Curves], seed: int) -> list[Row]:
-    """For each parameter a surface over alpha and V, and a curve along each condition, the others as they were flown there."""
+    """For each parameter a surface over alpha and V, and a curve along each condition, the others as they were flown there; for
+    each side of a step in time that moved it."""
     rows: list[Row] = []
     for each in found:
         curves = each.envelope
@@ -65,19 +67,32 @@ def database_rows(found: Sequence[Curves], seed: int) -> list[Row]:
         for j, name in enumerate(curves.of.parameters):
             if each.about["method"] == INSTRUMENTS:
                 continue
-            common: Row = {
-                **each.about,
-                "kind": "pooled",
-                "parameter": name,
-                "flights": int(curves.of.data.known[curves.sound, j].sum()),
-                "between": math.sqrt(curves.fit.tau2[j]),
-                "form": curves.forms[j].words,
-                "formula": curves.formula(j),
-            }
             own = replicates[:, curves.design.owner == j]
-            for along, points in points_of(curves):
-                rows += _rows(curves, j, points, own, {**common, "along": along})
+            for side in sides(curves, each.steps, name):
+                common: Row = {
+                    **each.about,
+                    "kind": "pooled",
+                    "parameter": name,
+                    "flights": int(curves.of.data.known[curves.sound & side.flights, j].sum()),
+                    "between": math.sqrt(curves.fit.tau2[j]),
+                    "form": curves.forms[j].words,
+                    "formula": curves.formula(j, side.shifts),
+                    "since": side.since or None,
+                    "until": side.until or None,
+                }
+                for along, points in points_of(curves):
+                    rows += _rows(curves, j, points, own, {**common, "along": along}, side)
     return rows
+
+
+def starts_in(found: Sequence[Curves]) -> Starts:
+    """Where each parameter of each group begins to say something else."""
+    return {
+        (each.about["group"], each.about["method"], name): starts
+        for each in found
+        for name in each.envelope.of.parameters
+        if (starts := starts_of(each.envelope, each.steps, name))
+    }
 
 
 def flight_rows(found: Sequence[Curves]) -> Iterator[Row]:
@@ -209,12 +224,13 @@ def _as_flown(at: Array, condition: int, flights: Array, half: Array) -> Array:
     return points
 
 
-def _rows(curves: Envelope, parameter: int, points: Array, replicates: Array, common: Row) -> list[Row]:
-    value, std = curves.at(parameter, points)
+def _rows(curves: Envelope, parameter: int, points: Array, replicates: Array, common: Row, side: Side) -> list[Row]:
+    value, std = curves.at(parameter, points, side.shifts)
     half = curves.half_band(parameter, std)
-    spread = np.std(replicates @ curves.columns(parameter, points).T, axis=0, ddof=1) if len(replicates) > 1 else None
+    columns = curves.columns(parameter, points, side.shifts)
+    spread = np.std(replicates @ columns.T, axis=0, ddof=1) if len(replicates) > 1 else None
     rows = []
-    for i, near in enumerate(curves.flown(points)):
+    for i, near in enumerate(curves.flown(points, side.flights)):
         where = {n: float(x) if math.isfinite(x) else None for n, x in zip(CONDITIONS, points[i], strict=True)}
         row: Row = {**common, **where, "flown": bool(near)}
         if near:

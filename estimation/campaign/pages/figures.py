@@ -53,12 +53,11 @@ def scatter_figure(method: str, points: Sequence[Points], groups: Sequence[Row])
             _draw(axis, p, p.order, looks)
             for r in groups:
                 if r["kind"] == "pooled" and (r["method"], r["parameter"]) == (method, p.parameter):
-                    colour = looks.get(r["group"], (JOINT, ""))[0]
-                    axis.axhspan(r["low"], r["high"], color=colour, alpha=0.25, lw=0)
+                    _band(axis, p, r, looks.get(r["group"], (JOINT, ""))[0])
         _legend(figure, axes[: len(points)])
     caption = (
-        f"Estimates of every flight by {method}, in order of date, with corrected bounds; band: 95 % of the pooled value; "
-        "dashes: what was believed before."
+        f"Estimates of every flight by {method}, in order of date, with corrected bounds; band: 95 % of the pooled value, "
+        "on each side of a step in time that moved it; dashes: what was believed before."
     )
     return picture(figure, f"flights_{_name(method)}", caption, sum(WEIGHT * p.y.size for p in points))
 
@@ -74,18 +73,21 @@ def trend_figures(method: str, points: Sequence[Points], database: Sequence[Row]
             figure, axes = _grid(len(points))
             for axis, p in zip(axes, points, strict=False):
                 _draw(axis, p, factor * p.conditions[condition], looks)
-                for group, c in faired(database, "pooled", method, p.parameter, condition).items():
+                every = faired(database, "pooled", method, p.parameter, condition)
+                newest = dict(every)
+                for group, c in every:
                     colour = looks.get(group, (JOINT, ""))[0]
-                    axis.plot(factor * c.x, c.value, color=colour, lw=1.2)
+                    axis.plot(factor * c.x, c.value, color=colour, lw=1.2, ls="-" if newest[group] is c else ":")
                     axis.fill_between(factor * c.x, c.low, c.high, color=colour, alpha=0.25, lw=0)
-                for c in faired(database, "joint", method, p.parameter, condition).values():
+                for _, c in faired(database, "joint", method, p.parameter, condition):
                     axis.plot(factor * c.x, c.value, color=JOINT, lw=1.2, ls="-.", label="joint model")
                     axis.fill_between(factor * c.x, c.low, c.high, color=JOINT, alpha=0.2, lw=0)
                 axis.set_xlabel(f"{title} [{unit}]")
             _legend(figure, axes[: len(points)])
         caption = (
             f"Estimates by {method} over {title}, with corrected bounds; lines: the faired curves of the database with 95 %, "
-            "where anybody flew; dashes: what was believed before."
+            "where anybody flew, dotted those of flights before a step in time that moved the parameter; dashes: what was "
+            "believed before."
         )
         size = sum(WEIGHT * p.y.size for p in points)
         pictures.append(picture(figure, f"trend_{condition}_{_name(method)}", caption, size))
@@ -105,10 +107,15 @@ def bounds_figure(method: str, groups: Sequence[Row]) -> Picture | None:
         figure = Figure(figsize=(max(6.4, 0.45 * len(names) + 2.0), 3.2), layout="constrained")
         axis = figure.subplots()
         for group, (colour, marker) in looks.items():
-            mine = {r["parameter"]: r["ratio"] for r in rows if r["group"] == group}
-            at = [i for i, n in enumerate(names) if n in mine]
-            ratios = [mine[names[i]] for i in at]
-            axis.plot(at, ratios, marker, ms=5, color=colour, label=group)
+            mine = [r for r in rows if r["group"] == group]
+            axis.plot(
+                [names.index(r["parameter"]) for r in mine],
+                [r["ratio"] for r in mine],
+                marker,
+                ms=5,
+                color=colour,
+                label=group,
+            )
         axis.axhline(1.0, color="#888888", lw=0.8)
         axis.set_yscale("log")
         axis.set_xticks(range(len(names)), [f"${tex(n)}$" for n in names])
@@ -163,6 +170,18 @@ def _cross(axis: Any, rows: Sequence[Row], pair: tuple[str, str], label: str, lo
         spans.append(np.abs(f * np.array(ends, float) - v) if known else None)
     colour, marker = look
     axis.errorbar(*values, spans[1], spans[0], fmt=marker, ms=3.5, lw=0.4, alpha=0.6, color=colour, label=label)
+
+
+def _band(axis: Any, p: Points, pooled: Row, colour: str) -> None:
+    """The 95 % of a pooled value over the flights that it is of: all, or those on one side of a step."""
+    look: dict[str, Any] = {"color": colour, "alpha": 0.25, "lw": 0}
+    if not pooled.get("since"):
+        axis.axhspan(pooled["low"], pooled["high"], **look)
+        return
+    held = [pooled["since"] <= date <= pooled["until"] for date in p.dates]
+    mine = p.order[np.array(held) & (np.array(p.groups) == pooled["group"])]
+    if mine.size:
+        axis.fill_between([mine.min() - 0.5, mine.max() + 0.5], pooled["low"], pooled["high"], **look)
 
 
 def _changes(p: Points, condition: str) -> bool:

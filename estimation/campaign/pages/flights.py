@@ -48,7 +48,7 @@ def write_flight_pages(results: "pa.Table", groups: Sequence[Row], keys: Sequenc
     """Pages in folder/flights and the list of all flights, in order of date and name."""
     flights = _by_flight(results)
     said = _sentences(groups)
-    pooled = {(r["group"], r["method"], r["parameter"]): r for r in groups if r["kind"] == "pooled"}
+    pooled = [r for r in groups if r["kind"] == "pooled"]
     pages = folder / FOLDER
     for old in pages.glob("*.html"):
         old.unlink()
@@ -59,9 +59,18 @@ def write_flight_pages(results: "pa.Table", groups: Sequence[Row], keys: Sequenc
         troubled = bool(words) or any(r["kind"] == "run" and r["status"] != "ok" for r in rows)
         page = _page_name(first) if len(flights) <= MOST_PAGES or troubled else ""
         if page:
-            _write(pages / page, rows, first, words, pooled, keys)
+            _write(pages / page, rows, first, words, _beside(pooled, first["date"] or ""), keys)
         entries.append(_entry(first, rows, page, len(words), keys))
     return entries
+
+
+def _beside(pooled: Sequence[Row], date: str) -> dict[tuple[str, str, str], Row]:
+    """Group, method, parameter -> the pooled value that a flight of a date is held against: that of its side of a step."""
+    return {
+        (r["group"], r["method"], r["parameter"]): r
+        for r in pooled
+        if not r.get("since") or r["since"] <= date <= r["until"]
+    }
 
 
 def _by_flight(results: "pa.Table") -> dict[str, list[Row]]:

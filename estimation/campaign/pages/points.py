@@ -19,14 +19,15 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Points:
-    """Estimates of one parameter by one method over the flights: arrays (flights,), labels of their groups. prior: what was
-    believed before, where one thing was."""
+    """Estimates of one parameter by one method over the flights: arrays (flights,), labels of their groups, dates. prior: what
+    was believed before, where one thing was."""
 
     parameter: str
     order: Array
     y: Array
     std: Array
     groups: tuple[str, ...]
+    dates: tuple[str, ...]
     conditions: Mapping[str, Array]
     prior: float | None
 
@@ -67,16 +68,17 @@ def _points(name: str, rows: Sequence[Row], place: Mapping[str, int], keys: Sequ
     priors = {r["reference"] for r in rows} - {None}
     prior = priors.pop() if len(priors) == 1 else None
     conditions = {c: column(c) for c in CONDITIONS}
-    return Points(name, order, column("estimate"), column("std_coloured"), groups, conditions, prior)
+    dates = tuple(r["date"] or "" for r in rows)
+    return Points(name, order, column("estimate"), column("std_coloured"), groups, dates, conditions, prior)
 
 
-def faired(database: Sequence[Row], kind: str, method: str, parameter: str, along: str) -> dict[str, Faired]:
-    """Group -> its curve along a condition."""
-    mine: dict[str, list[Row]] = {}
+def faired(database: Sequence[Row], kind: str, method: str, parameter: str, along: str) -> list[tuple[str, Faired]]:
+    """(group, its curve along a condition), one for each side of a step in time, the last side last."""
+    mine: dict[tuple[str, str], list[Row]] = {}
     for r in database:
         if (r["kind"], r["method"], r["parameter"], r["along"]) == (kind, method, parameter, along):
-            mine.setdefault(r["group"], []).append(r)
-    return {group: _faired(rows, along) for group, rows in mine.items()}
+            mine.setdefault((r["group"], r.get("since") or ""), []).append(r)
+    return [(group, _faired(rows, along)) for (group, _), rows in sorted(mine.items())]
 
 
 def _faired(rows: Sequence[Row], along: str) -> Faired:

@@ -17,7 +17,7 @@ def pooled_table(groups: Sequence[Row], method: str) -> Table | None:
     cells = tuple(
         (
             r["parameter"],
-            r["group"],
+            r["group"] + (f", {r['since'][:10]} to {r['until'][:10]}" if r.get("since") else ""),
             str(r["flights"]),
             number(r["estimate"]),
             significant(r["std"], 2),
@@ -26,7 +26,7 @@ def pooled_table(groups: Sequence[Row], method: str) -> Table | None:
             significant(r["bound"], 2),
             significant(r["ratio"], 2),
         )
-        for r in sorted(rows, key=lambda r: (r["parameter"], r["group"]))
+        for r in sorted(rows, key=lambda r: (r["parameter"], r["group"], r.get("since") or ""))
     )
     head = (
         "parameter",
@@ -46,7 +46,8 @@ def pooled_table(groups: Sequence[Row], method: str) -> Table | None:
             head,
             cells,
             note="std: of the pooled estimate; between flights: standard deviation beyond the flights' own bounds (REML); "
-            "scatter: sample standard deviation; bound: rms of the corrected bounds. Sound bounds have a ratio near 1.",
+            "scatter: sample standard deviation; bound: rms of the corrected bounds. Sound bounds have a ratio near 1. "
+            "What a step in time moved is pooled on each side by itself, from date to date.",
         )
         if cells
         else None
