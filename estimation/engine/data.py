@@ -57,8 +57,8 @@ class Segment:
 class FlightData:
     """A flight prepared for one model. samples: of the flight; states: (samples, nx) smoothed measured states, NaN columns
     where a state is not measured; noise: column -> (estimated noise, rms removed) of the de-noised inputs; errors:
-    (samples, nu, draws) what may still be wrong with the inputs (draws from the posterior of the de-noising, zero outside the
-    segments), or None where nothing is known of it."""
+    (samples, nu, draws) what may still be wrong with the inputs (draws from the posterior of the de-noising, or of the noise
+    that was left in; zero outside the segments), or None where nothing is known of it."""
 
     name: str
     samples: int
@@ -78,8 +78,8 @@ class FlightData:
 @dataclass(frozen=True, slots=True)
 class Preparation:
     """How measured signals are prepared. denoise: take noise off the measured inputs (edge-preserving). draws: of what is
-    left of it, for the corrected bound (0: inputs are taken for truth there too). keep_held: take the repeated values of slow
-    and stuck sensors for measurements."""
+    left of it (all of it where none is taken off), for the corrected bound (0: inputs are taken for truth there too).
+    keep_held: take the repeated values of slow and stuck sensors for measurements."""
 
     denoise: bool = True
     draws: int = DRAWS
@@ -215,18 +215,17 @@ def _inputs(
         else:
             u[:, i] = derived(flight, signal.source, pieces, notes)
     rows = {i: at for i, at in rows.items() if not model.inputs[i].computed}  # those have no noise of their own
-    if not preparation.denoise:
-        notes.append(Note(NoteKind.OTHER, "measured inputs taken with their noise"))
-        for i, signal in enumerate(model.inputs):
-            if i in rows:
-                noise[signal.name] = (max((noise_level(u[at, i]) for at in rows[i]), default=0.0), 0.0)
-        return u, None
+    names = [s.name for s in model.inputs]
     draws = min(preparation.draws, draws_for(len(flight)))
     errors = np.zeros((*u.shape, draws), np.float32)
     rng = np.random.default_rng(SEED)
+    if not preparation.denoise:
+        notes.append(Note(NoteKind.OTHER, "measured inputs taken with their noise"))
+        _draw_noise(u, errors, rows, pieces, names, noise, rng)
+        return u, errors if draws else None
     for order in (1, 2):
         columns = {i: rows[i] for i in rows if model.inputs[i].control == (order == 1)}
-        _denoise_columns(u, errors, columns, pieces, order, [s.name for s in model.inputs], noise, rng)
+        _denoise_columns(u, errors, columns, pieces, order, names, noise, rng)
     _derive_errors(model, flight, pieces, errors)
     return u, errors
 
@@ -246,6 +245,25 @@ def _derive_errors(model: Model, flight: Flight, pieces: list[tuple[int, int]], 
         if source in DERIVED and not flight.measured(source) and origin != source and origin in sources:
             for a, b in pieces:
                 errors[a:b, i] = np.gradient(errors[a:b, sources.index(origin)], flight.time[a:b], axis=0)
+
+
+def _draw_noise(
+    u: Array,
+    errors: NDArray[np.float32],
+    columns: Mapping[int, Sequence[NDArray[np.int64]]],
+    pieces: list[tuple[int, int]],
+    names: list[str],
+    noise: dict[str, tuple[float, float]],
+    rng: np.random.Generator,
+) -> None:
+    """Errors of inputs that keep their noise: white, of the level that each shows, on straight lines between its rows."""
+    for i, rows in columns.items():
+        level = max((noise_level(u[at, i]) for at in rows), default=0.0)
+        noise[names[i]] = (level, 0.0)
+        for (a, b), at in zip(pieces, rows, strict=True):
+            drawn = level * rng.standard_normal((errors.shape[2], at.size))
+            for k, values in enumerate(drawn):
+                errors[a:b, i, k] = np.interp(np.arange(a, b), at, values)
 
 
 def _denoise_columns(

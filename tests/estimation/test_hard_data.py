@@ -151,6 +151,17 @@ def test_raw_inputs_are_taken_as_measured(made_flights: list[Flight]) -> None:
     assert "measured inputs taken with their noise" in texts(data.notes)
 
 
+def test_noise_left_in_inputs_is_in_the_corrected_bound(made_flights: list[Flight]) -> None:
+    """Draws of the level that the signal shows, and nothing for inputs without noise."""
+    data = prepare(LATERAL, made_flights[0], Preparation(denoise=False))
+    assert data.errors is not None
+    for i, signal in enumerate(LATERAL.inputs):
+        if signal.name in data.noise:
+            drawn = float(np.sqrt(np.mean(data.errors[:, i] ** 2)))
+            assert drawn == pytest.approx(data.noise[signal.name][0], rel=0.05)
+    assert prepare(LATERAL, made_flights[0], Preparation(denoise=False, draws=0)).errors is None
+
+
 SMALL = {"states": "['p']", "outputs": "['p']", "inputs": "['delta_a']", "parameters": "['L_p']"}
 
 

@@ -15,10 +15,10 @@ from estimation.campaign.aerodynamics.evidence import Gain, grown, information, 
 from estimation.campaign.aerodynamics.terms import CENTRED, POWERS, Term, candidates, derivatives_of, row_of, with_terms
 from estimation.campaign.errors import CampaignError
 from estimation.campaign.pooling import LEVEL, t_quantile
-from estimation.engine.data import AS_USUAL, FlightData
+from estimation.engine.data import AS_USUAL, FlightData, Preparation
 from estimation.engine.prepared import compared, prepared
 from estimation.engine.simulate import Simulator
-from estimation.estimators.output_error import output_error
+from estimation.estimators.output_error import STANDARD, OutputErrorOptions, output_error
 from estimation.estimators.result import Result
 from estimation.models.base import Model
 from estimation.session.flights import unique_names
@@ -30,6 +30,11 @@ Array = NDArray[np.float64]
 
 FEWEST = 4  # flights: fewer cannot be held out and leave a choice
 FLIGHTS_A_TERM = 2  # at least: more terms than that follow flights, not the aircraft
+AS_MEASURED = OutputErrorOptions(preparation=Preparation(denoise=False))
+"""Of the last fit: inputs with their noise. What takes it off shaves the dip of airspeed in each large sideslip, which is the
+same in every flight that flies the same manoeuvre: it does not average away, and passes for a cubic in sideslip and a part of
+Cn_beta. Noise itself does: it multiplies states that are simulated, not measured, and enters the estimates by its square only.
+Terms are chosen with the noise taken off: with it airspeed is measured better than angle of attack, and takes its place."""
 ROUNDS = 3  # of choosing and fitting: the second hardly ever finds another term
 
 
@@ -117,11 +122,10 @@ def global_model(
             gains = (*gains, *more)
             tell(f"{len(gains)} terms over the envelope; fitting again")
             result = fit.again(result, gains)
-    if gains and not fit.unusable(result):
-        kept = fit.needed(result, gains)
-        if kept != gains:
-            tell(f"{len(kept)} terms are enough; fitting again")
-            result, gains = fit.again(result, kept), kept
+    if not fit.unusable(result):
+        gains = fit.needed(result, gains) if gains else gains
+        tell(f"{len(gains)} terms are enough; fitting again with inputs as measured")
+        result = fit.again(result, gains, AS_MEASURED)
     return GlobalModel(result, gains, flown(result.model, flights), fit.unusable(result))
 
 
@@ -150,11 +154,12 @@ class _Fit:
         out = superfluous(known, active, {g.name: result.values[g.name] for g in gains})
         return tuple(g for g in gains if g.name not in out)
 
-    def again(self, before: Result, gains: Sequence[Gain]) -> Result:
+    def again(self, before: Result, gains: Sequence[Gain], options: OutputErrorOptions = STANDARD) -> Result:
         """The joint fit with the terms that were taken, from where the last one ended."""
         names = {g.name for g in gains}
         chosen = with_terms(self.base, [t for t in self.tried if t.name in names], self.reference)
-        return output_error(chosen, self.flights, start={n: before.values[n] for n in derivatives_of(self.base)})
+        start = {n: before.values[n] for n in derivatives_of(self.base)}
+        return output_error(chosen, self.flights, start, options)
 
     def unusable(self, result: Result) -> str:
         """Why no terms can be looked for from a result, empty where they can."""
