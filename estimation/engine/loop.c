@@ -1,42 +1,90 @@
 /* Integration of one segment with variational sensitivities: see kernel.py. Included after the generated functions
-   rates, rates_jacobian, rates_by_input, and the same of outputs (CasADi signature) and the constants NX NU NP NY NZ_* row_* col_*. */
+   rates, rates_jacobian, rates_by_all, and the same of outputs (CasADi signature) and the constants NX NU NP NY NZ_* row_* col_*. */
 
 #include <stdlib.h>
 #include <string.h>
 
 static int is_finite(double v) { return v - v == 0.0 && v < 1e12 && v > -1e12; }
 
+enum { LANES = 8 }; /* rows of sensitivities are padded to full vectors, whose last columns stay zero */
+
 static void call(int (*function)(const double **, double **, int *, double *, int),
-                 const double *x, const double *u, const double *p, double *r0, double *r1, double *r2) {
+                 const double *x, const double *u, const double *p, double *r0, double *r1, double *r2, double *r3) {
     const double *arg[WORK];
     double *res[WORK];
     double w[WORK];
     int iw[WORK];
     arg[0] = x; arg[1] = u; arg[2] = p;
-    res[0] = r0; res[1] = r1; res[2] = r2;
+    res[0] = r0; res[1] = r1; res[2] = r2; res[3] = r3;
     function(arg, res, iw, w, 0);
 }
 
-/* K = f_x S + f_p (free columns) + f_u du (transform columns) */
-static void variation(int n, int nt, const int *restrict parameter, const int *restrict transform,
-                      const double *restrict fx, const double *restrict fu, const double *restrict fp,
-                      const double *restrict s, const double *restrict du, double *restrict k) {
-    memset(k, 0, sizeof(double) * NX * n);
-    for (int z = 0; z < NZ_f_x; ++z) {
-        const double a = fx[z];
-        const double *restrict from = s + col_f_x[z] * n;
-        double *restrict to = k + row_f_x[z] * n;
-        for (int j = 0; j < n; ++j) to[j] += a * from[j];
-    }
-    for (int z = 0; z < NZ_f_p; ++z) {
-        const int j = parameter[col_f_p[z]];
-        if (j >= 0) k[row_f_p[z] * n + j] += fp[z];
-    }
-    for (int t = 0; t < nt; ++t) {
-        const int j = transform[t];
+/* Non-zeros of a derivative that some column asks for: value[from] (times du[by], of input transforms) is added at `to`. */
+typedef struct {
+    int count;
+    int *from, *to, *by;
+} Entries;
+
+static void add(const Entries *e, const double *restrict value, double *restrict to) {
+    for (int i = 0; i < e->count; ++i) to[e->to[i]] += value[e->from[i]];
+}
+
+static void add_driven(const Entries *e, const double *restrict value, const double *restrict du, double *restrict to) {
+    for (int i = 0; i < e->count; ++i) to[e->to[i]] += value[e->from[i]] * du[e->by[i]];
+}
+
+/* n sensitivity columns in rows of `stride` doubles, nt input transforms; what of the derivatives they take */
+typedef struct {
+    int n, stride, nt;
+    Entries f_p, y_p, f_u, y_u;
+} Plan;
+
+static void by_parameter(Entries *e, int count, const int *row, const int *col, const int *parameter, int stride) {
+    for (int z = 0; z < count; ++z) {
+        const int j = parameter[col[z]];
         if (j < 0) continue;
-        for (int z = 0; z < NZ_f_u; ++z) k[row_f_u[z] * n + j] += fu[z] * du[col_f_u[z] * nt + t];
+        e->from[e->count] = z;
+        e->to[e->count++] = row[z] * stride + j;
     }
+}
+
+static void by_transform(Entries *e, int count, const int *row, const int *col, const int *transform, int nt,
+                         const char *driven, int stride) {
+    for (int t = 0; t < nt; ++t)
+        for (int z = 0; z < count; ++z) {
+            const int at = col[z] * nt + t;
+            if (transform[t] < 0 || !driven[at]) continue;
+            e->from[e->count] = z;
+            e->by[e->count] = at;
+            e->to[e->count++] = row[z] * stride + transform[t];
+        }
+}
+
+/* which of the (NU, nt) derivatives of the inputs are ever other than zero */
+static void find_driven(size_t count, int width, const double *du, char *driven) {
+    for (size_t k = 0; k < count; ++k)
+        for (int i = 0; i < width; ++i)
+            if (du[k * width + i] != 0.0) driven[i] = 1;
+}
+
+/* k += A s, A given by its non-zeros */
+static void through_states(int count, const int *row, const int *col, const double *restrict value, int stride,
+                           const double *restrict s, double *restrict k) {
+    for (int z = 0; z < count; ++z) {
+        const double a = value[z];
+        const double *restrict from = s + col[z] * stride;
+        double *restrict to = k + row[z] * stride;
+        for (int j = 0; j < stride; ++j) to[j] += a * from[j];
+    }
+}
+
+/* K = f_x S + f_p (free columns) + f_u du (transform columns) */
+static void variation(const Plan *plan, const double *fx, const double *fu, const double *fp, const double *s,
+                      const double *du, double *k) {
+    memset(k, 0, sizeof(double) * NX * plan->stride);
+    through_states(NZ_f_x, row_f_x, col_f_x, fx, plan->stride, s, k);
+    add(&plan->f_p, fp, k);
+    if (plan->nt > 0) add_driven(&plan->f_u, fu, du, k);
 }
 
 /* Input at a fraction of the interval: straight from a to m half-way, straight on to b. */
@@ -46,31 +94,20 @@ static void blend(int size, double at, const double *a, const double *m, const d
     for (int i = 0; i < size; ++i) to[i] = from[i] + part * (next[i] - from[i]);
 }
 
-static void outputs_with(int n, int nt, const int *parameter, const int *transform, const double *x, const double *u,
-                         const double *p, const double *s, const double *du, double *y, double *dy) {
+/* y and its sensitivities dy, rows of `stride` */
+static void outputs_with(const Plan *plan, const double *x, const double *u, const double *p, const double *s,
+                         const double *du, double *y, double *dy) {
     double yx[NZ_y_x + 1], yu[NZ_y_u + 1], yp[NZ_y_p + 1];
-    call(outputs_jacobian, x, u, p, y, yx, yp);
-    if (nt > 0) call(outputs_by_input, x, u, p, yu, 0, 0);
-    memset(dy, 0, sizeof(double) * NY * n);
-    for (int z = 0; z < NZ_y_x; ++z) {
-        const double a = yx[z];
-        const double *restrict from = s + col_y_x[z] * n;
-        double *restrict to = dy + row_y_x[z] * n;
-        for (int j = 0; j < n; ++j) to[j] += a * from[j];
-    }
-    for (int z = 0; z < NZ_y_p; ++z) {
-        const int j = parameter[col_y_p[z]];
-        if (j >= 0) dy[row_y_p[z] * n + j] += yp[z];
-    }
-    for (int t = 0; t < nt; ++t) {
-        const int j = transform[t];
-        if (j < 0) continue;
-        for (int z = 0; z < NZ_y_u; ++z) dy[row_y_u[z] * n + j] += yu[z] * du[col_y_u[z] * nt + t];
-    }
+    if (plan->nt > 0) call(outputs_by_all, x, u, p, y, yx, yp, yu);
+    else call(outputs_jacobian, x, u, p, y, yx, yp, 0);
+    memset(dy, 0, sizeof(double) * NY * plan->stride);
+    through_states(NZ_y_x, row_y_x, col_y_x, yx, plan->stride, s, dy);
+    add(&plan->y_p, yp, dy);
+    if (plan->nt > 0) add_driven(&plan->y_u, yu, du, dy);
 }
 
 /* x += K (z - y), S += dK (z - y) - K dy; samples of z that are NaN correct nothing */
-static void correct(int n, const double *gain, const int *gain_column, const double *z, const double *y,
+static void correct(int n, int stride, const double *gain, const int *gain_column, const double *z, const double *y,
                     const double *dy, double *x, double *s) {
     for (int c = 0; c < NY; ++c) {
         const double e = z[c] - y[c];
@@ -79,46 +116,45 @@ static void correct(int n, const double *gain, const int *gain_column, const dou
             const double g = gain[i * NY + c];
             x[i] += g * e;
             if (n > 0) {
-                for (int j = 0; j < n; ++j) s[i * n + j] -= g * dy[c * n + j];
+                for (int j = 0; j < n; ++j) s[i * stride + j] -= g * dy[c * stride + j];
                 const int j = gain_column[i * NY + c];
-                if (j >= 0) s[i * n + j] += e;
+                if (j >= 0) s[i * stride + j] += e;
             }
         }
     }
 }
 
 /* One Runge-Kutta step of length h from inputs ua (start), um (middle), ub (end). */
-static void step(int n, int nt, const int *parameter, const int *transform, double h, const double *ua,
-                 const double *um, const double *ub, const double *da, const double *dm, const double *db,
-                 const double *p, double *x, double *s, double *buffer) {
+static void step(const Plan *plan, double h, const double *ua, const double *um, const double *ub, const double *da,
+                 const double *dm, const double *db, const double *p, double *x, double *s, double *buffer) {
     static const double part[4] = {0.0, 0.5, 0.5, 1.0};
     static const double weight[4] = {1.0 / 6, 1.0 / 3, 1.0 / 3, 1.0 / 6};
     const double *us[4], *ds[4];
     us[0] = ua; us[1] = um; us[2] = um; us[3] = ub;
     ds[0] = da; ds[1] = dm; ds[2] = dm; ds[3] = db;
-    const int size = NX * n;
+    const int size = NX * plan->stride;
     double f[NX], xs[NX], xn[NX], fx[NZ_f_x + 1], fu[NZ_f_u + 1], fp[NZ_f_p + 1];
-    double *k = buffer, *ss = buffer + size, *sn = buffer + 2 * size;
+    double *restrict k = buffer, *restrict ss = buffer + size, *restrict sn = buffer + 2 * size;
     memcpy(xn, x, sizeof(double) * NX);
-    if (n > 0) memcpy(sn, s, sizeof(double) * size);
+    if (size > 0) memcpy(sn, s, sizeof(double) * size);
     for (int i = 0; i < 4; ++i) {
         for (int a = 0; a < NX; ++a) xs[a] = i == 0 ? x[a] : x[a] + h * part[i] * f[a];
-        if (n > 0) {
+        if (size > 0) {
             const double c = h * part[i];
-            if (i == 0) memcpy(ss, s, sizeof(double) * size);
-            else for (int a = 0; a < size; ++a) ss[a] = s[a] + c * k[a];
-            call(rates_jacobian, xs, us[i], p, f, fx, fp);
-            if (nt > 0) call(rates_by_input, xs, us[i], p, fu, 0, 0);
-            variation(n, nt, parameter, transform, fx, fu, fp, ss, ds[i], k);
+            if (i > 0)
+                for (int a = 0; a < size; ++a) ss[a] = s[a] + c * k[a];
+            if (plan->nt > 0) call(rates_by_all, xs, us[i], p, f, fx, fp, fu);
+            else call(rates_jacobian, xs, us[i], p, f, fx, fp, 0);
+            variation(plan, fx, fu, fp, i == 0 ? s : ss, ds[i], k);
             const double w = h * weight[i];
             for (int a = 0; a < size; ++a) sn[a] += w * k[a];
         } else {
-            call(rates, xs, us[i], p, f, 0, 0);
+            call(rates, xs, us[i], p, f, 0, 0, 0);
         }
         for (int a = 0; a < NX; ++a) xn[a] += h * weight[i] * f[a];
     }
     memcpy(x, xn, sizeof(double) * NX);
-    if (n > 0) memcpy(s, sn, sizeof(double) * size);
+    if (size > 0) memcpy(s, sn, sizeof(double) * size);
 }
 
 /* Returns the number of samples reached before the motion left the finite numbers (N where it never did). */
@@ -127,25 +163,51 @@ int integrate(int count, int substeps, int n, int nt, const double *dt, const do
               const double *x0, const int *parameter, const int *state, const int *transform, const int *gain_column,
               const double *gain, const double *z, double *x_out, double *y_out, double *dy_out) {
     double x[NX], ua[NU + 1], um[NU + 1], ub[NU + 1];
-    const int size = NX * n, width = NU * nt;
-    double *memory = (double *)calloc((size_t)(4 * size + 3 * width + 1), sizeof(double));
-    double *s = memory, *buffer = memory + size, *da = memory + 4 * size, *dm = da + width, *db = dm + width;
+    const int stride = (n + LANES - 1) / LANES * LANES, size = NX * stride, width = n > 0 ? NU * nt : 0;
+    const int most = n > 0 ? NZ_f_p + NZ_y_p + nt * (NZ_f_u + NZ_y_u) : 0;
+    double *memory = (double *)calloc((size_t)(4 * size + 3 * width + NY * stride + 1), sizeof(double));
+    int *places = (int *)calloc((size_t)(3 * most + 1), sizeof(int));
+    char *driven = (char *)calloc((size_t)(width + 1), 1);
     int reached = count;
-    if (!memory) return 0;
-    memcpy(x, x0, sizeof(double) * NX);
-    if (n > 0)
+    if (!memory || !places || !driven) {
+        free(memory); free(places); free(driven);
+        return 0;
+    }
+    double *s = memory, *buffer = memory + size, *dy = memory + 4 * size;
+    double *da = dy + NY * stride, *dm = da + width, *db = dm + width;
+    Plan plan = {.n = n, .stride = stride, .nt = n > 0 ? nt : 0};
+    Entries *const entries[4] = {&plan.f_p, &plan.y_p, &plan.f_u, &plan.y_u};
+    const int room[4] = {NZ_f_p, NZ_y_p, nt * NZ_f_u, nt * NZ_y_u};
+    for (int i = 0, at = 0; i < 4; at += room[i++]) {
+        entries[i]->from = places + at;
+        entries[i]->to = places + most + at;
+        entries[i]->by = places + 2 * most + at;
+    }
+    if (n > 0) {
+        by_parameter(&plan.f_p, NZ_f_p, row_f_p, col_f_p, parameter, stride);
+        by_parameter(&plan.y_p, NZ_y_p, row_y_p, col_y_p, parameter, stride);
+        find_driven((size_t)count, width, du, driven);
+        find_driven((size_t)count, width, du_mid, driven);
+        find_driven((size_t)count, width, du_end, driven);
+        by_transform(&plan.f_u, NZ_f_u, row_f_u, col_f_u, transform, nt, driven, stride);
+        by_transform(&plan.y_u, NZ_y_u, row_y_u, col_y_u, transform, nt, driven, stride);
         for (int i = 0; i < NX; ++i)
-            if (state[i] >= 0) s[i * n + state[i]] = 1.0;
+            if (state[i] >= 0) s[i * stride + state[i]] = 1.0;
+    }
+    memcpy(x, x0, sizeof(double) * NX);
     for (int k = 0; k < count; ++k) {
-        double *y = y_out + (size_t)k * NY, *dy = dy_out + (size_t)k * NY * n;
+        double *y = y_out + (size_t)k * NY;
         for (int i = 0; i < NX; ++i)
             if (!is_finite(x[i])) reached = k;
         if (reached == k) break;
-        if (n > 0)
-            outputs_with(n, nt, parameter, transform, x, u + (size_t)k * NU, p, s, du + (size_t)k * width, y, dy);
-        else
-            call(outputs, x, u + (size_t)k * NU, p, y, 0, 0);
-        if (gain) correct(n, gain, gain_column, z + (size_t)k * NY, y, dy, x, s);
+        if (n > 0) {
+            outputs_with(&plan, x, u + (size_t)k * NU, p, s, du + (size_t)k * width, y, dy);
+            for (int c = 0; c < NY; ++c)
+                memcpy(dy_out + ((size_t)k * NY + c) * n, dy + c * stride, sizeof(double) * n);
+        } else {
+            call(outputs, x, u + (size_t)k * NU, p, y, 0, 0, 0);
+        }
+        if (gain) correct(n, stride, gain, gain_column, z + (size_t)k * NY, y, dy, x, s);
         memcpy(x_out + (size_t)k * NX, x, sizeof(double) * NX);
         if (k + 1 == count) break;
         const double h = dt[k] / substeps;
@@ -161,7 +223,7 @@ int integrate(int count, int substeps, int n, int nt, const double *dt, const do
                 blend(width, at + 0.5 / substeps, da0, dm0, db0, dm);
                 blend(width, at + 1.0 / substeps, da0, dm0, db0, db);
             }
-            step(n, nt, parameter, transform, h, ua, um, ub, da, dm, db, p, x, s, buffer);
+            step(&plan, h, ua, um, ub, da, dm, db, p, x, s, buffer);
         }
     }
     for (int k = reached; k < count; ++k) {
@@ -170,6 +232,8 @@ int integrate(int count, int substeps, int n, int nt, const double *dt, const do
         for (int j = 0; j < NY * n; ++j) dy_out[(size_t)k * NY * n + j] = 0.0;
     }
     free(memory);
+    free(places);
+    free(driven);
     return reached;
 }
 
@@ -181,8 +245,8 @@ void pointwise(int count, const double *x, const double *u, const double *p, dou
     memset(yp, 0, sizeof(double) * (size_t)count * NY * NP);
     for (int k = 0; k < count; ++k) {
         const double *xk = x + (size_t)k * NX, *uk = u + (size_t)k * NU;
-        call(rates_jacobian, xk, uk, p, f + (size_t)k * NX, fx, fpz);
-        call(outputs_jacobian, xk, uk, p, y + (size_t)k * NY, yx, ypz);
+        call(rates_jacobian, xk, uk, p, f + (size_t)k * NX, fx, fpz, 0);
+        call(outputs_jacobian, xk, uk, p, y + (size_t)k * NY, yx, ypz, 0);
         for (int z = 0; z < NZ_f_p; ++z) fp[((size_t)k * NX + row_f_p[z]) * NP + col_f_p[z]] = fpz[z];
         for (int z = 0; z < NZ_y_p; ++z) yp[((size_t)k * NY + row_y_p[z]) * NP + col_y_p[z]] = ypz[z];
     }

@@ -30,16 +30,19 @@ class Traced:
     """Functions of one model structure; see the module head for (x, u, p).
 
     rates: -> f. rates_jacobian: -> f, non-zeros of df/dx, df/dp. rates_by_input: -> non-zeros of df/du, which only input
-    transforms ask for. outputs, outputs_jacobian, outputs_by_input: alike for y. patterns: the six sparsity patterns,
-    keyed "f_x" "f_u" "f_p" "y_x" "y_u" "y_p".
+    transforms ask for. rates_by_all: -> f, non-zeros of df/dx, df/dp, df/du, what they share worked out once. outputs,
+    outputs_jacobian, outputs_by_input, outputs_by_all: alike for y. patterns: the six sparsity patterns, keyed "f_x" "f_u" "f_p"
+    "y_x" "y_u" "y_p".
     """
 
     rates: ca.Function
     rates_jacobian: ca.Function
     rates_by_input: ca.Function
+    rates_by_all: ca.Function
     outputs: ca.Function
     outputs_jacobian: ca.Function
     outputs_by_input: ca.Function
+    outputs_by_all: ca.Function
     patterns: Mapping[str, Pattern]
     sizes: tuple[int, int, int, int]  # states, inputs, parameters with constants, outputs
 
@@ -84,9 +87,11 @@ def trace(structure: Structure) -> Traced:
         rates=function("rates", f),
         rates_jacobian=function("rates_jacobian", f, jacobians["f_x"], jacobians["f_p"]),
         rates_by_input=function("rates_by_input", jacobians["f_u"]),
+        rates_by_all=function("rates_by_all", f, jacobians["f_x"], jacobians["f_p"], jacobians["f_u"]),
         outputs=function("outputs", y),
         outputs_jacobian=function("outputs_jacobian", y, jacobians["y_x"], jacobians["y_p"]),
         outputs_by_input=function("outputs_by_input", jacobians["y_u"]),
+        outputs_by_all=function("outputs_by_all", y, jacobians["y_x"], jacobians["y_p"], jacobians["y_u"]),
         patterns=patterns,
         sizes=structure.sizes,
     )

@@ -156,9 +156,9 @@ class Flown:
         u = segment.u.copy()
         u[:, self.simulator.model.input_names.index(INCREMENT.format(line))] += step * course
         local = self.fit.locals[index]
-        motion = self.simulator.run(replace(segment, u=u), {**self.fit.values, **local.parameters}, local.x0)
+        motion = self.simulator.run_by_middles(replace(segment, u=u), {**self.fit.values, **local.parameters}, local.x0)
         shown = self.shown[index]
-        return np.nan_to_num((motion.y[::2, : shown.shape[1]] - shown) / step)
+        return np.nan_to_num((motion.y[:, : shown.shape[1]] - shown) / step)
 
 
 def spread_of(place: Place, scale: float, criteria: Criteria) -> Array:

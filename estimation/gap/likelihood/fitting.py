@@ -10,18 +10,19 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
 
 from estimation.engine.kernel import Array
 from estimation.engine.simulate import Segment, Simulator
 from estimation.estimators.arrow import FlightBlocks, pseudo_inverse, solved
 from estimation.estimators.gauss_newton import LoopOptions, Status, Step, minimise
 from estimation.gap.criteria import Criteria
-from estimation.gap.likelihood.whitening import Whitener
+from estimation.gap.likelihood.between_samples import Grid, fine_grid
+from estimation.gap.likelihood.whitening import Whitener, known
 from estimation.gap.records.flight_records import Record
 from estimation.models.base import Model, ParameterRole
 
 LARGEST = 1e9  # sensitivity beyond which the motion counts as running away: its square still fits beside 1 in a double
+ROUNDING = 1e-12  # of the outputs: a control that no equation in force asks for changes them by less
 SECANT = 0.25  # of a curvature unknown, in which the outputs are nearly linear
 ITERATIONS = 25  # a fit that takes more has not come to rest and is gone on with by the caller
 ENOUGH = 1e-3  # of the log-likelihood: steps below a twentieth of a standard deviation
@@ -81,7 +82,7 @@ class Problem:
         return tuple(r.segment(self.model, self.base) for r in self.records)
 
     @cached_property
-    def grids(self) -> "tuple[Grid, ...]":
+    def grids(self) -> tuple[Grid, ...]:
         """The same with one more instant in the middle of each interval."""
         return tuple(fine_grid(s) for s in self.coarse)
 
@@ -123,29 +124,32 @@ class Problem:
 
         inputs: (N, nu) other inputs than the record's own.
         """
-        grid = self.grids[index] if inputs is None else fine_grid(replace(self.coarse[index], u=inputs))
-        motion = self.simulator.run(self.driven(grid, values), {**values, **local.parameters}, local.x0)
-        return self.coarse[index].z - motion.y[::2] if motion.finite else None
+        grid = self.grids[index] if inputs is None else self.grids[index].with_inputs(inputs)
+        shared = {**values, **local.parameters}
+        motion = self.simulator.run_by_middles(self.driven(grid, values), shared, local.x0)
+        return self.coarse[index].z - motion.y if motion.finite else None
 
     def linearised(self, index: int, values: Mapping[str, float], local: Local) -> tuple[Array, Array] | None:
         """(residual (N, ny), sensitivities (N, ny, shared unknowns + local parameters + initial states)) of one record."""
-        segment = self.driven(self.grids[index], values)
-        motion = self.simulator.run(segment, {**values, **local.parameters}, local.x0, sensitivities=True)
-        if not motion.finite or motion.dy is None or not np.abs(motion.dy).max() < LARGEST:
+        segment, shared = self.driven(self.grids[index], values), {**values, **local.parameters}
+        motion = self.simulator.run_by_middles(segment, shared, local.x0, sensitivities=True)
+        if not motion.finite or motion.dy is None or not max(motion.dy.max(), -motion.dy.min()) < LARGEST:
             return None
-        residual = self.coarse[index].z - motion.y[::2]
-        n = len(self.parameters)
-        columns = [motion.dy[::2, :, :n]]
-        for name in self.curvatures:
+        residual = self.coarse[index].z - motion.y
+        n, m = len(self.parameters), len(self.curvatures)
+        dy = np.empty((*residual.shape, motion.dy.shape[2] + m))
+        dy[:, :, :n], dy[:, :, n + m :] = motion.dy[:, :, :n], motion.dy[:, :, n:]
+        for j, name in enumerate(self.curvatures):
             moved = self.residual(index, {**values, name: values[name] + SECANT}, local)
             if moved is None:
                 return None
-            columns.append(np.nan_to_num((residual - moved) / SECANT)[:, :, None])
-        dy = np.concatenate([*columns, motion.dy[::2, :, n:]], axis=2)
+            change = known(residual - moved)
+            acts = np.abs(change).max() > ROUNDING * np.abs(motion.y).max()
+            dy[:, :, n + j] = change / SECANT if acts else 0.0
         dy[~np.isfinite(residual)] = 0.0
         return residual, dy
 
-    def driven(self, grid: "Grid", values: Mapping[str, float]) -> Segment:
+    def driven(self, grid: Grid, values: Mapping[str, float]) -> Segment:
         """A grid's inputs with the paths of the controls between samples as `values` say."""
         u = grid.segment.u
         shifts = [(i, values[name]) for name, i in self.curvatures.items() if values.get(name, 0.0) != 0.0]
@@ -171,33 +175,6 @@ class Problem:
             return -self.criteria.curvature_limit, self.criteria.curvature_limit
         p = self.model.parameter(name)
         return p.lower, p.upper
-
-
-@dataclass(frozen=True)
-class Grid:
-    """A segment with mid-interval samples, and how far its inputs there lie from a straight line, (2N - 1, nu)."""
-
-    segment: Segment
-    rounding: Array
-
-
-def fine_grid(segment: Segment) -> Grid:
-    """Time and inputs with one more sample in the middle of each interval.
-
-    Inputs pass through the middle by a monotone cubic (PCHIP), not by a straight line: surfaces driven by servos round
-    their steps, and straight lines bias the control and damping derivatives by some 2 % at 20 Hz.
-    """
-    time, u = segment.time, segment.u
-    middle = 0.5 * (time[1:] + time[:-1])
-    fine = np.empty(2 * time.size - 1)
-    fine[::2], fine[1::2] = time, middle
-    values, rounding = np.empty((fine.size, u.shape[1])), np.zeros((fine.size, u.shape[1]))
-    values[::2] = u
-    if u.shape[1]:
-        values[1::2] = PchipInterpolator(time, u, axis=0)(middle)
-        rounding[1::2] = values[1::2] - 0.5 * (u[1:] + u[:-1])
-    z = np.full((fine.size, segment.z.shape[1]), np.nan)
-    return Grid(replace(segment, time=fine, u=np.ascontiguousarray(values), z=z), rounding)
 
 
 def prior_terms(problem: Problem, names: Sequence[str], values: Mapping[str, float]) -> tuple[Array, Array]:
@@ -264,7 +241,7 @@ class Unknowns:
             if residual is None:
                 return Point(np.inf)
             residuals.append(residual)
-            total += 0.5 * float(np.sum(problem.whiteners[i].rows(residual) ** 2))
+            total += 0.5 * problem.whiteners[i].energy(residual)
             total += prior_cost(problem, problem.local_names, local.parameters)
         return Point(total, tuple(residuals))
 
@@ -299,13 +276,13 @@ def record_blocks(
     if found is None:
         return None
     residual, dy = found
-    rows = problem.whiteners[index].rows(np.concatenate([dy, residual[:, :, None]], axis=2))
-    J, r = np.delete(rows[:, :-1], np.s_[n : len(problem.free)], axis=1), rows[:, -1]
-    weight, distance = local_prior(problem, local, J.shape[1] - n)
-    information, gradient = J.T @ J, J.T @ r
+    columns = np.concatenate([dy[:, :, :n], dy[:, :, len(problem.free) :], residual[:, :, None]], axis=2)
+    gram = problem.whiteners[index].gram(columns)
+    information, gradient, m = gram[:-1, :-1], gram[:-1, -1], len(gram) - 1
+    weight, distance = local_prior(problem, local, m - n)
     information[n:, n:] += np.diag(weight)
     gradient[n:] += distance
-    return FlightBlocks.split(information, gradient, np.arange(n), np.arange(n, J.shape[1]))
+    return FlightBlocks.split(information, gradient, np.arange(n), np.arange(n, m))
 
 
 def local_prior(problem: Problem, local: Local, count: int) -> tuple[Array, Array]:

@@ -12,6 +12,7 @@ the whitener.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg import expm
@@ -19,7 +20,7 @@ from scipy.linalg import expm
 from estimation.engine.kernel import Array
 from estimation.engine.simulate import Segment
 from estimation.gap.criteria import Criteria
-from estimation.gap.likelihood.whitening import Linear, Slack, Whitener
+from estimation.gap.likelihood.whitening import Linear, Slack, Whitener, spectrum_of
 from estimation.models.base import Model
 from estimation.models.expressions import names_in
 
@@ -44,6 +45,11 @@ class SurfaceSteps:
     response: Array
     criteria: Criteria
     jumping: frozenset[str] = frozenset()
+
+    @cached_property
+    def spectrum(self) -> Array:
+        """(frequencies, 2 ny, m) of the responses."""
+        return spectrum_of(self.response)
 
     def spread(self, freedom: Mapping[str, float]) -> Array:
         """(m,) prior standard deviations in steps."""
@@ -132,22 +138,21 @@ def loosened(whitener: Whitener, steps: SurfaceSteps, freedom: Mapping[str, floa
     """`whitener` that also marginalises over the steps."""
     if not steps.name:
         return whitener
-    block = steps.response * steps.spread(freedom)
-    rows = whitener.rows(block)
+    rows = whitener.strict(steps.spectrum) * steps.spread(freedom)
     values, vectors = np.linalg.eigh(rows.T @ rows)
     good = values > SEEN * max(float(values.max()), NOTHING)
     values, vectors = values[good], vectors[:, good]
-    turn = vectors / np.sqrt(values)
-    series = whitener.series(block).reshape(-1, block.shape[2])
-    return Whitener(whitener.root, whitener.count, Slack(rows @ turn, series @ turn, 1.0 - 1.0 / np.sqrt(1.0 + values)))
+    return Whitener(
+        whitener.root, whitener.count, Slack(rows @ (vectors / np.sqrt(values)), 1.0 - 1.0 / np.sqrt(1.0 + values))
+    )
 
 
-def displaced(whitener: Whitener, steps: SurfaceSteps, freedom: Mapping[str, float], residual: Array
-              ) -> tuple[Array, Array]:  # fmt: skip
+def displaced(
+    whitener: Whitener, steps: SurfaceSteps, freedom: Mapping[str, float], residual: Array
+) -> tuple[Array, Array]:
     """(mean (m,), variance (m,)) of the displacements [steps] that a residual (N, ny) tells; `whitener` without slack."""
     spread = steps.spread(freedom)
-    rows = whitener.rows(np.concatenate([steps.response, residual[:, :, None]], axis=2))
-    E, r = rows[:, :-1], rows[:, -1]
+    E, r = whitener.strict(steps.spectrum), whitener.strict(spectrum_of(residual))[:, 0]
     inverse = np.linalg.inv(E.T @ E + np.diag(1.0 / spread**2))
     return inverse @ (E.T @ r), np.diag(inverse).copy()
 

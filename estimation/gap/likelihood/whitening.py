@@ -15,10 +15,12 @@ residuals white and keeps them aligned in time and channel.
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
+from functools import cached_property
 from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import fft
 
 from estimation.engine.kernel import Array
 from estimation.engine.simulate import Segment, Simulator
@@ -34,6 +36,7 @@ ITERATIONS = 60  # multiplicative steps: strengths of recorded flights settle to
 FOLLOWING = 20  # steps from an earlier estimate
 LOWEST = 0.25  # of a record's own frequency, in place of none at all: it knows no lower than a part of its own
 BEGIN = 0.3  # of the measurement noise: where the strength of every part starts, from which the steps find their way
+AT_ONCE = 128  # columns transformed together: more do not stay in a processor's cache
 FLOOR = 1e-7  # smallest share of the total a part keeps, so that the spectral matrix stays regular
 
 
@@ -84,11 +87,10 @@ class Shapes:
 
 @dataclass(frozen=True)
 class Slack:
-    """What the whitener is to forgive: orthonormal directions as white rows (rows, m) and as white series (N ny, m), and the
-    share (m,) of each that is taken away."""
+    """What the whitener is to forgive: orthonormal directions as white rows (rows, m), and the share (m,) of each that is taken
+    away."""
 
     rows: Array
-    series: Array
     share: Array
 
 
@@ -100,31 +102,102 @@ class Whitener:
     count: int
     slack: Slack | None = None
 
-    def rows(self, columns: Array) -> Array:
-        """(N, ny, k) or (N, ny) -> (rows, k): whitened, as real rows of unit variance."""
-        block = columns[:, :, None] if columns.ndim == 2 else columns
-        spectrum = self.root @ np.fft.rfft(np.nan_to_num(block), axis=0)
-        scale = np.full(spectrum.shape[0], np.sqrt(2.0 / self.count))
+    @cached_property
+    def _scale(self) -> Array:
+        """(frequencies,) what makes rows of a real spectrum count as often as its samples do."""
+        scale = np.full(self.root.shape[0], np.sqrt(2.0 / self.count))
         scale[0] = np.sqrt(1.0 / self.count)
         if self.count % 2 == 0:
             scale[-1] = np.sqrt(1.0 / self.count)
-        spectrum *= scale[:, None, None]
-        n = spectrum.shape[0] * spectrum.shape[1]
-        rows = np.concatenate([spectrum.real.reshape(n, -1), spectrum.imag.reshape(n, -1)])
+        return scale
+
+    @cached_property
+    def _real_root(self) -> Array:
+        """(frequencies, 2 ny, 2 ny) the scaled root as it acts on real parts over imaginary ones."""
+        root = self.root * self._scale[:, None, None]
+        return np.block([[root.real, -root.imag], [root.imag, root.real]])
+
+    @cached_property
+    def _slack_series(self) -> Array:
+        """(N ny, m) the forgiven directions as white series."""
+        assert self.slack is not None
+        ny, m = self.root.shape[1], self.slack.share.size
+        parts = self.slack.rows.reshape(-1, 2, ny, m) / self._scale[:, None, None, None]
+        return np.asarray(np.fft.irfft(parts[:, 0] + 1j * parts[:, 1], n=self.count, axis=0).reshape(-1, m))
+
+    def strict(self, spectrum: Array) -> Array:
+        """(frequencies, 2 ny, k) from `spectrum_of` -> (rows, k): white rows of unit variance with nothing forgiven."""
+        white = self._real_root @ spectrum
+        return np.asarray(white.reshape(white.shape[0] * white.shape[1], white.shape[2]))
+
+    def rows(self, columns: Array) -> Array:
+        """(N, ny, k) or (N, ny) -> (rows, k): whitened, as real rows of unit variance."""
+        rows = self.strict(spectrum_of(columns))
         if self.slack is not None:
             rows -= self.slack.rows @ (self.slack.share[:, None] * (self.slack.rows.T @ rows))
         return rows
 
+    def gram(self, columns: Array) -> Array:
+        """(N, ny, k) or (N, ny) -> (k, k): inner products of the white rows.
+
+        What is forgiven comes off the products: with orthonormal directions Q and shares d, (R - Q d Q'R)'(R - Q d Q'R) is
+        R'R - (Q'R)' (2 d - d^2) Q'R, which never makes the corrected rows.
+        """
+        rows = self.strict(spectrum_of(columns))
+        products = rows.T @ rows
+        if self.slack is not None:
+            along = rows.T @ self.slack.rows  # in this order the many rows are read as they lie
+            products -= (along * (self.slack.share * (2.0 - self.slack.share))) @ along.T
+        return np.asarray(products)
+
+    def energy(self, residual: Array) -> float:
+        """Sum of squares of the white rows of residuals (N, ny)."""
+        return float(self.gram(residual)[0, 0])
+
     def series(self, residual: Array) -> Array:
         """(N, ny) residuals, or (N, ny, k) many of them -> white series of the same shape, aligned in time and channel."""
         block = residual[:, :, None] if residual.ndim == 2 else residual
-        spectrum = np.fft.rfft(np.nan_to_num(block), axis=0)
+        spectrum = np.fft.rfft(known(block), axis=0)
         series = np.fft.irfft(self.root @ spectrum, n=self.count, axis=0)
         if self.slack is not None:
             flat = series.reshape(-1, block.shape[2])
-            forgiven = self.slack.series @ (self.slack.share[:, None] * (self.slack.series.T @ flat))
+            forgiven = self._slack_series @ (self.slack.share[:, None] * (self._slack_series.T @ flat))
             series -= forgiven.reshape(series.shape)
         return series.reshape(residual.shape)
+
+
+def known(values: Array) -> Array:
+    """`values` with zero where nothing was measured; the very same where everything was."""
+    return values if np.isfinite(np.sum(values)) else np.nan_to_num(values)
+
+
+def spectrum_of(columns: Array) -> Array:
+    """(N, ny, k) or (N, ny) -> (frequencies, 2 ny, k): real parts of the spectra of all channels over imaginary ones. NaN counts
+    as zero.
+
+    Two real columns go through one complex transform: records are seldom of a length that a real one likes, and for a prime
+    number of samples a real one takes as long as a complex one.
+    """
+    block = known(columns[:, :, None] if columns.ndim == 2 else columns)
+    count, ny, k = block.shape
+    flat, made = block.reshape(count, ny * k), np.empty((count // 2 + 1, 2, ny * k))
+    for first in range(0, ny * k, AT_ONCE):
+        _write_spectrum(flat[:, first : first + AT_ONCE], made[:, :, first : first + AT_ONCE])
+    return made.reshape(count // 2 + 1, 2 * ny, k)
+
+
+def _write_spectrum(columns: Array, to: Array) -> None:
+    """Write real and imaginary parts of the spectra of columns (N, m) to (frequencies, 2, m)."""
+    count, m = columns.shape
+    size, half, rest = to.shape[0], (m + 1) // 2, m // 2
+    pairs = np.zeros((count, half), complex)
+    pairs.real, pairs.imag[:, :rest] = columns[:, :half], columns[:, half:]
+    there = fft(pairs, axis=0, overwrite_x=True)
+    back = there[-np.arange(size)]
+    there = there[:size]
+    to[:, 0, :half], to[:, 1, :half] = there.real + back.real, there.imag - back.imag
+    to[:, 0, half:], to[:, 1, half:] = (there.imag + back.imag)[:, :rest], (back.real - there.real)[:, :rest]
+    to *= 0.5
 
 
 @dataclass(frozen=True)

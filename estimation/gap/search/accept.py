@@ -2,8 +2,6 @@
 
 from collections.abc import Callable, Sequence
 
-import numpy as np
-
 from estimation.gap.answer.result import Rejected
 from estimation.gap.criteria import Criteria
 from estimation.gap.likelihood.baseline import Baseline
@@ -92,7 +90,7 @@ def flight_gains(round_: Round, candidate: Candidate) -> list[float]:
     gains: dict[int, float] = {}
     pairs = zip(round_.baseline.fit.residuals, candidate.fit.residuals, strict=True)
     for w, flight, (one, two) in zip(round_.baseline.problem.whiteners, round_.screen.flights, pairs, strict=True):
-        gains[flight] = gains.get(flight, 0.0) + float(np.sum(w.rows(one) ** 2) - np.sum(w.rows(two) ** 2))
+        gains[flight] = gains.get(flight, 0.0) + w.energy(one) - w.energy(two)
     return list(gains.values())
 
 

@@ -161,7 +161,7 @@ def _after_refit(
     linear = problem.linearised(index, {**problem.starts(), **found.values}, found.locals[index])
     if linear is None:
         return _plainly(problem, found, index, np.nan_to_num(residuals), scatter), _values(problem, index)
-    moved = np.nan_to_num(residuals) - np.einsum("tyn,nm->tym", linear[1][:, :, : len(problem.free)], shift)
+    moved = np.nan_to_num(residuals) - linear[1][:, :, : len(problem.free)] @ shift
     return _plainly(problem, found, index, moved, scatter), _values(problem, index)
 
 

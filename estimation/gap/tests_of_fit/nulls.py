@@ -93,7 +93,9 @@ class NullFlyer:
         shaken = driven.u.copy()
         self._loosen_surfaces(shaken, rng)
         self._disturb(shaken, grid.segment.time, rng)
-        motion = problem.simulator.run(replace(driven, u=shaken), {**self.fit.values, **local.parameters}, local.x0)
+        motion = problem.simulator.run_by_middles(
+            replace(driven, u=shaken), {**self.fit.values, **local.parameters}, local.x0
+        )
         if not motion.finite:
             return None
         louder = problem.records[index].louder
@@ -107,7 +109,7 @@ class NullFlyer:
         modelled = problem.residual(index, self.fit.values, local, inputs=seen)
         if modelled is None:
             return None
-        residual = motion.y[::2] + noise - (coarse.z - modelled)
+        residual = motion.y + noise - (coarse.z - modelled)
         residual[~np.isfinite(coarse.z)] = np.nan
         return residual
 

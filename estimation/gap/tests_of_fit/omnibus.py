@@ -149,10 +149,9 @@ def whitened(problem: Problem, found: Fit, round_: Round) -> list[Array]:
         linear = problem.linearised(i, found.values, found.locals[i])
         if linear is not None:  # else the local unknowns stay where they are, on data and nulls alike
             dy = linear[1]
-            rows = problem.whiteners[i].rows(np.concatenate([dy, left], axis=2))
-            J = rows[:, : dy.shape[2]]
-            theta = solved(J.T @ J, J.T @ rows[:, dy.shape[2] :])
-            left = left - np.einsum("tyn,nm->tym", dy, theta)
+            n = dy.shape[2]
+            gram = problem.whiteners[i].gram(np.concatenate([dy, left], axis=2))
+            left = left - dy @ solved(gram[:n, :n], gram[:n, n:])
         result.append(problem.whiteners[i].series(left))
     return result
 

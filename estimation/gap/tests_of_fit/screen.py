@@ -25,7 +25,6 @@ class Reduced:
     """Gram matrix of one record's whitened columns [shared | hypotheses | residuals], local unknowns eliminated."""
 
     gram: Array
-    rows: int
 
 
 @dataclass(frozen=True)
@@ -178,15 +177,14 @@ def reduce_record(problem: Problem, fit: Fit, index: int, changes: Sequence[Arra
         [dy, *(c[:, :, None] for c in changes), residual[:, :, None], *(e[:, :, None] for e in extra)], axis=2
     )
     block[missing] = 0.0
-    rows = problem.whiteners[index].rows(block)
-    own = rows[:, shared : dy.shape[2]]
-    outer = np.concatenate([rows[:, :shared], rows[:, dy.shape[2] :]], axis=1)
+    gram = problem.whiteners[index].gram(block)
+    own = np.arange(shared, dy.shape[2])
+    outer = np.concatenate([np.arange(shared), np.arange(dy.shape[2], len(gram))])
     w, d = prior_terms(problem, problem.local_names, fit.locals[index].parameters)
-    Hll = own.T @ own
+    Hll, cross = gram[np.ix_(own, own)], gram[np.ix_(own, outer)]
     Hll[np.arange(w.size), np.arange(w.size)] += w
-    cross = own.T @ outer
     cross[: d.size, shared + len(changes)] += d
-    return Reduced(outer.T @ outer - cross.T @ solved(Hll, cross), rows.shape[0])
+    return Reduced(gram[np.ix_(outer, outer)] - cross.T @ solved(Hll, cross))
 
 
 def linear_gains(

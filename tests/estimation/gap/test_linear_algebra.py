@@ -14,6 +14,7 @@ from estimation.gap.likelihood.whitening import (
     Whitener,
     estimate_noise,
     spectral_matrix,
+    spectrum_of,
     whitener,
 )
 from estimation.gap.search.confirm import leading
@@ -57,6 +58,20 @@ def test_identity_whitener_is_parseval() -> None:
         assert np.sum(w.rows(x) ** 2) == pytest.approx(np.sum(x**2))
 
 
+@pytest.mark.parametrize("shape", [(601, 5, 31), (40, 3, 2), (41, 1, 1), (7, 2, 70), (40, 3, 0)])
+def test_spectra_of_columns_in_pairs_are_those_of_each(shape: tuple[int, int, int]) -> None:
+    x = np.random.default_rng(2).standard_normal(shape)
+    expected = np.fft.rfft(x, axis=0)
+    np.testing.assert_allclose(spectrum_of(x), np.concatenate([expected.real, expected.imag], axis=1), atol=1e-12)
+
+
+def test_what_was_not_measured_counts_as_zero() -> None:
+    x = np.random.default_rng(3).standard_normal((20, 2))
+    holed = x.copy()
+    holed[5, 1], x[5, 1] = np.nan, 0.0
+    np.testing.assert_array_equal(spectrum_of(holed), spectrum_of(x))
+
+
 def test_noise_strengths_are_recovered() -> None:
     rng = np.random.default_rng(2)
     truth = NoiseModel(np.array([1.0, 2.0]), {A: 20.0})
@@ -68,7 +83,7 @@ def test_noise_strengths_are_recovered() -> None:
 
 def screen_of(rows: list[np.ndarray], n: int, k: int, flights: tuple[int, ...]) -> Screen:  # type: ignore[type-arg]
     columns = tuple(Column(i, None) for i in range(k))  # type: ignore[arg-type]
-    reduced = tuple(Reduced(r.T @ r, r.shape[0]) for r in rows)
+    reduced = tuple(Reduced(r.T @ r) for r in rows)
     size = rows[0].shape[1]
     return Screen(tuple(f"t{i}" for i in range(n)), (None,) * k, columns, reduced, np.zeros((size, size)), flights)  # type: ignore[arg-type]
 
@@ -132,7 +147,7 @@ def test_plays_get_a_full_fit_whatever_a_small_step_says() -> None:
     hypotheses = tuple(Hypothesis(e, f) for e in catalogue() for f in e.forms)
     columns = tuple(Column(h, p) for h, x in enumerate(hypotheses) for p in x.form.parameters)
     k = len(columns)
-    screen = Screen((), hypotheses, columns, (Reduced(np.eye(k + 1), k),), np.zeros((k + 1, k + 1)), (0,))
+    screen = Screen((), hypotheses, columns, (Reduced(np.eye(k + 1)),), np.zeros((k + 1, k + 1)), (0,))
     plays = {
         h
         for h, x in enumerate(hypotheses)

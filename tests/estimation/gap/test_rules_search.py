@@ -61,7 +61,7 @@ def screen(hypotheses: Sequence[Hypothesis], gram: Array | None = None, flights:
     k = len(hypotheses)
     columns = tuple(Column(h, x.form.parameters[0]) for h, x in enumerate(hypotheses))
     whole = np.eye(k + 1) if gram is None else gram
-    return Screen((), tuple(hypotheses), columns, (Reduced(whole, k),) * len(flights), np.zeros_like(whole), flights)
+    return Screen((), tuple(hypotheses), columns, (Reduced(whole),) * len(flights), np.zeros_like(whole), flights)
 
 
 # ------------------------------------------------------------------------------------------------ which are fitted in full

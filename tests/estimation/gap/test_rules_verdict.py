@@ -157,7 +157,7 @@ def asked(gram: np.ndarray, tied_to: tuple[str, ...] = ()) -> Any:  # type: igno
         effect = Effect("abc"[h], "", Group.SENSOR, "", "", "", "", {}, "", (form,), tied_to=tied_to)
         columns.append(Column(h, parameter))
         hypotheses.append(Hypothesis(effect, form))
-    screen = Screen((), tuple(hypotheses), tuple(columns), (Reduced(gram, 9),), np.zeros_like(gram), (0,))
+    screen = Screen((), tuple(hypotheses), tuple(columns), (Reduced(gram),), np.zeros_like(gram), (0,))
     return stub(screen=screen, inflation=np.ones(len(hypotheses)), threshold=4.0, criteria=AS_SET)
 
 

@@ -10,7 +10,8 @@ from estimation.engine.simulate import Segment, Simulator
 from estimation.estimators.arrow import eliminated, solved
 from estimation.estimators.gauss_newton import LoopOptions, Status, Step, minimise
 from estimation.gap.criteria import AS_SET
-from estimation.gap.likelihood.fitting import Problem, fine_grid, fit
+from estimation.gap.likelihood.between_samples import fine_grid
+from estimation.gap.likelihood.fitting import Problem, fit
 from estimation.gap.likelihood.whitening import Whitener
 from estimation.gap.records.flight_records import Record
 from estimation.gap.tests_of_fit.measure import rms_over_noise

@@ -4,11 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.interpolate import PchipInterpolator
 from scipy.linalg import expm
 
 from estimation.engine.simulate import Segment, Simulator
 from estimation.gap.criteria import AS_SET
-from estimation.gap.likelihood.fitting import fine_grid
+from estimation.gap.likelihood.between_samples import fine_grid, middles
 from estimation.gap.likelihood.surface_steps import (
     SurfaceSteps,
     displaced,
@@ -19,7 +20,7 @@ from estimation.gap.likelihood.surface_steps import (
 )
 from estimation.gap.likelihood.whitening import Linear, NoiseModel, Shapes, linear_motion, shapes_of, whitener
 from estimation.gap.records.flight_records import prepare_flights
-from estimation.models.base import Parameter, Signal
+from estimation.models.base import InputTransform, Parameter, Signal
 from groundstation.flight import Flight
 from tests.estimation.gap.roll import ROLL
 
@@ -72,6 +73,9 @@ def test_loosening_equals_the_full_covariance() -> None:
     expected = residual[:, 0] @ np.linalg.solve(covariance, residual[:, 0])
     assert np.sum(loose.rows(residual) ** 2) == pytest.approx(expected, rel=1e-6)
     assert np.sum(loose.series(residual) ** 2) == pytest.approx(expected, rel=1e-6)
+    assert loose.energy(residual) == pytest.approx(expected, rel=1e-6)
+    columns = np.random.default_rng(1).normal(0, 0.01, (N, 1, 4))
+    np.testing.assert_allclose(loose.gram(columns), loose.rows(columns).T @ loose.rows(columns), rtol=1e-9, atol=1e-9)
 
 
 def test_the_freedom_is_estimated_from_the_flights() -> None:
@@ -167,3 +171,40 @@ def test_a_noisier_flight_is_marked_and_a_quieter_one_left_as_usual() -> None:
     assert marks[2] is not None
     assert marks[2][0] == pytest.approx(9.0, rel=0.3)
     assert marks[3] is None
+
+
+def test_inputs_run_through_the_middles_of_a_monotone_cubic() -> None:
+    rng = np.random.default_rng(4)
+    time, u = np.cumsum(rng.uniform(0.03, 0.07, 60)), rng.standard_normal((60, 5))
+    u[20:30, 1], u[:, 2] = 0.4, np.round(u[:, 2])
+    expected = PchipInterpolator(time, u, axis=0)(0.5 * (time[1:] + time[:-1]))
+    np.testing.assert_allclose(middles(time, u), expected, atol=1e-12)
+    np.testing.assert_array_equal(middles(time[:2], u[:2]), 0.5 * (u[:1] + u[1:2]))
+
+
+def test_a_grid_with_other_inputs_is_the_grid_of_those_inputs() -> None:
+    rng = np.random.default_rng(5)
+    time, u = 0.05 * np.arange(30), rng.standard_normal((30, 3))
+    first = fine_grid(Segment(0, time, u, np.zeros((30, 1)), np.zeros(1)))
+    other = u.copy()
+    other[:, 1] = rng.standard_normal(30)
+    expected = fine_grid(replace(first.segment, time=time, u=other, z=np.zeros((30, 1))))
+    found = first.with_inputs(other)
+    np.testing.assert_array_equal(found.segment.u, expected.segment.u)
+    np.testing.assert_array_equal(found.rounding, expected.rounding)
+
+
+def test_motion_by_middles_is_the_motion_on_straight_lines_between_them() -> None:
+    """Both on inputs that a timing offset moves, so that sensitivities go through the inputs too."""
+    _, _, segment = _linear()
+    timed = ROLL.plus(parameters=[Parameter("late", "s")], transforms=[InputTransform("delay", "delta_a", ("late",))])
+    fine, values = fine_grid(segment).segment, {**ROLL.starts(), "late": 0.012}
+    for model in (timed, replace(timed, transforms=(), output_delays={"p": "late"})):
+        simulator = Simulator.build(model, substeps=1, hold="linear")
+        every = simulator.run(fine, values, np.array([0.3]), sensitivities=True)
+        found = simulator.run_by_middles(fine, values, np.array([0.3]), sensitivities=True)
+        assert every.dy is not None
+        assert found.dy is not None
+        assert found.finite
+        np.testing.assert_allclose(found.y, every.y[::2], rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(found.dy, every.dy[::2], rtol=1e-9, atol=1e-9)
