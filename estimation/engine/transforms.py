@@ -25,15 +25,7 @@ def _lag(time: Array, value: Array, seconds: float) -> Array:
     a = np.exp(-h / seconds)
     slope = np.diff(value) / h
     # exact response to a ramp: e' = -e/T with e = u' - (u - T slope)
-    result = np.empty_like(value)
-    now = float(value[0])
-    result[0] = now
-    for k, (ak, sk, uk, un) in enumerate(
-        zip(a.tolist(), slope.tolist(), value[:-1].tolist(), value[1:].tolist(), strict=True)
-    ):
-        now = un - seconds * sk + ak * (now - uk + seconds * sk)
-        result[k + 1] = now
-    return result
+    return _followed(a, value[1:] - seconds * slope - a * (value[:-1] - seconds * slope), float(value[0]))
 
 
 def _deadzone(time: Array, value: Array, half_width: float) -> Array:
@@ -44,12 +36,7 @@ def _deadzone(time: Array, value: Array, half_width: float) -> Array:
 def _backlash(time: Array, value: Array, width: float) -> Array:
     """Play operator: the surface follows only when the play of total `width` is taken up; starts centred."""
     half = 0.5 * abs(width)
-    result = np.empty_like(value)
-    now = float(value[0])
-    for k, u in enumerate(value.tolist()):
-        now = min(max(now, u - half), u + half)
-        result[k] = now
-    return result
+    return _clamped(value - half, value + half, float(value[0]))
 
 
 def _rate_limit(time: Array, value: Array, slowness: float) -> Array:
@@ -63,6 +50,35 @@ def _rate_limit(time: Array, value: Array, slowness: float) -> Array:
         now = min(max(u, now - h / slowness), now + h / slowness)
         result[k + 1] = now
     return result
+
+
+def _followed(share: Array, drive: Array, first: float) -> Array:
+    """(N,) x[0] = first, x[k+1] = share[k] x[k] + drive[k], share and drive (N - 1,): all at once, by doubling.
+
+    Two steps in a row are one step of the same kind, (a, b) then (c, d) being (c a, c b + d).
+    """
+    a, b = share.copy(), drive.copy()
+    reach = 1
+    while reach < a.size:
+        b[reach:] += a[reach:] * b[:-reach]
+        a[reach:] = a[reach:] * a[:-reach]
+        reach *= 2
+    return np.concatenate([[first], a * first + b])
+
+
+def _clamped(lower: Array, upper: Array, first: float) -> Array:
+    """(N,) x[k] = x[k-1] kept within lower[k] and upper[k], from `first`: all at once, by doubling.
+
+    Keeping within two intervals, one after the other, is keeping within one, whose ends are those of the first kept within the
+    second.
+    """
+    low, high = lower.copy(), upper.copy()
+    reach = 1
+    while reach < low.size:
+        ends = [np.minimum(np.maximum(e[:-reach], low[reach:]), high[reach:]) for e in (low, high)]
+        low[reach:], high[reach:] = ends
+        reach *= 2
+    return np.minimum(np.maximum(first, low), high)
 
 
 def _scale(time: Array, value: Array, factor: float) -> Array:

@@ -17,12 +17,12 @@ from estimation.estimators.arrow import FlightBlocks, pseudo_inverse, solved
 from estimation.estimators.gauss_newton import LoopOptions, Status, Step, minimise
 from estimation.gap.criteria import Criteria
 from estimation.gap.likelihood.between_samples import Grid, fine_grid
-from estimation.gap.likelihood.whitening import Whitener, known
+from estimation.gap.likelihood.whitening import Whitener
 from estimation.gap.records.flight_records import Record
 from estimation.models.base import Model, ParameterRole
+from estimation.models.in_force import asked_for
 
 LARGEST = 1e9  # sensitivity beyond which the motion counts as running away: its square still fits beside 1 in a double
-ROUNDING = 1e-12  # of the outputs: a control that no equation in force asks for changes them by less
 SECANT = 0.25  # of a curvature unknown, in which the outputs are nearly linear
 ITERATIONS = 25  # a fit that takes more has not come to rest and is gone on with by the caller
 ENOUGH = 1e-3  # of the log-likelihood: steps below a twentieth of a standard deviation
@@ -96,6 +96,12 @@ class Problem:
         return {f"curvature_{s.name}": i for i, s in enumerate(self.model.inputs) if s.control}
 
     @cached_property
+    def asked(self) -> frozenset[str]:
+        """Names that the equations ask for with the dormant terms at rest."""
+        dormant = (p for p in self.model.parameters if p.role is ParameterRole.DORMANT and p.fixed)
+        return asked_for(self.model, {p.name for p in dormant if p.start == 0.0})
+
+    @cached_property
     def parameters(self) -> tuple[str, ...]:
         """Free shared parameters of the model itself."""
         return tuple(n for n in self.model.free_names if n not in self.local_names)
@@ -139,13 +145,14 @@ class Problem:
         n, m = len(self.parameters), len(self.curvatures)
         dy = np.empty((*residual.shape, motion.dy.shape[2] + m))
         dy[:, :, :n], dy[:, :, n + m :] = motion.dy[:, :, :n], motion.dy[:, :, n:]
-        for j, name in enumerate(self.curvatures):
+        for j, (name, column) in enumerate(self.curvatures.items()):
+            if self.model.input_names[column] not in self.asked:
+                dy[:, :, n + j] = 0.0
+                continue
             moved = self.residual(index, {**values, name: values[name] + SECANT}, local)
             if moved is None:
                 return None
-            change = known(residual - moved)
-            acts = np.abs(change).max() > ROUNDING * np.abs(motion.y).max()
-            dy[:, :, n + j] = change / SECANT if acts else 0.0
+            dy[:, :, n + j] = (residual - moved) / SECANT
         dy[~np.isfinite(residual)] = 0.0
         return residual, dy
 

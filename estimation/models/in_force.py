@@ -1,0 +1,55 @@
+"""What equations ask for while some of their parameters are held at zero: terms times zero ask for nothing."""
+
+import ast
+from collections.abc import Iterable, Set
+
+from estimation.models.base import Model
+from estimation.models.expressions import NUMBERS, parse
+
+
+def asked_for(model: Model, zero: Set[str]) -> frozenset[str]:
+    """Names that rates and outputs of `model` reach with the parameters `zero` held at nothing."""
+    definitions = model.definitions
+    wanted = [f"{s}_dot" for s in model.state_names]
+    wanted += [n for o in model.output_names for n in (f"{o}_measured", o) if n in definitions or n == o]
+    seen: set[str] = set()
+    while wanted:
+        name = wanted.pop()
+        if name not in seen:
+            seen.add(name)
+            if name in definitions:
+                wanted += names_in_force(definitions[name], zero)
+    return frozenset(seen)
+
+
+def names_in_force(expression: str, zero: Set[str]) -> frozenset[str]:
+    """Names an expression asks for where those in `zero` are nothing. A term is left out only where it is zero times something
+    or zero over something; a function of zero counts as if it were not."""
+    found = _in_force(parse(expression), zero)
+    return frozenset() if found is None else found
+
+
+def _in_force(node: ast.AST, zero: Set[str]) -> frozenset[str] | None:
+    """Names of a part, or None where it is zero."""
+    match node:
+        case ast.Name(id=name):
+            return None if name in zero else frozenset({name}) - set(NUMBERS)
+        case ast.UnaryOp(operand=operand):
+            return _in_force(operand, zero)
+        case ast.BinOp(left=left, op=ast.Mult(), right=right):
+            one, two = _in_force(left, zero), _in_force(right, zero)
+            return None if one is None or two is None else one | two
+        case ast.BinOp(left=left, op=ast.Div(), right=right):
+            one = _in_force(left, zero)
+            return None if one is None else one | (_in_force(right, zero) or frozenset())
+        case ast.BinOp(left=left, op=ast.Add() | ast.Sub(), right=right):
+            one, two = _in_force(left, zero), _in_force(right, zero)
+            return None if one is None and two is None else (one or frozenset()) | (two or frozenset())
+        case ast.Call(args=arguments):
+            return _together(arguments, zero)
+        case _:
+            return _together(ast.iter_child_nodes(node), zero)
+
+
+def _together(parts: Iterable[ast.AST], zero: Set[str]) -> frozenset[str]:
+    return frozenset[str]().union(*(_in_force(part, zero) or frozenset() for part in parts))
