@@ -10,6 +10,14 @@ FIRST = ("difference", "step", "envelope", "outlying flight", "outlier")
 
 
 def told(groups: Sequence[Row]) -> list[Row]:
-    """Rows that say something that a person must read, the most important first."""
-    claims = [r for r in groups if r["kind"] in FIRST and (r["kind"] != "difference" or r["probability"] <= LEVEL)]
+    """Rows that say something that a person must read, the most important first. A flight that is off as a whole is told once,
+    not for each of its parameters again."""
+    whole = {(r["group"], r["method"], r["flight"]) for r in groups if r["kind"] == "outlying flight"}
+    claims = [
+        r
+        for r in groups
+        if r["kind"] in FIRST
+        and (r["kind"] != "difference" or r["probability"] <= LEVEL)
+        and (r["kind"] != "outlier" or (r["group"], r["method"], r["flight"]) not in whole)
+    ]
     return sorted(claims, key=lambda r: FIRST.index(r["kind"]))

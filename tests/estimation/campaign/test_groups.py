@@ -10,6 +10,7 @@ from estimation.campaign.aerodynamics.joint_tables import joint_model_rows
 from estimation.campaign.aerodynamics.jsbsim import aerodynamics_files
 from estimation.campaign.aerodynamics.tables import database_rows, envelopes, flight_rows, starts_in
 from estimation.campaign.aerodynamics.terms import Term, with_terms
+from estimation.campaign.claims import told as told_to_a_person
 from estimation.campaign.groups import group_rows
 from estimation.campaign.schema import RESULTS, arrow_schema
 from estimation.models import load_model
@@ -131,6 +132,13 @@ def test_three_bad_flights_are_outliers_and_left_out() -> None:
     pooled = next(r for r in rows if r["kind"] == "pooled" and r["parameter"] == "Cn_dr")
     assert pooled["flights"] == 37
     assert abs(pooled["estimate"] + 0.045) < 3 * pooled["std"]
+
+
+def test_a_flight_that_is_off_as_a_whole_is_told_once() -> None:
+    rows = every_row(results(3, lambda i, name, value: 1.2 * value if i == 7 else value), ("aircraft",))
+    assert sum(r["kind"] == "outlier" and r["flight"] == "f007" for r in rows) == 3
+    claims = [r["kind"] for r in told_to_a_person(rows) if r["flight"] == "f007"]
+    assert claims == ["outlying flight"]
 
 
 def test_where_nothing_was_planted_hardly_anything_is_claimed() -> None:
