@@ -18,7 +18,7 @@ import pyarrow.compute as pc
 
 from firmware_sim.runs.direct import direct_flights, write_csv
 from firmware_sim.world.scenario import load_scenario
-from tests.estimation.campaign.running import HOSTILE, altered, repeatable, results_of, start
+from tests.estimation.campaign.running import HOSTILE, altered, children, repeatable, results_of, start
 
 BAD = ("truncated", "empty", "degrees", "column", "kills", "hangs", "pipe", "noise", "twice", "words")
 BLOCK = 50  # flights flown side by side
@@ -92,7 +92,7 @@ def run(folder: Path, out: Path, workers: int, methods: str, limit: float) -> di
     )
     peak = 0.0
     while process.poll() is None:
-        peak = max(peak, *(_memory(p) for p in _tree(process.pid)), 0.0)
+        peak = max(peak, *(memory_of(p) for p in children(process.pid)), 0.0)
         time.sleep(1.0)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
@@ -112,16 +112,8 @@ def run(folder: Path, out: Path, workers: int, methods: str, limit: float) -> di
     }
 
 
-def _tree(pid: int) -> list[int]:
-    try:
-        own = [int(c) for t in Path(f"/proc/{pid}/task").glob("*/children") for c in t.read_text().split()]
-    except OSError:
-        return []
-    return own + [below for child in own for below in _tree(child)]
-
-
-def _memory(pid: int) -> float:
-    """Resident set of a worker [MB]."""
+def memory_of(pid: int) -> float:
+    """Resident set of a process [MB]."""
     try:
         return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
     except OSError:

@@ -30,6 +30,20 @@ def start(*words: str, **more: str) -> "subprocess.Popen[str]":
     )
 
 
+def children(pid: int) -> set[int]:
+    """All processes below one."""
+    try:
+        own = {int(c) for t in Path(f"/proc/{pid}/task").glob("*/children") for c in t.read_text().split()}
+    except OSError:
+        return set()
+    return own | {below for child in own for below in children(child)}
+
+
+def workers_of(pid: int) -> set[int]:
+    """Processes started by multiprocessing's spawn: the engine's workers."""
+    return {c for c in children(pid) if b"spawn_main" in Path(f"/proc/{c}/cmdline").read_bytes()}
+
+
 def altered(source: Path, target: Path, change: float) -> Path:
     """The flight with another altitude, which no estimate here looks at: other bytes, the same numbers."""
     head, *lines = source.read_text(encoding="utf-8").splitlines()

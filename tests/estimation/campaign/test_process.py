@@ -15,23 +15,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from estimation.campaign.run import Outcome
-from tests.estimation.campaign.running import HOSTILE, altered, repeatable, results_of, start
+from tests.estimation.campaign.running import HOSTILE, altered, children, repeatable, results_of, start, workers_of
 
 pytestmark = pytest.mark.timeout(300)
-
-
-def children(pid: int) -> set[int]:
-    """All processes below one."""
-    try:
-        own = {int(c) for t in Path(f"/proc/{pid}/task").glob("*/children") for c in t.read_text().split()}
-    except OSError:
-        return set()
-    return own | {below for child in own for below in children(child)}
-
-
-def workers_of(pid: int) -> set[int]:
-    """Processes started by multiprocessing's spawn: the engine's workers."""
-    return {c for c in children(pid) if b"spawn_main" in Path(f"/proc/{c}/cmdline").read_bytes()}
 
 
 def wait_until(true: Callable[[], object], process: "subprocess.Popen[str]", limit_s: float = 120.0) -> None:
