@@ -15,8 +15,10 @@ OVERRIDE_NS = 100 * MS
 AFTER_LAPSE_NS = 45 * MS
 """Until servos show that an override has lapsed: the receiver's next frame (22 ms) is read by a loop, the next loop (20 ms) sets
 the servos, and one look. Measured: `tests.studies.autopilot_histories`."""
-AFTER_SWITCH_NS = 300 * MS
-"""Until servos are the pilot's after his switch has left go, the computer alive or dead, whatever becomes of the line."""
+AFTER_SWITCH_NS = 200 * MS
+"""Until servos are the pilot's after his switch has left go, the computer alive or dead, the line cut or not; and so much more as
+overrides come late."""
+LATEST_NS = 150 * MS
 STICK_LAG_NS = 110 * MS
 """The pilot's own signals reach the servos after a frame of the receiver and two loops; and one look."""
 RESTING = (1510, 1490, 1500)
@@ -100,6 +102,11 @@ class Played:
         self._left_go_ns = 0
         self._looked_ns = 100 * MS  # by then the receiver has been read
 
+    @property
+    def late_ns(self) -> int:
+        """How late overrides come at most in this history."""
+        return max((round(LATEST_NS * e.size) for e in self.history.events if e.what == "out late"), default=0)
+
     def _on(self, what: str, frame: int) -> Happening | None:
         return next((e for e in self.history.events if e.what == what and e.now(frame)), None)
 
@@ -120,7 +127,7 @@ class Played:
                 self._on(f"{w} lost", t // PERIOD_NS) or self._on("line lost", t // PERIOD_NS)
             )
             line.late_ns = lambda t, w=ways: (
-                round(150 * MS * e.size) if (e := self._on(f"{w} late", t // PERIOD_NS)) else 0
+                round(LATEST_NS * e.size) if (e := self._on(f"{w} late", t // PERIOD_NS)) else 0
             )
         taken = rig.plane.rc.override
 
@@ -136,7 +143,7 @@ class Played:
             stall = self._on("stall", rig.number)
             if stall:
                 self._advance(rig.now + round(stall.size * 400 * MS))
-                rig.number = -(-rig.now // PERIOD_NS)
+                rig.number = max(rig.number, -(-rig.now // PERIOD_NS))
             late = self._on("late", rig.number)
             rig.frame(late_ns=round(late.size * 19 * MS) if late else 0)
             self.running += rig.state is State.RUNNING
@@ -180,18 +187,17 @@ class Played:
         if any(outputs == mixed(s, m) for s in sticks for m in modes):
             return
         lapse, off = time_ns - self._came_ns, time_ns - self._left_go_ns
-        self.worst.lapse, self.worst.switch = max(self.worst.lapse, lapse), max(self.worst.switch, off)
+        self.worst.lapse, self.worst.switch = max(self.worst.lapse, lapse), max(self.worst.switch, off - self.late_ns)
         if lapse > OVERRIDE_NS + AFTER_LAPSE_NS:
             self._wrong(time_ns, f"servos are not the pilot's {lapse / MS:.0f} ms after the last override")
-        if off > AFTER_SWITCH_NS:
+        if off > AFTER_SWITCH_NS + self.late_ns:
             self._wrong(time_ns, f"servos are not the pilot's {off / MS:.0f} ms after his switch left go")
         self._accounted(time_ns)
 
     def _accounted(self, time_ns: int) -> None:
         """An override is in the recording: sent so long before, at most, as it may have been late and lasts."""
         beaten = [f.time_monotonic_ns for f in self.rig.book.frames if f.beating]
-        late = max((150 * MS * e.size for e in self.history.events if e.what == "out late"), default=0.0)
-        if not beaten or time_ns - beaten[-1] > OVERRIDE_NS + AFTER_LAPSE_NS + 30 * MS + late:
+        if not beaten or time_ns - beaten[-1] > OVERRIDE_NS + AFTER_LAPSE_NS + 30 * MS + self.late_ns:
             self._wrong(time_ns, "overridden without a frame in the recording")
 
     def _within(self, values: tuple[int, ...], now_ns: int) -> None:

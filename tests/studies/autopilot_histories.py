@@ -48,7 +48,7 @@ def main() -> None:
     holds()
     print(", ".join(f"{name} {count}" for name, count in totals.items()))
     print(f"pilot's servos at most {worst.lapse / MS:.0f} ms after the last override was taken,")
-    print(f"at most {worst.switch / MS:.0f} ms after his switch left go")
+    print(f"at most {worst.switch / MS:.0f} ms after his switch left go, and as much more as overrides came late")
     for name, count in sorted(reasons.items()):
         print(f"{name:<40}{count}")
 
