@@ -25,6 +25,9 @@ QUIET = AutopilotHistory(80, 130, "switch", ())
     AutopilotHistory(80, 130, "switch", (Happening("in late", 190, 50, 1.0), Happening("switch off", 200, 50, 1.0)))
 )
 @example(AutopilotHistory(80, 130, "ground", (Happening("mode", 195, 30, 1.0),)))
+@example(
+    AutopilotHistory(75, 120, "switch", (Happening("switch off", 68, 50, 0.0), Happening("switch arm", 135, 13, 0.0)))
+)
 def test_the_pilot_always_wins(history: AutopilotHistory) -> None:
     assert played(history).faults == []
 
