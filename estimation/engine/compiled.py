@@ -73,8 +73,8 @@ class CompiledKernel:
         return f, fp, y, yp
 
 
-def _pointer(array: np.ndarray) -> ctypes.c_void_p:  # type: ignore[type-arg]
-    return ctypes.c_void_p(array.ctypes.data)
+def _pointer(array: np.ndarray) -> int:  # type: ignore[type-arg]
+    return array.ctypes.data
 
 
 def compiler() -> str | None:

@@ -31,19 +31,22 @@ class Fits:
         zero = np.zeros((signals, 1))
         sums = [np.concatenate([zero, np.cumsum(w * at**k, axis=1)], axis=1) for k in range(terms)]
         square = np.concatenate([zero, np.cumsum(w**2, axis=1)], axis=1)
-        self.evidence = np.full((count + 1, signals, longest), -np.inf)
-        self.moments: list[Array] = []
+        self.evidence = by_length(count + 1, signals, longest)
+        self.moments: list[list[Array]] = []  # of every length: terms of (signals, stretches)
+        self.local: list[list[Array]] = []  # coefficients, alike
         self.inverses: list[Array] = []
         for n in range(1, longest + 1):
             basis = _basis(n, order)
             gram = basis.T @ basis + np.eye(terms) / width**2
             inverse: Array = np.linalg.inv(gram).astype(np.float64)
             moments = _centred([c[:, n:] - c[:, :-n] for c in sums], at[: count - n + 1] + 0.5 * (n - 1), n)
-            explained = np.sum((moments @ inverse) * moments, axis=2).T
-            energy = (square[:, n:] - square[:, :-n]).T
+            local = [sum(inverse[i, j] * moments[j] for j in range(terms)) for i in range(terms)]
+            explained = sum(m * c for m, c in zip(moments, local, strict=True))
+            energy = square[:, n:] - square[:, :-n]
             constant = -0.5 * np.linalg.slogdet(gram)[1] - terms * np.log(width)
-            self.evidence[n:, :, n - 1] = constant - 0.5 * (energy - explained)
+            self.evidence[n:, :, n - 1] = (constant - 0.5 * (energy - explained)).T
             self.moments.append(moments)
+            self.local.append(local)
             self.inverses.append(inverse)
 
     def average(self, forward: Array, backward: Array, score: Array) -> Array:
@@ -53,24 +56,20 @@ class Fits:
         out at the other, summed up once.
         """
         count, signals = forward.shape[0] - 1, forward.shape[1]
-        change = np.zeros((count + 1, signals, self.order + 2))
+        change = np.zeros((self.order + 2, signals, count + 1))
         evidence = forward[count]
         at = np.arange(count) - 0.5 * count
         for n in range(1, self.longest + 1):
             log_p = forward[: count - n + 1] + score[n:, :, n - 1] + backward[n:] - evidence
-            p = np.exp(np.minimum(log_p, 0.0))
+            p = np.exp(np.minimum(log_p, 0.0)).T
             centre = at[: count - n + 1] + 0.5 * (n - 1)
-            local = self.moments[n - 1] @ self.inverses[n - 1]
-            terms = [
-                p,
-                *(p * c for c in _common(local.transpose(2, 1, 0), centre[:, None], 0.5 * (n - 1) if n > 1 else 1.0)),
-            ]
-            entry = np.stack(terms, axis=2)
-            change[: count - n + 1] += entry
-            change[n:] -= entry
-        running = np.cumsum(change[:-1], axis=0)
-        value = sum(running[:, :, k + 1] * at[:, None] ** k for k in range(self.order + 1))
-        return np.asarray((value / running[:, :, 0]).T + self.offset)
+            common = _common(self.local[n - 1], centre, 0.5 * (n - 1) if n > 1 else 1.0)
+            for k, entry in enumerate([p, *(p * c for c in common)]):
+                change[k, :, : count - n + 1] += entry
+                change[k, :, n:] -= entry
+        running = np.cumsum(change[:, :, :-1], axis=2)
+        value = sum(running[k + 1] * at**k for k in range(self.order + 1))
+        return np.asarray(value / running[0] + self.offset)
 
     def draw(self, forward: Array, score: Array, draws: int, rng: np.random.Generator) -> Array:
         """Curves drawn from the posterior, (draws, signals, N): break points backwards from the end, then a polynomial
@@ -82,7 +81,7 @@ class Fits:
         count, signals, terms = forward.shape[0] - 1, forward.shape[1], self.order + 1
         moments = np.zeros((self.longest, count, signals, terms))
         for n in range(1, self.longest + 1):
-            moments[n - 1, : count - n + 1] = self.moments[n - 1].transpose(1, 0, 2)
+            moments[n - 1, : count - n + 1] = np.array(self.moments[n - 1]).transpose(2, 1, 0)
         inverses = np.stack(self.inverses)
         roots = np.linalg.cholesky(inverses)
         before = np.concatenate([np.full((self.longest, signals), -np.inf), forward])
@@ -111,7 +110,7 @@ class Fits:
         return np.asarray(value).T.reshape(draws, signals, count) + self.offset
 
 
-def _common(local: Array, centre: Array, half: float | Array) -> list[Array]:
+def _common(local: Sequence[Array] | Array, centre: Array, half: float | Array) -> list[Array]:
     """Coefficients in common time of polynomials in (t - centre) / half. local: (terms, stretches, ...)."""
     shift = centre / half
     if len(local) == 1:
@@ -125,15 +124,20 @@ def _common(local: Array, centre: Array, half: float | Array) -> list[Array]:
     ]
 
 
-def _centred(sums: Sequence[Array], centre: Array, n: int) -> Array:
-    """Moments (signals, stretches, terms) about the centres in units of half a stretch, from moments about the origin."""
+def by_length(rows: int, signals: int, longest: int) -> Array:
+    """(rows, signals, longest) of -inf, laid out so that all stretches of one length lie together."""
+    return np.moveaxis(np.full((longest, rows, signals), -np.inf), 0, 2)
+
+
+def _centred(sums: Sequence[Array], centre: Array, n: int) -> list[Array]:
+    """Moments, each (signals, stretches), about the centres in units of half a stretch, from moments about the origin."""
     half = 0.5 * (n - 1) if n > 1 else 1.0
     moments = [sums[0]]
     if len(sums) > 1:
         moments.append((sums[1] - centre * sums[0]) / half)
     if len(sums) > 2:
         moments.append((sums[2] - 2.0 * centre * sums[1] + centre**2 * sums[0]) / half**2)
-    return np.stack(moments, axis=2)
+    return moments
 
 
 def _basis(n: int, order: int) -> Array:

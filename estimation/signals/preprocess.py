@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from estimation.signals.changepoints import Fits
+from estimation.signals.changepoints import Fits, by_length
 
 Array = NDArray[np.float64]
 
@@ -117,7 +117,7 @@ def _piecewise_mean(y: Array, order: int, draws: int, rng: np.random.Generator) 
     # score[e, :, n-1]: of the piece of n samples that ends before e; begin[s, :, n-1]: of the one that begins at s.
     # Raised by 1/2 per sample, the usual loss of a good fit, so that the recursions stay within double precision.
     score = fits.evidence + (prior + 0.5 * np.arange(1, longest + 1))
-    begin = np.full((count, signals, longest), -np.inf)
+    begin = by_length(count, signals, longest)
     for n in range(1, longest + 1):
         begin[: count - n + 1, :, n - 1] = score[n:, :, n - 1]
     forward = _recursion(np.exp(score[1:, :, :]))

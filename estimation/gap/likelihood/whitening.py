@@ -157,7 +157,7 @@ class Whitener:
     def series(self, residual: Array) -> Array:
         """(N, ny) residuals, or (N, ny, k) many of them -> white series of the same shape, aligned in time and channel."""
         block = residual[:, :, None] if residual.ndim == 2 else residual
-        spectrum = np.fft.rfft(known(block), axis=0)
+        spectrum = np.fft.rfft(zero_filled(block), axis=0)
         series = np.fft.irfft(self.root @ spectrum, n=self.count, axis=0)
         if self.slack is not None:
             flat = series.reshape(-1, block.shape[2])
@@ -166,7 +166,7 @@ class Whitener:
         return series.reshape(residual.shape)
 
 
-def known(values: Array) -> Array:
+def zero_filled(values: Array) -> Array:
     """`values` with zero where nothing was measured; the very same where everything was."""
     return values if np.isfinite(np.sum(values)) else np.nan_to_num(values)
 
@@ -178,7 +178,7 @@ def spectrum_of(columns: Array) -> Array:
     Two real columns go through one complex transform: records are seldom of a length that a real one likes, and for a prime
     number of samples a real one takes as long as a complex one.
     """
-    block = known(columns[:, :, None] if columns.ndim == 2 else columns)
+    block = zero_filled(columns[:, :, None] if columns.ndim == 2 else columns)
     count, ny, k = block.shape
     flat, made = block.reshape(count, ny * k), np.empty((count // 2 + 1, 2, ny * k))
     for first in range(0, ny * k, AT_ONCE):
@@ -187,17 +187,23 @@ def spectrum_of(columns: Array) -> Array:
 
 
 def _write_spectrum(columns: Array, to: Array) -> None:
-    """Write real and imaginary parts of the spectra of columns (N, m) to (frequencies, 2, m)."""
+    """Write real and imaginary parts of the spectra of columns (N, m) to (frequencies, 2, m).
+
+    Every column goes in with largest value 1, so that rounding of the one it is paired with is no more to it than its own, and
+    one of zeros comes out as zeros.
+    """
     count, m = columns.shape
     size, half, rest = to.shape[0], (m + 1) // 2, m // 2
+    largest = np.maximum(columns.max(axis=0), -columns.min(axis=0))
+    level = np.where(largest > 0.0, largest, 1.0)
     pairs = np.zeros((count, half), complex)
-    pairs.real, pairs.imag[:, :rest] = columns[:, :half], columns[:, half:]
+    pairs.real, pairs.imag[:, :rest] = columns[:, :half] / level[:half], columns[:, half:] / level[half:]
     there = fft(pairs, axis=0, overwrite_x=True)
     back = there[-np.arange(size)]
     there = there[:size]
     to[:, 0, :half], to[:, 1, :half] = there.real + back.real, there.imag - back.imag
     to[:, 0, half:], to[:, 1, half:] = (there.imag + back.imag)[:, :rest], (back.real - there.real)[:, :rest]
-    to *= 0.5
+    to *= 0.5 * largest
 
 
 @dataclass(frozen=True)
@@ -293,6 +299,14 @@ def whitener(noise: NoiseModel, shapes: Shapes) -> Whitener:
     return Whitener(root, shapes.count)
 
 
+def _stacked(shapes: Shapes, names: Sequence[NoisePart], ny: int) -> Complex:
+    """(frequencies, ny, parts) responses of one record to the named parts."""
+    made = np.zeros((shapes.count // 2 + 1, ny, len(names)), complex)
+    for j, name in enumerate(names):
+        made[:, :, j] = shapes.parts[name]
+    return made
+
+
 def estimate_noise(
     residuals: Sequence[Array],
     shapes: Sequence[Shapes],
@@ -321,20 +335,25 @@ def estimate_noise(
     v = np.array([known.get(n, x) for n, x in zip(names, v, strict=True)])
     if begin is not None and all(n in begin.process for n in names):
         R, v, turns = begin.measurement.copy(), np.array([begin.process[n] for n in names]), FOLLOWING
-    blocks = [np.stack([sh.parts[n] for n in names], axis=2) if names else None for sh in shapes]
+    blocks = [_stacked(sh, names, ny) for sh in shapes]
+    columns = [np.concatenate([s[:, :, None], g], axis=2) for s, g in zip(spectra, blocks, strict=True)]
+    turned = [np.ascontiguousarray(g.conj().transpose(0, 2, 1)) for g in blocks]
+    every = np.arange(ny)
     for _ in range(turns):
         up_R, down_R = np.zeros(ny), np.zeros(ny)
         up, down = np.zeros(len(names)), np.zeros(len(names))
-        at = NoiseModel(R, dict(zip(names, v, strict=True)))
-        for spectrum, shape, w, g in zip(spectra, shapes, weights, blocks, strict=True):
-            inverse = np.linalg.inv(spectral_matrix(at, shape))
-            a = (inverse @ spectrum[:, :, None])[:, :, 0]
+        for shape, w, g, g_turned, both in zip(shapes, weights, blocks, turned, columns, strict=True):
             own = 1.0 if shape.louder is None else shape.louder
-            up_R += own * (w @ (np.abs(a) ** 2))
-            down_R += own * (w @ np.einsum("fii->fi", inverse).real)
-            if g is not None:
-                up += w @ np.abs(np.einsum("fik,fi->fk", g.conj(), a)) ** 2
-                down += w @ np.sum(g.conj() * (inverse @ g), axis=1).real
+            S = (g * v) @ g_turned
+            S[:, every, every] += R * own
+            inverse = np.linalg.inv(S)
+            through = inverse @ both
+            a = through[:, :, 0]
+            up_R += own * (w @ (a.real**2 + a.imag**2))
+            down_R += own * (w @ inverse[:, every, every].real)
+            shown = (g_turned @ a[:, :, None])[:, :, 0]
+            up += w @ (shown.real**2 + shown.imag**2)
+            down += w @ np.sum(g_turned.transpose(0, 2, 1) * through[:, :, 1:], axis=1).real
         R = np.maximum(R * np.sqrt(up_R / down_R), floor)
         v = np.maximum(v * np.sqrt(up / down), FLOOR / power)
     return NoiseModel(R, dict(zip(names, (float(x) for x in v), strict=True)))

@@ -36,7 +36,7 @@ class InputErrors:
         """(count, names) errors: every input from its own realisation, with its own sign."""
         errors = np.zeros((count, len(names)))
         for j, name in enumerate(names):
-            which, sign = rng.integers(BANK), rng.choice((-1.0, 1.0))
+            which, sign = rng.integers(BANK), 2.0 * rng.integers(2) - 1.0
             if name in self.bank:
                 errors[:, j] = sign * self.bank[name][which]
         return errors

@@ -65,6 +65,15 @@ def test_spectra_of_columns_in_pairs_are_those_of_each(shape: tuple[int, int, in
     np.testing.assert_allclose(spectrum_of(x), np.concatenate([expected.real, expected.imag], axis=1), atol=1e-12)
 
 
+def test_a_column_keeps_its_digits_beside_a_large_one_and_zeros_stay_zeros() -> None:
+    x = np.random.default_rng(6).standard_normal((61, 1, 4)) * np.array([1e9, 1e6, 1e-9, 0.0])
+    expected, found = np.fft.rfft(x, axis=0)[:, 0], spectrum_of(x)
+    for column, size in enumerate((1e9, 1e6, 1e-9)):
+        np.testing.assert_allclose(found[:, 0, column], expected[:, column].real, atol=1e-13 * size)
+        np.testing.assert_allclose(found[:, 1, column], expected[:, column].imag, atol=1e-13 * size)
+    assert not found[:, :, 3].any()
+
+
 def test_what_was_not_measured_counts_as_zero() -> None:
     x = np.random.default_rng(3).standard_normal((20, 2))
     holed = x.copy()
