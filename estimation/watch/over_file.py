@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.identification.airframe import SIGNALS
+from daq.identification.airframe import SIGNALS, Sample
 from daq.identification.monitor.bank import bank
 from daq.identification.monitor.monitor import Alarm, GapMonitor, Watch
 from daq.identification.monitor.nulls import Conditions
@@ -81,30 +81,35 @@ def watch(
     values, stds = values_of(model)
     effects = bank(airframe, values, stds)
     derived = with_derived(flight, ["rho"])
+    samples, seconds = _manoeuvring(derived)
+    _refuse_short(flight, seconds)
     conditions = conditions_of(derived)
     rng = np.random.default_rng([seed, len(effects)])
     calibration = calibrated(airframe, values, effects, conditions, rng=rng, hours=hours, rate=rate)
     monitor = GapMonitor(airframe, values, effects, calibration)
-    history = tuple(_fed(monitor, derived))
-    if monitor.watched < FEWEST_S:
-        raise EstimationError(
-            f"{flight.name}: only {monitor.watched:.0f} s of manoeuvring; nothing can be watched where no control moves"
-        )
+    history = tuple(seen for s in samples if (seen := monitor.add(s)) is not None)
+    _refuse_short(flight, monitor.watched)
     return Watched(flight, model.name, tuple(monitor.alarms), history, monitor.watched, calibration)
 
 
-def _fed(monitor: GapMonitor, flight: Flight) -> list[Watch]:
-    stretches, found, last = Stretches(FLYING, FLYING_S), [], -math.inf
+def _manoeuvring(flight: Flight) -> tuple[list[Sample], float]:
+    """Samples of the stretches about movements, and how long those are [s]: at least what can be watched."""
+    stretches, last = Stretches(FLYING, FLYING_S), -math.inf
+    found: list[Sample] = []
     for part in flight.segments:
         for sample in samples_of(flight, part):
             if sample.time - last < FINEST_S:
                 continue
             last = sample.time
-            for manoeuvring in stretches.take(sample):
-                seen = monitor.add(manoeuvring)
-                if seen is not None:
-                    found.append(seen)
-    return found
+            found += stretches.take(sample)
+    return found, sum(end - begin for begin, end in stretches.found)
+
+
+def _refuse_short(flight: Flight, seconds: float) -> None:
+    if seconds < FEWEST_S:
+        raise EstimationError(
+            f"{flight.name}: only {seconds:.0f} s of manoeuvring; nothing can be watched where no control moves"
+        )
 
 
 def values_of(model: Model) -> tuple[dict[str, float], dict[str, float]]:

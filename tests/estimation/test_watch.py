@@ -1,6 +1,7 @@
 """`sideslip watch` over flights of the project's simulator: quiet where the model holds, loud where an aircraft fails."""
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -8,25 +9,31 @@ import pytest
 
 import sideslip
 from daq.identification.monitor import threshold
+from daq.identification.monitor.nulls import Conditions
+from daq.identification.monitor.threshold import Calibration
 from estimation.aircraft import load_aircraft
 from estimation.errors import EstimationError
 from estimation.models import load_model
 from estimation.models.load import write_model
-from estimation.watch.over_file import conditions_of, values_of, watch
+from estimation.watch import over_file
+from estimation.watch.over_file import Watched, conditions_of, values_of, watch
 from firmware_sim.physics.effects.sudden import BEGINS_S
 from firmware_sim.runs.direct import ORDINARY_NOISE, direct_flights, write_csv
 from firmware_sim.world.scenario import load_scenario
 from firmware_sim.world.simulation import derivatives_of
 from groundstation.flight import Flight, read_flight
 
+HOURS = 0.4  # of simulated manoeuvring: one batch, and less than the verb would take
 EFFECTS = ("none", "mass_shift", "elevon_stuck")
 
 
-@pytest.fixture(autouse=True)
-def few(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture(scope="module", autouse=True)
+def few() -> Iterator[None]:
     """Thresholds from fewer flights than anybody would trust."""
-    monkeypatch.setattr(threshold, "AT_ONCE", 24)
-    monkeypatch.setattr(threshold, "FLIGHT_S", 60.0)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(threshold, "AT_ONCE", 24)
+        patch.setattr(threshold, "FLIGHT_S", 60.0)
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -48,6 +55,26 @@ def flights(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     return found
 
 
+@pytest.fixture(scope="module")
+def quiet(flights: dict[str, Path]) -> Watched:
+    """The flight in which nothing fails, with thresholds of its own air and instruments."""
+    aircraft = load_aircraft("cdfp")
+    return watch(load_model(str(flights["model"]), aircraft), read_flight(flights["none"]), aircraft, hours=HOURS)
+
+
+@pytest.fixture
+def known_thresholds(quiet: Watched, monkeypatch: pytest.MonkeyPatch) -> None:
+    """All three flights have the same air and instruments: the thresholds of one do for the others."""
+
+    def known(*asked: object, rng: np.random.Generator, hours: float, rate: float) -> Calibration:
+        conditions = next(a for a in asked if isinstance(a, Conditions))
+        assert (conditions.rate, hours, rate) == (pytest.approx(20.0), 1.0, 1.0)
+        assert conditions.beta == pytest.approx(ORDINARY_NOISE.beta, rel=0.2)
+        return quiet.calibration
+
+    monkeypatch.setattr(over_file, "calibrated", known)
+
+
 def answered(flights: dict[str, Path], name: str, tmp_path: Path) -> tuple[object, dict[str, object]]:
     command = ["watch", str(flights[name]), "--model", str(flights["model"]), "--aircraft", "cdfp", "--hours", "1"]
     command += [
@@ -64,6 +91,7 @@ def answered(flights: dict[str, Path], name: str, tmp_path: Path) -> tuple[objec
     return end.value.code, found
 
 
+@pytest.mark.usefixtures("known_thresholds")
 def test_nothing_is_said_of_a_flight_that_the_model_describes(
     flights: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -77,6 +105,7 @@ def test_nothing_is_said_of_a_flight_that_the_model_describes(
 
 
 # A bias of a vane and a rolling trim that shifts are told from each other in few flights (docs/live.md): where is what counts.
+@pytest.mark.usefixtures("known_thresholds")
 @pytest.mark.parametrize(
     ("name", "right"),
     [
@@ -103,6 +132,14 @@ def test_a_failure_in_the_air_is_noticed_after_it_begins(
     assert "sideslip gap" in page
 
 
+def test_thresholds_are_those_of_the_hours_asked_for(quiet: Watched) -> None:
+    assert quiet.calibration.hours == pytest.approx(
+        24 * 57.0 / 3600.0
+    )  # a batch, less the seconds in which windows fill
+    assert quiet.alarms == ()
+    assert 0.0 < max(w.score for w in quiet.history) < 1.0
+
+
 def test_noise_and_rate_are_those_of_the_flight(flights: dict[str, Path]) -> None:
     found = conditions_of(read_flight(flights["none"]))
     assert found.rate == pytest.approx(20.0, rel=0.01)
@@ -121,7 +158,10 @@ def test_what_a_model_states_of_itself_is_used() -> None:
     assert stated["Cn_r"] == 0.002
 
 
-def test_a_flight_without_manoeuvres_is_refused(flights: dict[str, Path]) -> None:
+def test_a_flight_without_manoeuvres_is_refused_before_anything_is_simulated(
+    flights: dict[str, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delattr(over_file, "calibrated")
     flight = read_flight(flights["none"])
     still = {n: np.zeros(len(flight)) if n.startswith("delta") else v for n, v in flight.columns.items()}
     aircraft = load_aircraft("cdfp")
