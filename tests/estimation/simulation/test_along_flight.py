@@ -73,17 +73,22 @@ class TestFunction:
             attach(f"{functions}:many", "six-dof", [read_flight(LD4)])
 
 
-@pytest.mark.parametrize("which", ["lateral", "longitudinal", "six-dof"])
-def test_a_linear_simulation_moves_as_the_model_it_is(which: str, tmp_path: Path) -> None:
-    """Our own text as simulation: what moves on its columns is what moves by its equations."""
+@pytest.fixture(scope="module")
+def short() -> Flight:
+    """Twelve seconds by the second truth."""
     (columns,) = truth.fly([truth.Request(3, duration=12.0)])
-    flight = Flight.build("f", columns.pop("time"), columns, provenance=Provenance(aircraft="cdfp"))
+    return Flight.build("f", columns.pop("time"), columns, provenance=Provenance(aircraft="cdfp"))
+
+
+@pytest.mark.parametrize("which", ["lateral", "longitudinal", "six-dof"])
+def test_a_linear_simulation_moves_as_the_model_it_is(which: str, short: Flight, tmp_path: Path) -> None:
+    """Our own text as simulation: what moves on its columns is what moves by its equations."""
     plain = load_model(which, "cdfp")
     if "CD_k" in plain.parameter_names:
         plain = plain.with_starts(CD_k=0.0)  # the only square
     write_model(plain, tmp_path / "own.toml")
-    told = attach(str(tmp_path / "own.toml"), which, [flight], free=Free.NOTHING)
-    exact = predict(plain, flight).predicted
+    told = attach(str(tmp_path / "own.toml"), which, [short], free=Free.NOTHING)
+    exact = predict(plain, short).predicted
     for moving, share in ((told, 0.05), (renewed(told), 2e-3)):
         off = np.nanstd(predict(moving.model, moving.flights[0]).predicted - exact, axis=0)
         assert (off < share * np.nanstd(exact, axis=0)).all()
@@ -105,15 +110,13 @@ def test_derivatives_are_estimated_as_of_the_plain_model(tmp_path: Path) -> None
     assert of_simulation.parameters["Cl_p"].reference == pytest.approx(-0.30, rel=1e-3)
 
 
-def test_a_prediction_far_from_the_flight_is_renewed_at_its_own_motion(tmp_path: Path) -> None:
+def test_a_prediction_far_from_the_flight_is_renewed_at_its_own_motion(short: Flight, tmp_path: Path) -> None:
     """A cube of sideslip, predicted a third too large: slopes at the measured motion err, slopes at the predicted one do not."""
-    (columns,) = truth.fly([truth.Request(3, duration=12.0)])
-    flight = Flight.build("f", columns.pop("time"), columns, provenance=Provenance(aircraft="cdfp"))
     plain = load_model("lateral", "cdfp").with_starts(Cl_da=-0.12, Cn_dr=-0.06)
     cubic = plain.plus(terms={"Cn": "0.3*beta^3"})
     write_model(cubic, tmp_path / "cubic.toml")
-    first = attach(str(tmp_path / "cubic.toml"), "lateral", [flight], free=Free.NOTHING)
-    exact = predict(cubic, flight).predicted
+    first = attach(str(tmp_path / "cubic.toml"), "lateral", [short], free=Free.NOTHING)
+    exact = predict(cubic, short).predicted
     off = [np.std(predict(a.model, a.flights[0]).predicted - exact) for a in (first, renewed(first), settled(first))]
     assert np.std(exact) > 0.1
     assert off[0] > 0.01  # rad and rad/s, of what moves by tenths
