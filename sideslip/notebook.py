@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from estimation.compatibility.result import ReconstructedFlight
     from estimation.estimators.result import Result
     from estimation.gap.answer.result import GapResult
-    from estimation.report.figures import Picture
+    from estimation.report.drawing.figures import Picture
     from estimation.session.proof_of_match import Proof
 
 LEADING = 12  # hypotheses of a gap that a plot shows: the page has them all
@@ -98,7 +98,7 @@ def plot_scores(result: "GapResult", ax: Any) -> Any:
 
 def _histories(units: Mapping[str, str], time: Any, measured: Any, curves: Mapping[str, Any], ax: Any) -> Any:
     """units: of each output, in the order of the columns of measured (N, outputs) and of each curve."""
-    from estimation.report.figures import broken_at_gaps
+    from estimation.report.drawing.figures import broken_at_gaps
     from estimation.report.names import face
 
     axes = _axes(ax, len(units), (7.0, 1.1 * len(units) + 0.6))

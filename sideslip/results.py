@@ -222,7 +222,7 @@ class Match:
         """Figure 10 of the report pages."""
         from functools import partial
 
-        from estimation.report.estimate_figures import proof_figure
+        from estimation.report.drawing.estimate_figures import proof_figure
 
         whose = self.proofs[0].result.model.name
         drawn = partial(proof_figure, [(whose, p) for p in self.proofs], "initial states", of_paper=False)

@@ -243,12 +243,12 @@ def write_files(
         write_model(replace(best.fitted_model, flown=flown(best.model, used)), model_path)
         yield f"model: {model_path}"
     if figure_path is not None:
-        from estimation.report.histories import write_histories
+        from estimation.report.drawing.histories import write_histories
 
         write_histories(session, figure_path)
         yield f"figure: {figure_path}"
     if histories_folder is not None:
-        from estimation.report.histories import write_flights
+        from estimation.report.drawing.histories import write_flights
 
         for path in write_flights(session, histories_folder):
             yield f"histories: {path} (look at them with: sideslip view {path})"

@@ -89,12 +89,12 @@ def match(
     if json_path is not None:
         write_json({"model": str(chosen.name), "limit": limit, "flights": [p.to_json() for p in proofs]}, json_path)
     if figure_path is not None:
-        from estimation.report.histories import write_proof
+        from estimation.report.drawing.histories import write_proof
 
         write_proof(proofs, figure_path)
         click.echo(f"figure: {figure_path}")
     if histories_folder is not None:
-        from estimation.report.histories import write_beside
+        from estimation.report.drawing.histories import write_beside
 
         for flight, proof in zip(read, proofs, strict=True):
             path = write_beside(flight, proof.result, histories_folder)

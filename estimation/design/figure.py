@@ -8,7 +8,7 @@ import numpy as np
 
 from estimation.design.design import UNTOLD, Design
 from estimation.design.predict import INTEGRATION_STEP
-from estimation.report.figures import styled
+from estimation.report.drawing.figures import styled
 from estimation.report.names import tex
 
 _DEG = math.degrees(1.0)

@@ -8,7 +8,7 @@ import numpy as np
 
 from estimation.frequency.response import FrequencyResponse
 from estimation.frequency.transfer import GOOD, TransferFunction
-from estimation.report.figures import ABOVE, Picture, picture, styled
+from estimation.report.drawing.figures import ABOVE, Picture, picture, styled
 from estimation.report.names import literal, tex
 
 if TYPE_CHECKING:

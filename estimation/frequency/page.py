@@ -6,7 +6,7 @@ from pathlib import Path
 
 from estimation.frequency.answer import Answer, judged
 from estimation.frequency.figure import response_picture
-from estimation.report.html import write_page
+from estimation.report.markup.html import write_page
 from estimation.report.provenance import provenance_table
 from estimation.report.tables import Table, number, pair, significant, write_all
 from groundstation.flight import Flight

@@ -9,9 +9,9 @@ import numpy as np
 from estimation.compatibility.result import Compatibility, ReconstructedFlight
 from estimation.report import published
 from estimation.report.compatibility_tables import fit_of
-from estimation.report.figures import ABOVE, MEASURED, Picture, broken_at_gaps, picture, styled
+from estimation.report.drawing.figures import ABOVE, MEASURED, Picture, broken_at_gaps, picture, styled
 from estimation.report.flight_card import flight_card
-from estimation.report.html import write_page
+from estimation.report.markup.html import write_page
 from estimation.report.names import face, literal, tex
 from estimation.report.notes import collected, notes_table
 from estimation.report.provenance import provenance_table

@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Any
 
 from estimation.report import published
-from estimation.report.figures import Picture, file_picture
-from estimation.report.html import MARK, link_back, write_page
+from estimation.report.drawing.figures import Picture, file_picture
+from estimation.report.markup.html import MARK, link_back, write_page
 from estimation.report.tables import CANNOT_TELL, Table, number, pair, rounded, significant
 from estimation.signals.goodness_of_fit import THEIL_LIMIT
 

@@ -11,23 +11,23 @@ import numpy as np
 from estimation.models.base import ParameterRole
 from estimation.report import published
 from estimation.report.advice import grouped, untold
-from estimation.report.ellipses import ellipse_figure, most_correlated
-from estimation.report.estimate_figures import (
+from estimation.report.drawing.ellipses import ellipse_figure, most_correlated
+from estimation.report.drawing.estimate_figures import (
     correlation_figure,
     history_figure,
     proof_figure,
     scatter_figure,
 )  # fmt: skip
+from estimation.report.drawing.figures import Picture
+from estimation.report.drawing.histories import write_flights
+from estimation.report.drawing.residual_figures import against_figure, moved, residual_figure
 from estimation.report.estimate_tables import estimate_table, fit_table, is_published, joint_table, mean_table
-from estimation.report.figures import Picture
 from estimation.report.flight_card import flight_card
-from estimation.report.histories import write_flights
-from estimation.report.html import write_page
+from estimation.report.markup.html import write_page
 from estimation.report.modes import SpreadMode, mode_table, modes_with_spread
 from estimation.report.names import html
 from estimation.report.notes import notes_table
 from estimation.report.provenance import provenance_table, simulated
-from estimation.report.residual_figures import against_figure, moved, residual_figure
 from estimation.report.tables import Table, number, write_all
 from estimation.signals.goodness_of_fit import THEIL_LIMIT
 

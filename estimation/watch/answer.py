@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from daq.identification.monitor.monitor import Alarm
-from estimation.report.figures import Picture, picture, styled
-from estimation.report.html import write_page
+from estimation.report.drawing.figures import Picture, picture, styled
+from estimation.report.markup.html import write_page
 from estimation.report.provenance import provenance_table
 from estimation.report.tables import Table, significant, write_all
 from estimation.watch.over_file import Watched

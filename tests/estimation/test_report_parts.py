@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from estimation.report.advice import Untold, grouped
-from estimation.report.ellipses import ellipse
-from estimation.report.figures import LARGE, picture
+from estimation.report.drawing.ellipses import ellipse
+from estimation.report.drawing.figures import LARGE, picture
+from estimation.report.drawing.residual_figures import binned, spectrum
 from estimation.report.flight_card import flight_card, mean_wind
-from estimation.report.fold import SHEET, label, needs_width, pieces, width, words
-from estimation.report.html import render
+from estimation.report.markup.fold import SHEET, label, needs_width, pieces, width, words
+from estimation.report.markup.html import render
 from estimation.report.notes import notes_table
-from estimation.report.residual_figures import binned, spectrum
 from estimation.report.tables import Table, pair, rounded
 from groundstation.flight import Flight, Provenance
 

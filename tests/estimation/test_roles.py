@@ -13,7 +13,7 @@ from estimation.errors import ModelError
 from estimation.estimators.output_error import output_error
 from estimation.models import Model, Parameter, ParameterRole, load_model, read_model, write_model
 from estimation.models.kinematic import FACTORS, compatibility_model
-from estimation.report.estimate_figures import scatter_figure
+from estimation.report.drawing.estimate_figures import scatter_figure
 from estimation.session import runner
 from groundstation.flight import Flight
 from tests.estimation.truth import TRUE

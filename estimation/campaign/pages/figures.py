@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from estimation.campaign.groups import label_of
 from estimation.campaign.pages.points import Points, faired
 from estimation.campaign.tasks import Row
-from estimation.report.figures import Picture, picture, styled
+from estimation.report.drawing.figures import Picture, picture, styled
 from estimation.report.names import tex
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from daq.contract.plain_words import file_name
 from estimation.campaign.groups import label_of
 from estimation.campaign.tasks import Row
-from estimation.report.html import write_page
+from estimation.report.markup.html import write_page
 from estimation.report.tables import Table, number, significant
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from estimation.campaign.pages.points import points_of
 from estimation.campaign.pages.tables import failed_table, pooled_table, power_table, step_table, worst_table
 from estimation.campaign.plan import Plan
 from estimation.campaign.run import Outcome
-from estimation.report.html import write_page
+from estimation.report.markup.html import write_page
 from estimation.report.tables import write_all
 
 SHOWN = 60  # sentences: the tables hold all

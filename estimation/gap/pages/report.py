@@ -13,8 +13,8 @@ from estimation.gap.effects import catalogue
 from estimation.gap.effects.base import Effect
 from estimation.gap.pages import gap_tables
 from estimation.gap.pages.residual_maps import AFTER, BEFORE, residual_maps
-from estimation.report.figures import ABOVE, MEASURED, Picture, broken_at_gaps, picture, styled
-from estimation.report.html import write_page
+from estimation.report.drawing.figures import ABOVE, MEASURED, Picture, broken_at_gaps, picture, styled
+from estimation.report.markup.html import write_page
 from estimation.report.names import axis_label, face
 from estimation.report.notes import notes_table
 from estimation.report.tables import Table, write_all

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from estimation.gap.answer.result import GapResult, View
-from estimation.report.figures import Picture, picture, styled
+from estimation.report.drawing.figures import Picture, picture, styled
 from estimation.report.names import literal, tex
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimation.estimators.result import FlightFit, Result
-from estimation.report.figures import LARGE, Picture, broken_at_gaps, look, picture, styled
+from estimation.report.drawing.figures import LARGE, Picture, broken_at_gaps, look, picture, styled
 from estimation.report.names import axis_label, face, tex
 from estimation.signals.goodness_of_fit import autocorrelation
 

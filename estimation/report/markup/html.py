@@ -9,11 +9,11 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup, escape
 
 from daq.contract.plain_words import printed
-from estimation.report.fold import label, needs_width, pieces, words
+from estimation.report.markup.fold import label, needs_width, pieces, words
 from estimation.report.names import html as symbol
 from estimation.report.tables import significant
 
-HERE = Path(__file__).parent
+HERE = Path(__file__).parents[1]
 FRONT = "index.html"
 BACK = "<!-- back to the front page -->"
 """Stands in a page that has no front page yet; the front page puts the link there when it is written."""

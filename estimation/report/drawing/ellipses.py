@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimation.estimators.result import Result
-from estimation.report.figures import Picture, look, picture, styled
+from estimation.report.drawing.figures import Picture, look, picture, styled
 from estimation.report.names import tex
 
 Array = NDArray[np.float64]

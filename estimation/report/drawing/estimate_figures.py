@@ -8,8 +8,8 @@ import numpy as np
 from estimation.estimators.result import FlightFit, Result
 from estimation.models.base import ParameterRole
 from estimation.report import published
+from estimation.report.drawing.figures import ABOVE, MEASURED, Picture, broken_at_gaps, look, picture, styled
 from estimation.report.estimate_tables import is_published
-from estimation.report.figures import ABOVE, MEASURED, Picture, broken_at_gaps, look, picture, styled
 from estimation.report.names import axis_label, face, literal, tex
 
 if TYPE_CHECKING:

@@ -1,0 +1,1 @@
+"""Figures of the pages: how they look, and each of them."""

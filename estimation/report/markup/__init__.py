@@ -1,0 +1,1 @@
+"""From rows and words to HTML: pages, and tables folded to a sheet."""
