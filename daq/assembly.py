@@ -11,7 +11,7 @@ from datetime import UTC, datetime
 from daq.acquisition.sampler import Sampler
 from daq.actuation.actuation import Actuation, output_of
 from daq.actuation.devices import AutopilotPort, Devices
-from daq.actuation.heartbeat import Heartbeat
+from daq.actuation.pwm.heartbeat import Heartbeat
 from daq.actuation.servos import plan_of
 from daq.clock import Clock
 from daq.companion.config import IdentificationConfig

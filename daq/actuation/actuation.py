@@ -13,10 +13,10 @@ from daq.actuation.autopilot.link import AutopilotError
 from daq.actuation.autopilot.output import ArduPilotOutput
 from daq.actuation.config import SequencerConfig
 from daq.actuation.devices import Devices
-from daq.actuation.heartbeat import HeartbeatError
 from daq.actuation.motion import MotionReader
 from daq.actuation.output import Output
-from daq.actuation.pwm_output import PwmOutput
+from daq.actuation.pwm.heartbeat import HeartbeatError
+from daq.actuation.pwm.output import PwmOutput
 from daq.actuation.seen import Seen
 from daq.actuation.sequencer import Frame, Sequencer
 from daq.actuation.servos import Plan, plan_of, servos_of

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Protocol
 
-from daq.actuation.heartbeat import Heartbeat
+from daq.actuation.pwm.heartbeat import Heartbeat
 from daq.clock import Clock
 from daq.sensors.bus import I2cBus
 

@@ -6,7 +6,7 @@ from daq.actuation.autopilot.trial import AutopilotTrial
 from daq.actuation.config import SequencerConfig
 from daq.actuation.devices import Devices
 from daq.actuation.finding import Finding
-from daq.actuation.trial import Trial
+from daq.actuation.pwm.trial import Trial
 from daq.contract.scan import Scan
 
 

@@ -13,7 +13,7 @@ from typing import Any
 
 from daq.acquisition.sampler import Sampler
 from daq.actuation.devices import Devices
-from daq.actuation.heartbeat import FileHeartbeat
+from daq.actuation.pwm.heartbeat import FileHeartbeat
 from daq.assembly import Assembly, Edge, assemble
 from daq.clock import RealClock
 from daq.config import LoggerConfig, load_config

@@ -8,7 +8,7 @@ from types import MappingProxyType
 from daq.actuation.actuation import Actuation, output_of
 from daq.actuation.config import SequencerConfig
 from daq.actuation.devices import Devices
-from daq.actuation.heartbeat import Heartbeat
+from daq.actuation.pwm.heartbeat import Heartbeat
 from daq.actuation.servos import Plan, plan_of
 from daq.clock import SimulatedClock
 from daq.contract.manoeuvre import Manoeuvre

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import pytest
 
 from daq.actuation.config import ChipConfig
-from daq.actuation.part import RETRY_NS, Part
-from daq.actuation.pca9685 import OSCILLATOR_START, Pca9685, prescale
+from daq.actuation.pwm.part import RETRY_NS, Part
+from daq.actuation.pwm.pca9685 import OSCILLATOR_START, Pca9685, prescale
 from daq.clock import SimulatedClock
 from daq.sensors.base import SelfTestError
 from firmware_sim.hardware.bus import SimulatedBus

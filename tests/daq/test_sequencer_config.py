@@ -8,7 +8,7 @@ import pytest
 
 from daq.actuation.autopilot.link import AutopilotError
 from daq.actuation.config import HeartbeatConfig
-from daq.actuation.heartbeat import FileHeartbeat, HeartbeatError
+from daq.actuation.pwm.heartbeat import FileHeartbeat, HeartbeatError
 from daq.assembly import Edge, assemble
 from daq.clock import SimulatedClock
 from daq.config import ConfigError, LoggerConfig, parse_config

@@ -5,7 +5,7 @@ import time
 from pathlib import Path
 
 from daq.actuation.config import HeartbeatConfig
-from daq.actuation.heartbeat import FileHeartbeat, Heartbeat
+from daq.actuation.pwm.heartbeat import FileHeartbeat, Heartbeat
 from firmware_sim.hardware.multiplexer import Monostable
 from tests.daq.sequencer_rig import PERIOD_NS, USUAL, Rig, short_manoeuvre, switch_plan
 

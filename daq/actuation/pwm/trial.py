@@ -9,9 +9,9 @@ from statistics import fmean
 
 from daq.actuation.config import SequencerConfig
 from daq.actuation.finding import Finding, try_manoeuvre
-from daq.actuation.heartbeat import Heartbeat
-from daq.actuation.pilot_inputs import US_PER_COUNT, PilotInputs, PilotSignals
-from daq.actuation.pwm_output import ServoDriver
+from daq.actuation.pwm.heartbeat import Heartbeat
+from daq.actuation.pwm.output import ServoDriver
+from daq.actuation.pwm.pilot_inputs import US_PER_COUNT, PilotInputs, PilotSignals
 from daq.clock import Clock
 from daq.contract.scan import Scan
 from daq.contract.sequencing import Switch

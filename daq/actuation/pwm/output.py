@@ -6,11 +6,11 @@ A frame that could not be written ends the heartbeat there and then.
 from collections.abc import Sequence
 
 from daq.actuation.config import SequencerConfig
-from daq.actuation.heartbeat import Heartbeat
-from daq.actuation.part import Part
-from daq.actuation.pca9685 import Pca9685
-from daq.actuation.pilot_inputs import US_PER_COUNT, PilotInputs
 from daq.actuation.proof import FrequencyProof
+from daq.actuation.pwm.heartbeat import Heartbeat
+from daq.actuation.pwm.part import Part
+from daq.actuation.pwm.pca9685 import Pca9685
+from daq.actuation.pwm.pilot_inputs import US_PER_COUNT, PilotInputs
 from daq.actuation.seen import Glimpse
 from daq.actuation.sequencer import Frame
 from daq.clock import Clock

@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from daq.actuation.config import PilotConfig
-from daq.actuation.part import Part
+from daq.actuation.pwm.part import Part
 from daq.contract.scan import RawValue, SensorState
 from daq.contract.sequencing import Switch, switch_position
 from daq.sensors.base import NO_VALUES, SensorError
