@@ -24,7 +24,8 @@ def alarm_words(a: Alarm) -> str:
     if not a.leading:
         return f"{where}; {how}; errors have grown, and no effect of the list explains them"
     names = "; ".join(f"{n.effect} ({n.title}) {significant(n.size, 2)} {n.unit}" for n in a.leading)
-    return f"{where}, since about {a.since:.1f} s; {how}; leading: {names}"
+    known = f" (by {a.named:.1f} s)" if a.named is not None and a.named > a.time else ""
+    return f"{where}, since about {a.since:.1f} s; {how}; leading{known}: {names}"
 
 
 def lines(found: Watched) -> Iterator[str]:

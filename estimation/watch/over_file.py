@@ -64,6 +64,7 @@ def _alarm_json(a: Alarm) -> dict[str, Any]:
         "score": a.score,
         "threshold": a.threshold,
         "leading": [n.effect for n in a.leading],
+        "named": a.named,
         "sizes": {n.effect: {"estimate": n.size, "unit": n.unit, "score": n.score} for n in a.leading},
     }
 

@@ -30,7 +30,7 @@ class LiveWatch:
         self._conditions = Conditions(rate=rate, loss=LOST) if rate < SLOWER_HZ else Conditions(rate=ON_BOARD_HZ)
         self._monitor: GapMonitor | None = None
         self._waiting: list[Sample] = []
-        self._told = 0
+        self._told: list[str] = []  # what each alarm was first said to be
         self.trouble = ""
         self._thread = threading.Thread(target=self._calibrate, name="gap monitor", daemon=True)
         self._thread.start()
@@ -40,7 +40,7 @@ class LiveWatch:
         self._waiting.append(sample)
 
     def step(self, *, finish: bool = False) -> list[Alarm]:
-        """Alarms that are new. finish: wait for the thresholds, and go through everything."""
+        """Alarms that are new, or may be something else than was said. finish: wait for the thresholds, and go through all."""
         if finish:
             self._thread.join()
         if self._monitor is None:
@@ -49,8 +49,10 @@ class LiveWatch:
         now, self._waiting = self._waiting[:most], self._waiting[most:]
         for sample in now:
             self._monitor.add(sample)
-        new = self._monitor.alarms[self._told :]
-        self._told = len(self._monitor.alarms)
+        names = [a.leading[0].effect if a.leading else "" for a in self._monitor.alarms]
+        before = [*self._told, *[None] * (len(names) - len(self._told))]
+        new = [a for a, now, then in zip(self._monitor.alarms, names, before, strict=True) if now != then]
+        self._told = names
         return new
 
     @property

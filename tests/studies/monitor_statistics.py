@@ -129,7 +129,7 @@ def sudden(s: Set, name: str, n: int, rate: str) -> str:
             monitor.add(sample)
         after = [a for a in monitor.alarms if a.time > columns["time"][0] + BEGINS]
         first.append(after[0].time - columns["time"][0] - BEGINS if after else math.inf)
-        what.append(after[0].leading[0].effect if after and after[0].leading else "")
+        what.append(after[0].leading[0].effect if after and after[0].leading else "")  # as last told
     return row(name, "1", first, what, lambda w: w in HIDDEN[name])
 
 

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,6 +17,8 @@ from daq.identification.monitor.threshold import BEGIN_S, Calibration
 LEADING = 0.8  # of the largest score: effects that are named beside the first
 MOST_NAMED = 4
 QUIET_S = 10.0  # s of watched flight below the threshold after which an alarm is over, and another may be told
+SURER = 1.25  # times the score an alarm has, at which what it may be is told anew
+NAMED_WITHIN_S = 15.0  # of flight after it was noticed; what comes later may be something else
 HOUR_S = 3600.0
 
 
@@ -36,7 +38,8 @@ class Alarm:
     """The model no longer describes the aircraft. time: when it was noticed; since: when it began, by the window [s].
 
     equation: where (CY, Cl, Cn, kinematics, actuator, sensor); channels: whose prediction errors show it; leading: what it
-    may be, most likely first, empty where only the size of the errors tells. score, threshold: in the same units.
+    may be, most likely first, empty where only the size of the errors tells; named: when that was known [s], None while it is
+    empty, for errors often grow before they tell what of. score, threshold: in the same units.
     """
 
     time: float
@@ -46,6 +49,7 @@ class Alarm:
     score: float
     threshold: float
     leading: tuple[Name, ...]
+    named: float | None = None
 
 
 @dataclass(frozen=True)
@@ -59,7 +63,8 @@ class Watch:
 
 
 class GapMonitor:
-    """Takes samples of manoeuvring flight in order of time (`stretches` says which). `alarms`: all so far, in order."""
+    """Takes samples of manoeuvring flight in order of time (`stretches` says which). `alarms`: all so far, in order; the last is
+    told anew, with the time at which it was noticed, while what it may be becomes clearer."""
 
     def __init__(
         self, airframe: Airframe, values: Mapping[str, float], effects: Sequence[Effect], calibration: Calibration
@@ -115,6 +120,8 @@ class GapMonitor:
         alarm = self._alarm(time, named, energy)
         if self._standing is None:
             self.alarms.append(alarm)
+        elif _clearer(alarm, self.alarms[-1]):
+            self.alarms[-1] = _told_anew(self.alarms[-1], alarm)
         self._standing = alarm
         return Watch(time, self.watched, level, alarm)
 
@@ -138,6 +145,7 @@ class GapMonitor:
             float(abs(named[best])),
             c.named,
             leading,
+            time,
         )
 
     def _name(self, k: int, standardised: float) -> Name:
@@ -149,6 +157,18 @@ class GapMonitor:
     def hours(self) -> float:
         """Hours of manoeuvring that were watched."""
         return self.watched / HOUR_S
+
+
+def _clearer(now: Alarm, told: Alarm) -> bool:
+    """Whether a standing alarm knows more by now of what it may be."""
+    if not now.leading or now.time > told.time + NAMED_WITHIN_S:
+        return False
+    return not told.leading or now.score > SURER * told.score
+
+
+def _told_anew(told: Alarm, now: Alarm) -> Alarm:
+    same = bool(told.leading) and told.leading[0].effect == now.leading[0].effect
+    return replace(now, time=told.time, named=told.named if same else now.named)
 
 
 def _scan_of(s: Sample) -> Scan:

@@ -13,7 +13,7 @@ from daq.identification.monitor import threshold
 from daq.identification.monitor.bank import CHANNELS, Effect, bank
 from daq.identification.monitor.evidence import PIECE_S, Evidence
 from daq.identification.monitor.innovations import PredictorBank, Scan
-from daq.identification.monitor.monitor import GapMonitor
+from daq.identification.monitor.monitor import Alarm, GapMonitor
 from daq.identification.monitor.motion import Inputs, LateralMotion
 from daq.identification.monitor.nulls import Conditions, fly
 from daq.identification.monitor.threshold import Calibration, calibrated, exceeded
@@ -218,5 +218,27 @@ def test_errors_that_grow_without_a_name_are_told_by_channel(
     assert after
     assert after[0].time < 37.0
     assert "phi" in after[0].channels
+    assert not after[0].leading
+    assert after[0].named is None
     assert CHANNELS.index("phi") == 3
     assert PIECE_S == 0.5
+
+
+def test_an_alarm_of_grown_errors_gets_its_name_when_they_tell(
+    airframe: Airframe, values: dict[str, float], effects: tuple[Effect, ...], calibration: Calibration
+) -> None:
+    """The vane slips: its errors are large at once, and only the seconds after it tell that they stay on one side."""
+    calm = replace(Conditions(), gust_spread=(1.0, 1.0))
+    scans = fly(airframe, values, effects, calm, np.random.default_rng(12), 1, 50.0)
+    monitor, told = GapMonitor(airframe, values, effects, calibration), list[Alarm]()
+    for s in samples(scans, 0):
+        monitor.add(s._replace(beta=s.beta + (0.03 if s.time > 25.0 else 0.0)))
+        told += [a for a in monitor.alarms[-1:] if not told or a != told[-1]]
+    first, last = told[0], monitor.alarms[0]
+    assert (first.leading, first.named) == ((), None)
+    assert first.time == last.time < 30.0
+    assert last.leading[0].effect == "beta_bias"
+    assert last.leading[0].size == pytest.approx(0.03, rel=0.5)
+    assert last.named is not None
+    assert first.time < last.named < 36.0
+    assert last.score > last.threshold
