@@ -27,7 +27,9 @@ def visible(text: str) -> str:
     """
     if text.isascii() and text.isprintable():
         return text
-    return "".join(_shown(c) if c not in _KEPT else c for c in text)
+    # a page of megabytes has a hundred different characters
+    hidden = {ord(c): _shown(c) for c in set(text) - _KEPT if _shown(c) != c}
+    return str.translate(text, hidden) if hidden else text
 
 
 def one_line(text: str, longest: int = 2000) -> str:

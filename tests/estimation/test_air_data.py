@@ -23,7 +23,7 @@ FIX_EVERY = 4  # samples: GNSS at 5 Hz beside the 20 Hz of the rest
 FIX_NOISE = {"vn": 0.15, "ve": 0.15, "vd": 0.25}
 
 
-COUNT = 6
+COUNT = 4
 GUSTS_DEG = (0.5, 2.0)
 
 
@@ -31,7 +31,7 @@ GUSTS_DEG = (0.5, 2.0)
 def flown() -> list[list[Columns]]:
     """Truth of flights in 4 m/s of wind from all around, in light and in strong gusts."""
     base = load_scenario("rich")
-    winds = [{"gust_deg": g, "speed_m_s": 4.0, "from_deg": 250.0 + 30.0 * i} for g in GUSTS_DEG for i in range(COUNT)]
+    winds = [{"gust_deg": g, "speed_m_s": 4.0, "from_deg": 250.0 + 45.0 * i} for g in GUSTS_DEG for i in range(COUNT)]
     truths = simulate_many([base.altered(wind=w) for w in winds], list(range(COUNT)) * len(GUSTS_DEG), 20.0)
     return [truths[:COUNT], truths[COUNT:]]
 
@@ -66,7 +66,7 @@ def turbulent(flown: list[list[Columns]]) -> list[tuple[Columns, AirData]]:
 
 @pytest.mark.parametrize("air", ["calm", "turbulent"])
 def test_errors_are_within_the_stated_uncertainty(air: str, request: pytest.FixtureRequest) -> None:
-    """Of one flight an error is slow, so six flights are some dozens of draws: rms of a normal within 1.35."""
+    """Of one flight an error is slow, so four flights are some dozens of draws: rms of a normal within 1.35."""
     flights = request.getfixturevalue(air)
     for name in AIR:
         z = np.concatenate([ratios(a, t, name) for t, a in flights])

@@ -6,9 +6,13 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import BinaryIO
 
 import pytest
+from click.testing import CliRunner
+from matplotlib.figure import Figure
 
+from estimation.commands.estimate import estimate
 from estimation.errors import EstimationError
 from estimation.estimators import registry
 from estimation.estimators.estimator import Estimator, Extra, Extras
@@ -80,13 +84,23 @@ def test_extras_that_nobody_chosen_heeds_are_refused() -> None:
     assert [listed(w) for w in (["a"], ["a", "b"], ["a", "b", "c"])] == ["a", "a and b", "a, b and c"]
 
 
-def test_an_estimator_of_a_package_of_ones_own(package: Path, made_flights: list[Flight], tmp_path: Path) -> None:
+@pytest.mark.usefixtures("installed")
+def test_an_estimator_of_a_package_of_ones_own(
+    made_flights: list[Flight], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its numbers in the terminal, the JSON and every table of the page, whose figures are drawn in other tests."""
+
+    def blank(self: Figure, file: BinaryIO, **_: object) -> None:
+        file.write(b"<svg/>")
+
+    monkeypatch.setattr(Figure, "savefig", blank)
     write_flight(made_flights[0], tmp_path / "ld.csv")
-    out = sideslip(
-        "estimate", tmp_path / "ld.csv", "--aircraft", "cdfp", "--method", "ls,own", "--joint", "--raw-inputs",
-        "--json", tmp_path / "e.json", "--report", tmp_path / "page", path=package,
-    )  # fmt: skip
-    assert (out.returncode, out.stderr) == (0, "")
+    words = [
+        str(tmp_path / "ld.csv"), "--aircraft", "cdfp", "--method", "ls,own", "--joint", "--raw-inputs",
+        "--json", str(tmp_path / "e.json"), "--report", str(tmp_path / "page"),
+    ]  # fmt: skip
+    out = CliRunner().invoke(estimate, words, standalone_mode=False, catch_exceptions=False)
+    assert (out.return_value, out.stderr) == (0, "")
     assert "ld (601 samples), own: solved" in out.stdout
     data = json.loads((tmp_path / "e.json").read_text())
     for methods in (data["flights"][0]["methods"], data["joint"]):
@@ -97,6 +111,9 @@ def test_an_estimator_of_a_package_of_ones_own(package: Path, made_flights: list
     assert "methods: ls, own" in page
     table = (tmp_path / "page" / "tables" / "estimates_ld.csv").read_text().splitlines()[0]
     assert "own" in table
+
+
+def test_a_package_of_ones_own_is_offered_by_the_command(package: Path) -> None:
     told = sideslip("estimate", "--help", path=package)
     assert "live, own;" in " ".join(told.stdout.split())
 

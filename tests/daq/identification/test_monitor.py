@@ -170,15 +170,15 @@ def test_right_effect_is_named_and_dated(
             done.append(True)
 
     calm = replace(Conditions(), gust_spread=(1.0, 1.0))
-    scans = fly(airframe, values, effects, calm, np.random.default_rng(8), 6, 50.0, change)
+    scans = fly(airframe, values, effects, calm, np.random.default_rng(8), 4, 42.0, change)
     found = []
-    for flight in range(6):
+    for flight in range(4):
         monitor = GapMonitor(airframe, values, effects, calibration)
         for sample in samples(scans, flight):
             monitor.add(sample)
         found += [a for a in monitor.alarms if a.time > 21.0][:1]
-    assert len(found) >= 5
-    assert sum(a.leading[0].effect == "Cn_da" for a in found if a.leading) >= 4
+    assert len(found) >= 3
+    assert sum(a.leading[0].effect == "Cn_da" for a in found if a.leading) >= 3
     named = [a for a in found if a.leading and a.leading[0].effect == "Cn_da"]
     assert all(a.equation == "Cn" and a.channels[0] in ("r", "beta") for a in named)
     assert all(10.0 < a.since <= a.time for a in named)
@@ -190,16 +190,16 @@ def test_flights_with_nothing_wrong_are_quiet_and_gaps_are_not_watched(
     airframe: Airframe, values: dict[str, float], effects: tuple[Effect, ...], calibration: Calibration
 ) -> None:
     calm = replace(Conditions(), gust_spread=(1.0, 1.0))
-    scans = fly(airframe, values, effects, calm, np.random.default_rng(9), 6, 50.0)
+    scans = fly(airframe, values, effects, calm, np.random.default_rng(9), 3, 50.0)
     alarms, watched = 0, []
-    for flight in range(6):
+    for flight in range(3):
         monitor = GapMonitor(airframe, values, effects, calibration)
         for sample in samples(scans, flight):
             if not 20.0 < sample.time < 30.0:
                 monitor.add(sample)
         alarms += len(monitor.alarms)
         watched.append(monitor.watched)
-    assert alarms <= 1
+    assert alarms == 0  # two minutes, at one false alarm an hour
     np.testing.assert_allclose(watched, 40.0, atol=0.2)
 
 
