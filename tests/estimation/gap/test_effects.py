@@ -1,5 +1,6 @@
 """The catalogue: complete, addable, extendable, and without effect at the value that means no effect."""
 
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,8 @@ from estimation.gap.errors import EffectError
 from estimation.gap.records.candidate_model import awakened, with_dormant
 from estimation.models.base import Model
 from estimation.models.load import load_model, read_model, write_model
+
+moved = partial(simulate, compile_="never")  # each model is asked once: compiling it would take longest
 
 NAMES = """CY_da Cn_da CY_p_r Cl_alpha_beta Cn_alpha_beta Cl_da_de Cl_beta3 Cn_beta3 CY_beta3 Cl_da3 Cn_dr3 Cl_p_abs_p
 stall_separation Cl_betadot Cn_betadot indicial_lag p_sin_alpha roll_kinematics inertial_coupling Ixz_error lateral_cg
@@ -52,7 +55,7 @@ def test_every_form_applies_somewhere_and_is_nothing_at_no_effect(effect) -> Non
             plain, flight = model, still(added)
             columns = [added.input_names.index(n) for n in plain.input_names]
             cut = FlightData("cut", 60, (replace_inputs(flight.segments[0], columns),), flight.states, {}, (), ())
-            np.testing.assert_allclose(simulate(added, flight), simulate(plain, cut), rtol=1e-9, atol=1e-12)
+            np.testing.assert_allclose(moved(added, flight), moved(plain, cut), rtol=1e-9, atol=1e-12)
     assert applied
 
 
@@ -104,7 +107,7 @@ def test_an_awakened_form_equals_the_form_added() -> None:
                 wide[:, j] = flight.segments[0].u[:, two.input_names.index(n)]
         s = flight.segments[0]
         both = FlightData("both", 60, (Segment(0, s.time, wide, s.z, s.x0),), flight.states, {}, (), ())
-        np.testing.assert_allclose(simulate(one, both), simulate(two, flight), rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(moved(one, both), moved(two, flight), rtol=1e-9, atol=1e-12)
 
 
 def test_an_effect_of_ones_own_in_a_short_file(tmp_path: Path) -> None:

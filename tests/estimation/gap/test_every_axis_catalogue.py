@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -24,6 +25,7 @@ elevator_compliance alpha_scale alpha_bias alpha_position alpha_lag V_scale V_al
 rho_error Iyy_error cg_x pitch_inertial_coupling gust""".split()
 CROSS = """Cm_beta2 CL_beta2 CD_beta2 CL_da2 CD_da2 Cm_da2 Cl_alpha_da Cn_alpha_da Cn_alpha_dr Cl_alpha_p Cn_alpha_p
 pitch_inertial_coupling prop_gyroscopic""".split()
+moved = partial(simulate, compile_="never")  # each model is asked once: compiling it would take longest
 PITCHING, ALL_AXES = load_model("longitudinal", "cdfp"), load_model("six-dof", "cdfp")
 MOTION = {
     "V": 16.0, "alpha": 0.13, "beta": 0.06, "theta": 0.11, "phi": 0.2, "p": 0.4, "q": 0.5, "r": -0.3, "ay": 0.4, "rho": 1.17,
@@ -108,7 +110,7 @@ def test_every_form_is_nothing_at_no_effect(name: str, form: Form) -> None:
     columns = [added.input_names.index(n) for n in model.input_names]
     s = flight.segments[0]
     cut = replace(flight, segments=(replace(s, u=np.ascontiguousarray(s.u[:, columns]), x0=s.x0[: len(model.states)]),))
-    np.testing.assert_allclose(simulate(added, flight), simulate(model, cut), rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(moved(added, flight), moved(model, cut), rtol=1e-9, atol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -218,7 +220,7 @@ def test_what_is_said_to_be_carried_by_derivatives_is(
     flight = moving(PITCHING)
     for rate in ("p", "r"):  # in rolling turns their product tells the moment of inertia
         flight.segments[0].u[:, PITCHING.input_names.index(rate)] = 0.0
-    np.testing.assert_allclose(simulate(with_it, flight), simulate(PITCHING, flight), rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(moved(with_it, flight), moved(PITCHING, flight), rtol=1e-9, atol=1e-12)
 
 
 def test_mass_and_thrust_are_one_unknown() -> None:
@@ -230,7 +232,7 @@ def test_mass_and_thrust_are_one_unknown() -> None:
     )
     weaker = effect("thrust_scale").forms[0].added_to(PITCHING, {"thrust_scale": 1 / 1.1 - 1})
     flight = moving(PITCHING)
-    np.testing.assert_allclose(simulate(heavier, flight), simulate(weaker, flight), rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(moved(heavier, flight), moved(weaker, flight), rtol=1e-9, atol=1e-12)
 
 
 def test_a_design_may_separate_effects_of_the_models_own_axes() -> None:
