@@ -57,7 +57,7 @@ def test_white_noise_bounds_are_right() -> None:
 
 
 def test_coloured_residuals_widen_the_corrected_bound() -> None:
-    flights, _ = fly(Case(noise=NOISE, servo=None, gust=0.3), np.random.default_rng(5), 8)
+    flights, _ = fly(Case(noise=NOISE, servo=None, gust=0.3), np.random.default_rng(5), 6)
     plain, corrected = [], []
     for flight in flights:
         r = output_error(LATERAL, flight)
@@ -424,7 +424,7 @@ def test_unstable_aircraft() -> None:
 
 
 def test_filter_error_beats_output_error_in_turbulence() -> None:
-    flights, _ = fly(Case(noise=NOISE, servo=None, gust=0.8), np.random.default_rng(3), 3)
+    flights, _ = fly(Case(noise=NOISE, servo=None, gust=0.8), np.random.default_rng(3), 2)
     off: dict[str, list[float]] = {"ml": [], "fem": []}
     for flight in flights:
         for name, result in (("ml", output_error(LATERAL, flight)), ("fem", filter_error(LATERAL, flight))):

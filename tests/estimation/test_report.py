@@ -5,9 +5,11 @@ import json
 import math
 import re
 from pathlib import Path
+from typing import Any, BinaryIO
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from estimation.aircraft import load_aircraft
 from estimation.compatibility.reconstruction import compatibility
@@ -60,8 +62,20 @@ def session() -> Session:
 
 @pytest.fixture(scope="module")
 def report(session: Session, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The written page of the session."""
-    return write_estimate_report(session, tmp_path_factory.mktemp("reports") / "estimate")
+    """The written page of the session; of the figures that each flight has, those of the first are drawn."""
+    savefig, drawn = Figure.savefig, set()
+
+    def once(self: Figure, file: BinaryIO, **options: Any) -> None:
+        kind = (len(self.axes), *self.get_size_inches())
+        if kind in drawn:
+            file.write(b"<svg/>")
+        else:
+            savefig(self, file, **options)
+        drawn.add(kind)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Figure, "savefig", once)
+        return write_estimate_report(session, tmp_path_factory.mktemp("reports") / "estimate")
 
 
 def outside_references(page: str) -> list[str]:

@@ -23,7 +23,7 @@ from firmware_sim.world.scenario import load_scenario
 from firmware_sim.world.simulation import derivatives_of
 from groundstation.flight import Flight, read_flight
 
-HOURS = 0.4  # of simulated manoeuvring: one batch, and less than the verb would take
+HOURS = 0.2  # of simulated manoeuvring: one batch, and less than the verb would take
 EFFECTS = ("none", "mass_shift", "elevon_stuck")
 
 
@@ -32,7 +32,7 @@ def few() -> Iterator[None]:
     """Thresholds from fewer flights than anybody would trust."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(threshold, "AT_ONCE", 24)
-        patch.setattr(threshold, "FLIGHT_S", 60.0)
+        patch.setattr(threshold, "FLIGHT_S", 40.0)
         yield
 
 
@@ -134,7 +134,7 @@ def test_a_failure_in_the_air_is_noticed_after_it_begins(
 
 def test_thresholds_are_those_of_the_hours_asked_for(quiet: Watched) -> None:
     assert quiet.calibration.hours == pytest.approx(
-        24 * 57.0 / 3600.0
+        24 * 37.0 / 3600.0
     )  # a batch, less the seconds in which windows fill
     assert quiet.alarms == ()
     assert 0.0 < max(w.score for w in quiet.history) < 1.0

@@ -375,7 +375,7 @@ def test_effects_with_memory_are_the_same_alone_and_in_a_crowd() -> None:
         "aileron_delay", "rudder_delay", "aileron_backlash", "rudder_backlash", "stale_vane", "vane_friction",
         "vortex_hysteresis", "shear_burst", "time_skew", "supply_sag", "gust", "wind_shear", "stall_separation",
     )  # fmt: skip
-    scenario = scenario_from({"flight": {"duration_s": 4.0}, "hidden": [{"name": n} for n in names]}, "here")
+    scenario = scenario_from({"flight": {"duration_s": 2.0}, "hidden": [{"name": n} for n in names]}, "here")
     stronger = scenario.altered(hidden=[{"name": n, "size": 1.3} for n in names])
     crowd = simulate_many([stronger, scenario, scenario], [7, 8, 9], crowd_from=1)
     alone = simulate_truth(scenario, 9)

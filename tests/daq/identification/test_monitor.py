@@ -45,8 +45,8 @@ def calibration(airframe: Airframe, values: dict[str, float], effects: tuple[Eff
     """From fewer flights than anybody would trust."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(threshold, "AT_ONCE", 24)
-        patch.setattr(threshold, "FLIGHT_S", 60.0)
-        return calibrated(airframe, values, effects, Conditions(), rng=np.random.default_rng(4), hours=0.4)
+        patch.setattr(threshold, "FLIGHT_S", 40.0)
+        return calibrated(airframe, values, effects, Conditions(), rng=np.random.default_rng(4), hours=0.2)
 
 
 def samples(scans: list[Scan], flight: int) -> list[Sample]:

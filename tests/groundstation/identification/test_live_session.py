@@ -249,8 +249,8 @@ def test_the_monitor_beside_it_hears_of_an_aileron_that_does_less_than_believed(
     from groundstation.identification import watching
 
     monkeypatch.setattr(threshold, "AT_ONCE", 24)
-    monkeypatch.setattr(threshold, "FLIGHT_S", 60.0)
-    monkeypatch.setattr(watching, "HOURS", 0.4)  # a batch; the aileron's score is far above any threshold
+    monkeypatch.setattr(threshold, "FLIGHT_S", 40.0)
+    monkeypatch.setattr(watching, "HOURS", 0.2)  # a batch; the aileron's score is far above any threshold
     scans, calibrator, _ = recording
     beliefs = {n: Belief(d.estimate, max(2.0 * d.std, 1e-4)) for n, d in in_order.final.estimates.derivatives.items()}
     beliefs["Cl_da"] = Belief(factor * beliefs["Cl_da"].value, 0.002)
