@@ -24,8 +24,8 @@ from daq.sensors.bus import SerialPort
 from daq.sensors.config import ExtraConfig
 from estimation.aircraft import built_in_aircraft, load_aircraft
 from firmware_sim.errors import ScenarioError
-from firmware_sim.hardware.autopilot import Autopilot
 from firmware_sim.hardware.autopilot_cockpit import AutopilotCockpit
+from firmware_sim.hardware.autopilots.servo_reports import Autopilot
 from firmware_sim.hardware.board import Board, build_board
 from firmware_sim.hardware.bus import SimulatedBus
 from firmware_sim.hardware.card import SimulatedCard

@@ -6,7 +6,7 @@ import pytest
 import serial
 from pymavlink.dialects.v20 import common
 
-from firmware_sim.hardware.autopilot import Autopilot
+from firmware_sim.hardware.autopilots.servo_reports import Autopilot
 from firmware_sim.hardware.registers import ublox
 from firmware_sim.hardware.sensing.gnss import BAUD, GnssReceiver
 from firmware_sim.hardware.sensing.instruments import Instruments
