@@ -2,7 +2,6 @@
 
 import math
 import os
-import socket
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,13 +14,8 @@ from daq.clock import SimulatedClock
 from daq.telemetry.config import DownlinkConfig
 from daq.telemetry.link import RadioLink, radio_link
 from daq.transport.ports import UdpPort
+from tests.free_ports import free_port
 from tests.link_rig import PERIOD_NS, START_UTC_NS, FakeLogger, quiet_scan
-
-
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 class Session:

@@ -8,12 +8,7 @@ import sys
 from pathlib import Path
 
 from daq.contract.recordings.reading import read_recording
-
-
-def free_tcp_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
+from tests.free_ports import free_port
 
 
 def start(folder: Path, *arguments: str) -> "subprocess.Popen[str]":
@@ -32,7 +27,7 @@ def ended(process: "subprocess.Popen[str]", words: str = "") -> str:
 
 
 def test_ground_station_receives_a_flight_over_tcp_and_fetches_all_of_it(tmp_path: Path) -> None:
-    port = free_tcp_port()
+    port = free_port(socket.SOCK_STREAM)
     (tmp_path / "short.toml").write_text('title = "short"\n[flight]\nmanoeuvres = "rich"\nduration_s = 5.0\n')
     (tmp_path / "ground.toml").write_text(
         f'[link]\nports = "tcp:127.0.0.1:{port}"\nbackfill = "all"\n[output]\ndirectory = "out"\ndated = false\n'

@@ -14,12 +14,7 @@ from firmware_sim.world.scenario import load_scenario
 from groundstation.flight import read_flight
 from groundstation.receiver.tlog import read_tlog
 from sideslip import fly_scenario
-
-
-def free_udp_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
+from tests.free_ports import free_port
 
 
 def taken(port: int) -> None:
@@ -38,7 +33,7 @@ def test_telemetry_over_udp_until_a_signal(ending: signal.Signals, tmp_path: Pat
     scenario = load_scenario("quiet").altered(flight={"duration_s": 12.0})
     flown = fly_scenario(scenario, tmp_path / "flight", seed=5, backfill=False)
     packets = [data for _, data in read_tlog(tmp_path / "flight" / "ground" / "telemetry.tlog")]
-    port = free_udp_port()
+    port = free_port()
     (tmp_path / "ground.toml").write_text(
         f'[link]\nports = ["udpin:{port}"]\nbackfill = "off"\n[output]\ndirectory = "{tmp_path}/out"\ndated = false\n'
     )
