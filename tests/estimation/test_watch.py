@@ -38,9 +38,9 @@ def few() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def flights(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """One minute each, the last forty seconds with a failure; and the model that the aircraft had before."""
+    """52 s each, the last 32 with a failure; and the model that the aircraft had before."""
     folder = tmp_path_factory.mktemp("sudden")
-    base = load_scenario("rich").altered(flight={"duration_s": 60.0})
+    base = load_scenario("rich").altered(flight={"duration_s": 52.0})
     scenarios = [base if n == "none" else base.altered(hidden=[{"name": n}]) for n in EFFECTS]
     flown = direct_flights(scenarios, [3] * len(EFFECTS))
     found = {}
@@ -99,7 +99,7 @@ def test_nothing_is_said_of_a_flight_that_the_model_describes(
     assert code == 0
     assert found["alarms"] == []
     assert found["next"] is None
-    assert 50.0 < float(str(found["watched_s"])) <= float(str(found["duration_s"]))
+    assert 42.0 < float(str(found["watched_s"])) <= float(str(found["duration_s"]))
     assert "no alarm" in capsys.readouterr().out
     assert not (tmp_path / "s.mcap").exists()
 
