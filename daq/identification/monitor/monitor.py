@@ -168,7 +168,8 @@ def _clearer(now: Alarm, told: Alarm) -> bool:
 
 def _told_anew(told: Alarm, now: Alarm) -> Alarm:
     same = bool(told.leading) and told.leading[0].effect == now.leading[0].effect
-    return replace(now, time=told.time, named=told.named if same else now.named)
+    since = min(now.since, told.time)  # the errors that were noticed had begun
+    return replace(now, time=told.time, since=since, named=told.named if same else now.named)
 
 
 def _scan_of(s: Sample) -> Scan:

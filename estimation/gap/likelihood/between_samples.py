@@ -70,4 +70,5 @@ def _end_slope(h0: Array, h1: Array, m0: Array, m1: Array) -> Array:
     """Slope at an end from the two chords next to it, kept to the side of the first and within three times of it."""
     d = ((2.0 * h0 + h1) * m0 - h0 * m1) / (h0 + h1)
     kept = np.where(np.sign(d) == np.sign(m0), d, 0.0)
-    return np.where((np.sign(m0) != np.sign(m1)) & (np.abs(d) > 3.0 * np.abs(m0)), 3.0 * m0, kept)
+    steepest = 3.0 * m0  # of a cubic that is monotone there (Fritsch and Carlson 1980)
+    return np.where((np.sign(m0) != np.sign(m1)) & (np.abs(d) > np.abs(steepest)), steepest, kept)

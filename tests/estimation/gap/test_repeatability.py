@@ -33,6 +33,7 @@ def answered() -> GapResult:
     return run_gap(load_model("lateral", "cdfp"), flights, (), asked, options=Options(seed=2, nulls=20, most=1))
 
 
+@pytest.mark.study  # its rule is in test_rules_fit.py, the recording of a hand-made answer in test_rerun_report.py
 def test_the_flight_of_another_aircraft_does_not_repeat_the_others(answered: GapResult) -> None:
     chi2 = {r["flight"]: r for r in answered.details["repeatability"]}
     assert chi2["f2"]["odd"]
@@ -40,6 +41,7 @@ def test_the_flight_of_another_aircraft_does_not_repeat_the_others(answered: Gap
     assert "f2" in answered.text
 
 
+@pytest.mark.study
 def test_the_same_in_rerun(answered: GapResult, tmp_path: Path) -> None:
     path = write_gap_recording(answered, tmp_path / "gap.rrd")
     assert path.read_bytes()[:3] == b"RRF"
