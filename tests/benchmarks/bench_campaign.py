@@ -32,7 +32,7 @@ from tests.studies.campaign_scaling import make_flights, memory_of
 
 pytestmark = [pytest.mark.benchmark, pytest.mark.timeout(1800)]
 
-FLIGHTS = 24
+FLIGHTS = 124
 WARM = 4  # flights before the clock starts: libraries are loaded, forms traced
 ROUNDS = 2  # of one worker and two in alternation
 ROWS = 100_000
