@@ -12,7 +12,6 @@ after the one that takes it. Modelled by ArduPlane 4.5 (radio.cpp, mode_manual.c
   with a function fails (AP_ServoRelayEvents::do_set_servo); SET_MESSAGE_INTERVAL sets a stream.
 """
 
-from bisect import bisect_right
 from collections.abc import Callable, Mapping
 
 from firmware_sim.hardware.autopilots.frames import (
@@ -25,24 +24,19 @@ from firmware_sim.hardware.autopilots.frames import (
     RC_CHANNELS,
     RC_CHANNELS_OVERRIDE,
     SERVO_OUTPUT_RAW,
-    Packer,
     Received,
-    Unpacker,
     text_of,
 )
-from firmware_sim.hardware.autopilots.line import Line
+from firmware_sim.hardware.autopilots.looped import LEAST_US, MS, TRAVEL_US, TRIM_US, LoopedAutopilot
 from firmware_sim.hardware.autopilots.rc_input import CHANNELS, RcInput
 
-MS = 1_000_000
 LOOP_NS = 20 * MS
 RECEIVER_NS, RECEIVER_PHASE_NS = 22 * MS, 3 * MS
 SILENT_NS, SHORT_FAILSAFE_NS = 1000 * MS, 1500 * MS
 THROTTLE_FAILSAFE_US = 950
-TRIM_US, TRAVEL_US = 1500, 500
 MANUAL, CIRCLE = 0, 1
 STAND_IN = 1.0 / 3.0
 OUTPUTS = 4
-_KEPT = 1000
 _SET_SERVO, _SET_MESSAGE_INTERVAL = 183, 511
 _ACCEPTED, _UNSUPPORTED, _FAILED = 0, 3, 4
 _REAL32 = 9  # MAV_PARAM_TYPE
@@ -61,7 +55,7 @@ PARAMETERS: Mapping[str, float] = {
 """Set up as docs/sequencer.md asks for it."""
 
 
-class ArduPlane:
+class ArduPlane(LoopedAutopilot):
     """A Talker. receiver: the pilot's eight channels at a time [us], None while it is silent. parameters: beside PARAMETERS."""
 
     def __init__(
@@ -70,37 +64,16 @@ class ArduPlane:
         parameters: Mapping[str, float] | None = None,
         origin_ns: int = 0,
     ) -> None:
+        super().__init__(LOOP_NS, origin_ns)
         self.parameters = {**PARAMETERS, **(parameters or {})}
         self.rc = RcInput(self.parameters)
         self.mode = MANUAL
-        self.inward, self.outward = Line(), Line()
         self._receiver = receiver
-        self._packer, self._unpacker = Packer(), Unpacker()
-        self._origin_ns = self._next_ns = origin_ns
-        self._loops = 0
         self._last_frame = (origin_ns - RECEIVER_PHASE_NS) // RECEIVER_NS
         self._valid_ns = origin_ns  # when the receiver was last taken for alive
         self._streams: dict[int, tuple[int, int]] = {}  # message: interval, when it is due [ns]
-        self._times: list[int] = [origin_ns]
-        self._history: list[tuple[int, ...]] = [(TRIM_US,) * 3 + (1000,)]
-
-    # ---------------------------------------------------------------------------------------- the line
-
-    def bytes_until(self, now_ns: int) -> bytes:
-        """Bytes that have arrived at the other end since the last call."""
-        self.run_to(now_ns)
-        return self.outward.arrived(now_ns)
-
-    def hear(self, data: bytes, now_ns: int) -> None:
-        """Take bytes, which arrive at the speed of the line."""
-        self.inward.send(data, now_ns)
 
     # ---------------------------------------------------------------------------------------- for the servos and the pilot
-
-    def outputs_us(self, time_ns: int) -> tuple[int, ...]:
-        """Widths of outputs 1 to 4 at a time [us]."""
-        self.run_to(time_ns)
-        return self._history[max(bisect_right(self._times, time_ns) - 1, 0)]
 
     def set_mode(self, mode: int, now_ns: int) -> None:
         """As by switch, command or failsafe."""
@@ -108,39 +81,30 @@ class ArduPlane:
             self.mode = mode
             self._send_heartbeat(now_ns)
 
-    def run_to(self, now_ns: int) -> None:
-        """All loops up to this time."""
-        while self._next_ns <= now_ns:
-            self._loop(self._next_ns)
-            self._next_ns += LOOP_NS
-
     # ---------------------------------------------------------------------------------------- a loop
 
-    def _loop(self, now_ns: int) -> None:
+    def loop(self, now_ns: int) -> None:
+        """One turn."""
         self._set_servos(now_ns)
         self._read_radio(now_ns)
-        if self._loops % 5 == 0:
+        if self.loops % 5 == 0:
             self.rc.look_at_switch(now_ns)
-        for message in self._unpacker.feed(self.inward.arrived(now_ns)):
+        for message in self.heard(now_ns):
             self._take(message, now_ns)
-        if self._loops % 50 == 0:
+        if self.loops % 50 == 0:
             self._send_heartbeat(now_ns)
         for number, (interval, due) in self._streams.items():
             if now_ns >= due:
                 self._streams[number] = interval, max(due + interval, now_ns)
                 self._send_stream(number, now_ns)
-        self._loops += 1
 
     def _set_servos(self, now_ns: int) -> None:
         roll, pitch, throttle, yaw = self.rc.widths[:4]
         share = self.parameters["MIXING_GAIN"] * (1.0 if self.mode == MANUAL else STAND_IN)
         aileron, elevator, rudder = (share * _travel(w) for w in (roll, pitch, yaw))
         wanted = (elevator - aileron, elevator + aileron, rudder)
-        surfaces = (TRIM_US + round(min(max(w, -TRAVEL_US), TRAVEL_US)) for w in wanted)
-        self._times.append(now_ns)
-        self._history.append((*surfaces, throttle or 1000))
-        if len(self._times) > 2 * _KEPT:
-            del self._times[:_KEPT], self._history[:_KEPT]
+        surfaces = [TRIM_US + round(min(max(w, -TRAVEL_US), TRAVEL_US)) for w in wanted]
+        self.put_out(surfaces, throttle or LEAST_US, now_ns)
 
     def _read_radio(self, now_ns: int) -> None:
         number = (now_ns - RECEIVER_PHASE_NS) // RECEIVER_NS
@@ -172,7 +136,7 @@ class ArduPlane:
             self._send_parameter(name, now_ns)
         elif message.number == COMMAND_LONG.number:
             result = self._command(int(f[7]), [float(v) for v in f[:7]], now_ns)
-            self._send(self._packer.pack(COMMAND_ACK, int(f[7]), result), now_ns)
+            self._send(self.packer.pack(COMMAND_ACK, int(f[7]), result), now_ns)
 
     def _ground_system(self) -> float:
         return self.parameters.get("MAV_GCS_SYSID", self.parameters.get("SYSID_MYGCS", 255.0))
@@ -188,20 +152,20 @@ class ArduPlane:
     def _send_parameter(self, name: str, now_ns: int) -> None:
         if name in self.parameters:
             fields = (self.parameters[name], len(self.parameters), 65535, name.encode(), _REAL32)
-            self._send(self._packer.pack(PARAM_VALUE, *fields), now_ns)
+            self._send(self.packer.pack(PARAM_VALUE, *fields), now_ns)
 
     def _send_heartbeat(self, now_ns: int) -> None:
-        self._send(self._packer.pack(HEARTBEAT, self.mode, 1, 3, 0x51, 4, 3), now_ns)
+        self._send(self.packer.pack(HEARTBEAT, self.mode, 1, 3, 0x51, 4, 3), now_ns)
 
     def _send_stream(self, number: int, now_ns: int) -> None:
         if number == RC_CHANNELS.number:
-            boot_ms = (now_ns - self._origin_ns) // MS
+            boot_ms = (now_ns - self.origin_ns) // MS
             widths = (*self.rc.widths, *(0,) * (18 - CHANNELS))
-            self._send(self._packer.pack(RC_CHANNELS, boot_ms, *widths, 16, 255), now_ns)
+            self._send(self.packer.pack(RC_CHANNELS, boot_ms, *widths, 16, 255), now_ns)
         else:
-            boot_us = (now_ns - self._origin_ns) // 1000 & 0xFFFFFFFF
-            outputs = (*self._history[-1], *(0,) * (8 - OUTPUTS))
-            self._send(self._packer.pack(SERVO_OUTPUT_RAW, boot_us, *outputs, 0), now_ns)
+            boot_us = (now_ns - self.origin_ns) // 1000 & 0xFFFFFFFF
+            outputs = (*self.newest_us, *(0,) * (8 - OUTPUTS))
+            self._send(self.packer.pack(SERVO_OUTPUT_RAW, boot_us, *outputs, 0), now_ns)
 
     def _send(self, data: bytes, now_ns: int) -> None:
         self.outward.send(data, now_ns)

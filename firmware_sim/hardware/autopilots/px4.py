@@ -8,7 +8,6 @@ the other. Without any a failsafe flies (NAV_RCL_ACT); neutral sticks are a stan
 reaches outputs with the function "peripheral via actuator set", and no surface.
 """
 
-from bisect import bisect_right
 from collections.abc import Callable, Mapping
 
 from firmware_sim.hardware.autopilots.frames import (
@@ -19,20 +18,15 @@ from firmware_sim.hardware.autopilots.frames import (
     PARAM_REQUEST_READ,
     PARAM_VALUE,
     RC_CHANNELS,
-    Packer,
     Received,
-    Unpacker,
     text_of,
 )
-from firmware_sim.hardware.autopilots.line import Line
+from firmware_sim.hardware.autopilots.looped import LEAST_US, MS, TRAVEL_US, TRIM_US, LoopedAutopilot
 
-MS = 1_000_000
 LOOP_NS = 4 * MS  # 250 Hz
-TRIM_US, TRAVEL_US = 1500, 500
 RECEIVER, MAVLINK = "receiver", "mavlink"
 PARAMETERS: Mapping[str, float] = {"COM_RC_IN_MODE": 3.0, "COM_RC_LOSS_T": 0.5}
 _MANUAL = 1 << 16  # custom mode: main mode MANUAL
-_KEPT = 2000
 _SET_ACTUATOR = 187
 _STREAM_LOOPS, _HEARTBEAT_LOOPS, _RECEIVER_LOOPS = 5, 250, 5
 _REAL32 = 9
@@ -41,7 +35,7 @@ Sticks = tuple[float, float, float, float]
 """Roll, pitch, yaw -1 to 1, throttle 0 to 1."""
 
 
-class Px4:
+class Px4(LoopedAutopilot):
     """A Talker. receiver: channels 1 to 4 at a time [us] (roll, pitch, throttle, yaw), None while it is silent."""
 
     def __init__(
@@ -50,6 +44,7 @@ class Px4:
         parameters: Mapping[str, float] | None = None,
         origin_ns: int = 0,
     ) -> None:
+        super().__init__(LOOP_NS, origin_ns)
         self.parameters = {**PARAMETERS, **(parameters or {})}
         self.chosen: str | None = None
         """Whose sticks are flown by."""
@@ -57,51 +52,25 @@ class Px4:
         self._receiver = receiver
         self._first: str | None = None
         self._newest: dict[str, tuple[int, Sticks]] = {}  # when each source came last, and what it said
-        self._inward, self._outward = Line(), Line()
-        self._packer, self._unpacker = Packer(), Unpacker()
-        self._origin_ns = self._next_ns = origin_ns
-        self._loops = 0
-        self._times: list[int] = [origin_ns]
-        self._history: list[tuple[int, ...]] = [(TRIM_US,) * 3 + (1000,)]
 
-    def bytes_until(self, now_ns: int) -> bytes:
-        """Bytes that have arrived at the other end since the last call."""
-        self.run_to(now_ns)
-        return self._outward.arrived(now_ns)
-
-    def hear(self, data: bytes, now_ns: int) -> None:
-        """Take bytes, which arrive at the speed of the line."""
-        self._inward.send(data, now_ns)
-
-    def outputs_us(self, time_ns: int) -> tuple[int, ...]:
-        """Aileron, elevator, rudder and throttle at a time [us]."""
-        self.run_to(time_ns)
-        return self._history[max(bisect_right(self._times, time_ns) - 1, 0)]
-
-    def run_to(self, now_ns: int) -> None:
-        """All loops up to this time."""
-        while self._next_ns <= now_ns:
-            self._loop(self._next_ns)
-            self._next_ns += LOOP_NS
-
-    def _loop(self, now_ns: int) -> None:
+    def loop(self, now_ns: int) -> None:
+        """One turn."""
         channels = self._receiver(now_ns)
-        if channels is not None and self._loops % _RECEIVER_LOOPS == 0:
+        if channels is not None and self.loops % _RECEIVER_LOOPS == 0:
             roll, pitch, throttle, yaw = channels[:4]
             travel = [(w - TRIM_US) / TRAVEL_US for w in (roll, pitch, yaw)]
             self._offer(RECEIVER, (travel[0], travel[1], travel[2], (throttle - 1000) / 1000), now_ns)
-        for message in self._unpacker.feed(self._inward.arrived(now_ns)):
+        for message in self.heard(now_ns):
             self._take(message, now_ns)
         if self.chosen is not None and not self._fresh(self.chosen, now_ns):
             self.chosen = None
         self._put_out(now_ns)
-        if self._loops % _HEARTBEAT_LOOPS == 0:
-            self._outward.send(self._packer.pack(HEARTBEAT, _MANUAL, 1, 12, 0x51, 4, 3), now_ns)
-        if self._loops % _STREAM_LOOPS == 0 and channels is not None:
-            boot_ms = (now_ns - self._origin_ns) // MS
+        if self.loops % _HEARTBEAT_LOOPS == 0:
+            self.outward.send(self.packer.pack(HEARTBEAT, _MANUAL, 1, 12, 0x51, 4, 3), now_ns)
+        if self.loops % _STREAM_LOOPS == 0 and channels is not None:
+            boot_ms = (now_ns - self.origin_ns) // MS
             widths = (*channels, *(0,) * (18 - len(channels)))
-            self._outward.send(self._packer.pack(RC_CHANNELS, boot_ms, *widths, len(channels), 255), now_ns)
-        self._loops += 1
+            self.outward.send(self.packer.pack(RC_CHANNELS, boot_ms, *widths, len(channels), 255), now_ns)
 
     # ---------------------------------------------------------------------------------------- whose sticks
 
@@ -131,11 +100,8 @@ class Px4:
 
     def _put_out(self, now_ns: int) -> None:
         sticks = self._newest[self.chosen][1] if self.chosen is not None else (0.0, 0.0, 0.0, 0.0)
-        surfaces = (TRIM_US + round(TRAVEL_US * s) for s in sticks[:3])
-        self._times.append(now_ns)
-        self._history.append((*surfaces, 1000 + round(1000 * sticks[3])))
-        if len(self._times) > 2 * _KEPT:
-            del self._times[:_KEPT], self._history[:_KEPT]
+        surfaces = [TRIM_US + round(TRAVEL_US * s) for s in sticks[:3]]
+        self.put_out(surfaces, LEAST_US + round(1000 * sticks[3]), now_ns)
 
     # ---------------------------------------------------------------------------------------- messages
 
@@ -147,9 +113,9 @@ class Px4:
         elif message.number == PARAM_REQUEST_READ.number and text_of(f[3]) in self.parameters:
             name = text_of(f[3])
             fields = (self.parameters[name], len(self.parameters), 65535, name.encode(), _REAL32)
-            self._outward.send(self._packer.pack(PARAM_VALUE, *fields), now_ns)
+            self.outward.send(self.packer.pack(PARAM_VALUE, *fields), now_ns)
         elif message.number == COMMAND_LONG.number:
             if int(f[7]) == _SET_ACTUATOR:
                 self.peripheral = float(f[0])
             result = 0 if int(f[7]) == _SET_ACTUATOR else 3
-            self._outward.send(self._packer.pack(COMMAND_ACK, int(f[7]), result), now_ns)
+            self.outward.send(self.packer.pack(COMMAND_ACK, int(f[7]), result), now_ns)

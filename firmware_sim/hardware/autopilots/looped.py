@@ -1,0 +1,68 @@
+"""What the simulated autopilots share: a loop at its rate, a serial line both ways, and what the outputs have been."""
+
+from abc import ABC, abstractmethod
+from bisect import bisect_right
+from collections.abc import Iterator, Sequence
+
+from firmware_sim.hardware.autopilots.frames import Packer, Received, Unpacker
+from firmware_sim.hardware.autopilots.line import Line
+
+MS = 1_000_000
+TRIM_US, TRAVEL_US = 1500, 500
+LEAST_US = 1000
+_KEPT_NS = 10_000 * MS  # of outputs, for whoever asks for an earlier time
+
+
+class LoopedAutopilot(ABC):
+    """A Talker. loop_ns: period of its loop; origin_ns: when it was switched on."""
+
+    def __init__(self, loop_ns: int, origin_ns: int) -> None:
+        self.inward, self.outward = Line(), Line()
+        self.loops = 0
+        self.origin_ns = self._next_ns = origin_ns
+        self._loop_ns = loop_ns
+        self._kept = max(1, _KEPT_NS // loop_ns)
+        self.packer, self._unpacker = Packer(), Unpacker()
+        self._times: list[int] = [origin_ns]
+        self._history: list[tuple[int, ...]] = [(TRIM_US,) * 3 + (LEAST_US,)]
+
+    @abstractmethod
+    def loop(self, now_ns: int) -> None:
+        """One turn."""
+
+    def run_to(self, now_ns: int) -> None:
+        """All loops up to this time."""
+        while self._next_ns <= now_ns:
+            self.loop(self._next_ns)
+            self.loops += 1
+            self._next_ns += self._loop_ns
+
+    def bytes_until(self, now_ns: int) -> bytes:
+        """Bytes that have arrived at the other end since the last call."""
+        self.run_to(now_ns)
+        return self.outward.arrived(now_ns)
+
+    def hear(self, data: bytes, now_ns: int) -> None:
+        """Take bytes, which arrive at the speed of the line."""
+        self.inward.send(data, now_ns)
+
+    def heard(self, now_ns: int) -> Iterator[Received]:
+        """Messages that have come in whole."""
+        return self._unpacker.feed(self.inward.arrived(now_ns))
+
+    def put_out(self, surfaces: Sequence[int], throttle: int, now_ns: int) -> None:
+        """Widths of the three surfaces and the throttle from now on [us]."""
+        self._times.append(now_ns)
+        self._history.append((*surfaces, throttle))
+        if len(self._times) > 2 * self._kept:
+            del self._times[: self._kept], self._history[: self._kept]
+
+    @property
+    def newest_us(self) -> tuple[int, ...]:
+        """What is put out now."""
+        return self._history[-1]
+
+    def outputs_us(self, time_ns: int) -> tuple[int, ...]:
+        """Widths of outputs 1 to 4 at a time [us], the throttle last."""
+        self.run_to(time_ns)
+        return self._history[max(bisect_right(self._times, time_ns) - 1, 0)]
