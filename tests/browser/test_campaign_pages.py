@@ -1,6 +1,5 @@
 """A campaign's page and its flights' pages in headless Chromium: nothing overflows, every link leads somewhere and back."""
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +14,7 @@ from estimation.campaign.pages.page import write_campaign_page
 from estimation.campaign.plan import Plan
 from estimation.campaign.run import Outcome
 from estimation.campaign.schema import RESULTS, arrow_schema
-from tests.browser.screenshot import chromium
+from tests.browser.fits import OVERFLOW
 from tests.estimation.campaign.aerodynamics.test_envelope_curves import SLOPES, STD, estimates, table
 
 if TYPE_CHECKING:
@@ -25,10 +24,6 @@ pytestmark = [pytest.mark.browser, pytest.mark.timeout(240), pytest.mark.filterw
 
 FLIGHTS = 44
 WIDTHS = (400, 1280)
-OVERFLOW = """() => [...document.querySelectorAll('body *')].filter(e => {
-  const box = e.getBoundingClientRect();
-  return box.width > 0 && !e.closest('thead') && box.right > document.documentElement.clientWidth + 1;
-}).map(e => e.tagName + '.' + e.className + ': ' + (e.innerText || e.alt || '').slice(0, 60)).slice(0, 5)"""
 
 
 def results() -> pa.Table:
@@ -78,18 +73,6 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     plan = Plan(groups=keys, methods=("ml",))
     return write_campaign_page(outcome, plan, tmp_path_factory.mktemp("campaign") / "report").parent
-
-
-@pytest.fixture
-def browser() -> "Iterator[Browser]":
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as tools:
-        opened = tools.chromium.launch(
-            executable_path=chromium(), headless=True, args=["--no-sandbox", "--disable-dev-shm-usage", "--disable-gpu"]
-        )
-        yield opened
-        opened.close()
 
 
 def test_pages_fit_and_ask_nobody_and_flights_are_a_click_away(report: Path, browser: "Browser") -> None:

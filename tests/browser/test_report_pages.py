@@ -2,7 +2,6 @@
 
 import json
 import re
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,7 +17,7 @@ from estimation.report.front import write_front_page
 from estimation.report.page import write_estimate_report
 from estimation.session import runner
 from groundstation.flight.quality import quality_report
-from tests.browser.screenshot import chromium
+from tests.browser.fits import OVERFLOW
 from tests.estimation.gap.test_rerun_report import an_answer
 from tests.estimation.test_report import CRAFT, LATERAL, flight, kinematic_flight
 
@@ -31,10 +30,6 @@ PAGES = ("", "check", "estimate", "gap")
 WIDTHS = (400, 1280, 1920)
 A4_ACROSS = 1031  # CSS pixels of a sheet 297 mm long within margins of 12 mm
 A4_UPRIGHT = 703
-OVERFLOW = """() => [...document.querySelectorAll('body *')].filter(e => {
-  const box = e.getBoundingClientRect();
-  return box.width > 0 && !e.closest('thead') && box.right > document.documentElement.clientWidth + 1;
-}).map(e => e.tagName + '.' + e.className + ': ' + (e.innerText || e.alt || '').slice(0, 60)).slice(0, 5)"""
 HIDDEN_BY_SCROLLING = """() => [...document.querySelectorAll('.scroll, .frame, pre')]
   .filter(e => e.scrollWidth > e.clientWidth + 1).map(e => (e.innerText || '').slice(0, 60))"""
 
@@ -102,18 +97,6 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (folder / f"{name}.json").write_text(json.dumps(content), encoding="utf-8")
     write_front_page(folder)
     return folder
-
-
-@pytest.fixture
-def browser() -> "Iterator[Browser]":
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as tools:
-        opened = tools.chromium.launch(
-            executable_path=chromium(), headless=True, args=["--no-sandbox", "--disable-dev-shm-usage", "--disable-gpu"]
-        )
-        yield opened
-        opened.close()
 
 
 def test_pages_fit_every_window_and_the_sheet_and_ask_nobody(report: Path, browser: "Browser") -> None:
