@@ -16,6 +16,7 @@ from estimation.engine.kernel import Array, Columns, Drive, Kernel, Motion
 from estimation.engine.transforms import apply_transforms, transform_derivatives
 from estimation.models.base import Model
 from estimation.models.parts import Structure
+from estimation.signals.monotone_cubic import half_way, inner_slopes
 from groundstation.flight import Flight
 
 Compile = Literal["auto", "never"]
@@ -229,20 +230,13 @@ def _by_middles(values: Array) -> tuple[Array, Array, Array]:
 
 
 def _midpoints(u: Array, step: Array) -> Array:
-    """(N - 1, nu) values half-way between samples of the monotone piecewise cubic (Fritsch and Butland 1984).
-
-    Between two equal samples it is flat, and it never overshoots: an edge stays where it is.
-    """
-    chord = np.diff(u, axis=0) / step[:, None]
+    """(N - 1, nu) values half-way between samples on a monotone cubic that ends with its chords; flat between equal samples."""
+    length = step[:, None]
+    chord = np.diff(u, axis=0) / length
     slope = np.zeros_like(u)
     slope[0], slope[-1] = chord[0], chord[-1]
-    before, after = chord[:-1], chord[1:]
-    same = before * after > 0
-    w1 = (2 * step[1:] + step[:-1])[:, None]
-    w2 = (step[1:] + 2 * step[:-1])[:, None]
-    safe = np.where(same, before, 1.0), np.where(same, after, 1.0)
-    slope[1:-1] = np.where(same, (w1 + w2) / (w1 / safe[0] + w2 / safe[1]), 0.0)
-    return np.asarray(0.5 * (u[1:] + u[:-1]) + 0.125 * step[:, None] * (slope[:-1] - slope[1:]))
+    slope[1:-1] = inner_slopes(chord, length)
+    return half_way(u, slope, length)
 
 
 def _cubic(time: Array, wanted: Array) -> tuple[Array, np.ndarray, Array]:  # type: ignore[type-arg]

@@ -30,7 +30,7 @@ class LiveWatch:
         self._conditions = Conditions(rate=rate, loss=LOST) if rate < SLOWER_HZ else Conditions(rate=ON_BOARD_HZ)
         self._monitor: GapMonitor | None = None
         self._waiting: list[Sample] = []
-        self._told: list[str] = []  # what each alarm was first said to be
+        self._told: list[str] = []  # what each alarm was last said to be
         self.trouble = ""
         self._thread = threading.Thread(target=self._calibrate, name="gap monitor", daemon=True)
         self._thread.start()

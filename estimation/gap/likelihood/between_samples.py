@@ -10,6 +10,7 @@ import numpy as np
 
 from estimation.engine.kernel import Array
 from estimation.engine.simulate import Segment
+from estimation.signals.monotone_cubic import half_way, inner_slopes
 
 
 @dataclass(frozen=True)
@@ -51,19 +52,14 @@ def middles(time: Array, u: Array) -> Array:
     """(N - 1, columns) values half-way between samples (N, columns) of the monotone cubic of Fritsch and Butland (1984), at the
     ends with the three-point slopes of Moler (Numerical Computing with MATLAB, 2004, section 3.6)."""
     step = np.diff(time)[:, None]
-    straight = 0.5 * (u[1:] + u[:-1])
     if len(u) < 3:
-        return straight
+        return np.asarray(0.5 * (u[1:] + u[:-1]))
     chord = np.diff(u, axis=0) / step
-    before, after = chord[:-1], chord[1:]
-    same = before * after > 0.0
-    w1, w2 = 2.0 * step[1:] + step[:-1], step[1:] + 2.0 * step[:-1]
     slope = np.empty_like(u)
-    mean = w1 / np.where(same, before, 1.0) + w2 / np.where(same, after, 1.0)
-    slope[1:-1] = np.where(same, (w1 + w2) / mean, 0.0)
+    slope[1:-1] = inner_slopes(chord, step)
     slope[0] = _end_slope(step[0], step[1], chord[0], chord[1])
     slope[-1] = _end_slope(step[-1], step[-2], chord[-1], chord[-2])
-    return straight + 0.125 * step * (slope[:-1] - slope[1:])
+    return half_way(u, slope, step)
 
 
 def _end_slope(h0: Array, h1: Array, m0: Array, m1: Array) -> Array:
