@@ -40,8 +40,13 @@ class StickPlan:
         """Inputs and busy flags of one frame, by axis; beyond the plan nothing is flown."""
         if frame < 0 or frame >= len(self.inputs):
             zero = self.inputs[0] * 0.0
-            return list(zero), list(zero)
-        return list(self.inputs[frame]), list(self.busy[frame])
+            return _by_axis(zero), _by_axis(zero)
+        return _by_axis(self.inputs[frame]), _by_axis(self.busy[frame])
+
+
+def _by_axis(row: NDArray[np.float64]) -> list[Value]:
+    """One Value an axis; of a single flight Python's floats, for a numpy scalar makes numpy scalars of all that it meets."""
+    return row.tolist() if row.ndim == 1 else list(row)
 
 
 def plan_sticks(manoeuvres: Sequence[Manoeuvre], duration: float, hand: float, rng: np.random.Generator) -> StickPlan:

@@ -19,6 +19,7 @@ SITTING_PITCH = 0.10  # rad, nose up on its skid
 SITTING_HEIGHT = 0.15  # m of the CG above the field
 VANE_SPEED = 4.0  # m/s below which a vane no longer finds the wind
 
+Triple = tuple[float, float, float]
 Vector = NDArray[np.float64]
 
 
@@ -27,30 +28,30 @@ class _Departure:
     """From rest to a point with a velocity in `duration` seconds: first along the field, then up.
 
     Along the field speed is gained over the first 60 %; height over the last 70 %. Quintics at rest in acceleration at
-    both ends.
+    both ends. In plain numbers: it is asked ten times for every look at an instrument.
     """
 
-    end: Vector
-    end_velocity: Vector
+    end: Triple
+    end_velocity: Triple
     duration: float
 
-    def at(self, time: float) -> tuple[Vector, Vector, Vector]:
+    def at(self, time: float) -> tuple[Triple, Triple, Triple]:
         """Position, velocity, acceleration; before zero at rest, after the end not used."""
         gain = 0.6 * self.duration
-        run = self.end_velocity * 0.5 * gain
-        start = self.end - self.end_velocity * (self.duration - gain) - run
-        start[2] = -SITTING_HEIGHT
-        position, velocity, acceleration = _quintic(start, start + run, self.end_velocity, gain, min(time, gain))
-        position = position + self.end_velocity * max(time - gain, 0.0)
         rise = 0.7 * self.duration
-        up = _quintic(start, self.end, self.end_velocity, rise, time - (self.duration - rise))
-        position[2], velocity[2], acceleration[2] = up[0][2], up[1][2], up[2][2]
-        return position, velocity, acceleration
+        coasted = max(time - gain, 0.0)
+        along = []
+        for end, end_velocity in zip(self.end[:2], self.end_velocity[:2], strict=True):
+            run = end_velocity * 0.5 * gain
+            start = end - end_velocity * (self.duration - gain) - run
+            x, v, a = _quintic(start, start + run, end_velocity, gain, min(time, gain))
+            along.append((x + end_velocity * coasted, v, a))
+        up = _quintic(-SITTING_HEIGHT, self.end[2], self.end_velocity[2], rise, time - (self.duration - rise))
+        (xn, vn, an), (xe, ve, ae), (xd, vd, ad) = *along, up
+        return (xn, xe, xd), (vn, ve, vd), (an, ae, ad)
 
 
-def _quintic(
-    start: Vector, end: Vector, end_velocity: Vector, duration: float, time: float
-) -> tuple[Vector, Vector, Vector]:
+def _quintic(start: float, end: float, end_velocity: float, duration: float, time: float) -> tuple[float, float, float]:
     s = min(max(time / duration, 0.0), 1.0)
     v1, delta = end_velocity * duration, end - start
     a3, a4, a5 = 10.0 * delta - 4.0 * v1, -15.0 * delta + 7.0 * v1, 6.0 * delta - 3.0 * v1
@@ -70,15 +71,15 @@ class ScriptedPath:
 
     def __init__(self, joint: Truth, duration: float, site: Site, *, launch: bool) -> None:
         self.joint, self.duration, self.site, self.launch = joint, duration, site, launch
-        velocity = np.array(joint.velocity_ned)
-        self._departure = _Departure(np.array(joint.position_ned), velocity if launch else -velocity, duration)
+        velocity = joint.velocity_ned if launch else _reversed(joint.velocity_ned)
+        self._departure = _Departure(joint.position_ned, velocity, duration)
 
-    def _path(self, since: float) -> tuple[Vector, Vector, Vector]:
+    def _path(self, since: float) -> tuple[Triple, Triple, Triple]:
         """Position, velocity, acceleration, NED; a landing is a departure seen backwards in time."""
         if self.launch:
             return self._departure.at(since)
         position, velocity, acceleration = self._departure.at(self.duration - since)
-        return position, -velocity, acceleration
+        return position, _reversed(velocity), acceleration
 
     def _share(self, since: float) -> float:
         """How far it is in the air: 0 on the ground, 1 at the joint."""
@@ -118,15 +119,15 @@ class ScriptedPath:
         share = self._share(since)
         phi, theta = self._attitude(since)
         turn = direction_cosines(phi, theta, joint.psi)
-        force = turn @ (acceleration - np.array([0.0, 0.0, GRAVITY]))
+        force = turn @ np.array([acceleration[0], acceleration[1], acceleration[2] - GRAVITY])
         rates, rate_derivatives = self._turning(since)
-        air = turn @ (velocity - np.array(joint.wind_ned))
+        air = turn @ (np.array(velocity) - np.array(joint.wind_ned))
         speed = float(np.linalg.norm(air))
         hold = speed**4 / (speed**4 + VANE_SPEED**4)
         alpha = hold * math.atan2(air[2], max(air[0], 1.0))
         beta = hold * math.asin(air[1] / max(speed, 1e-9))
         state = air_at(self.site.elevation_m - position[2], self.site.temperature_offset_k)
-        latitude, longitude = geodetic(self.site, float(position[0]), float(position[1]))
+        latitude, longitude = geodetic(self.site, position[0], position[1])
         thrust = share * joint.thrust
         left, right, rudder = share * joint.left_elevon, share * joint.right_elevon, share * joint.rudder
         phase: Phase = ("launch" if self.launch else "landing") if moving else "ground"
@@ -149,11 +150,11 @@ class ScriptedPath:
             beta=beta,
             V=speed,
             air_velocity=_triple(air),
-            velocity_ned=_triple(velocity),
-            position_ned=_triple(position),
+            velocity_ned=velocity,
+            position_ned=position,
             latitude=latitude,
             longitude=longitude,
-            altitude=self.site.elevation_m - float(position[2]),
+            altitude=self.site.elevation_m - position[2],
             left_elevon=left,
             right_elevon=right,
             rudder=rudder,
@@ -176,7 +177,12 @@ class ScriptedPath:
         )
 
 
-def _triple(vector: Vector) -> tuple[float, float, float]:
+def _reversed(vector: Triple) -> Triple:
+    x, y, z = vector
+    return -x, -y, -z
+
+
+def _triple(vector: Vector) -> Triple:
     x, y, z = (float(component) for component in vector)
     return x, y, z
 

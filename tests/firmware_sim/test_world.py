@@ -49,6 +49,15 @@ def test_time_does_not_go_back() -> None:
         world.advance(0.5)
 
 
+@pytest.mark.parametrize("scenario", ["nominal", "quiet"])
+def test_one_flight_is_flown_on_floats(scenario: str) -> None:
+    # One numpy scalar, from a table or a draw, makes numpy scalars of all it meets: the same numbers at twice the time.
+    world = World(load_scenario(scenario))
+    for time in (0.0, 0.5 * world.takeoff_time, world.takeoff_time + 1.0, world.takeoff_time + 5.0):
+        columns = world.advance(time).columns()
+        assert {name: type(value) for name, value in columns.items() if type(value) is not float} == {}
+
+
 def test_same_seed_same_flight_other_seed_other_flight() -> None:
     one, same, other = (simulate_truth(short(), seed) for seed in (5, 5, 6))
     assert all(np.array_equal(one[name], same[name]) for name in one)
