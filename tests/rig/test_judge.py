@@ -1,6 +1,7 @@
 """The judge of a card, given sessions of which everything is known: it must find what is wrong, and nothing else."""
 
 import struct
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -56,6 +57,17 @@ def test_a_scan_that_was_never_read_is_found(session: Path) -> None:
     readings = timed(bursts(session)[:-1])
     (wrong,) = judge(session, readings, 2.0).wrong
     assert "was never read from the IMU like that" in wrong
+
+
+def test_a_scan_whose_imu_was_still_under_way_is_no_error(session: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    recording = read_recording(session, salvage=True)
+    scans = [
+        replace(s, groups={g: v for g, v in s.groups.items() if g != "imu"}) if k == 5 else s
+        for k, s in enumerate(recording.scans())
+    ]
+    monkeypatch.setattr(type(recording), "scans", lambda _: iter(scans))
+    found = judge(session, timed(bursts(session)), 2.0)
+    assert (found.wrong, found.readings_lost) == ((), 0)
 
 
 def test_scans_in_another_order_are_found(session: Path) -> None:
