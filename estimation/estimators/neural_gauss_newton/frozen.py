@@ -193,7 +193,7 @@ def normal_equations(
     n = slopes[0].shape[2]
     matrix, right = np.zeros((n, n)), np.zeros(n)
     for a, s, r, c in zip(left, slopes, residuals, counts, strict=True):
-        weighted = a * (c[:, None] / R)[:, :, None]
-        matrix += np.einsum("kop,koq->pq", weighted, s)
-        right += np.einsum("kop,ko->p", weighted, r)
+        weighted = (a * (c[:, None] / R)[:, :, None]).reshape(-1, n).T
+        matrix += weighted @ s.reshape(-1, n)
+        right += weighted @ r.reshape(-1)
     return matrix, right
