@@ -64,10 +64,16 @@ class Response:
         import pandas as pd
 
         r = self.answer.response
-        return pd.DataFrame({
-            "frequency": r.omega, "magnitude": r.magnitude, "phase": r.phase, "coherence": r.coherence,
-            "std_magnitude": r.std, "std_phase": r.std_phase,
-        })  # fmt: skip
+        return pd.DataFrame(
+            {
+                "frequency": r.omega,
+                "magnitude": r.magnitude,
+                "phase": r.phase,
+                "coherence": r.coherence,
+                "std_magnitude": r.std,
+                "std_phase": r.std_phase,
+            }
+        )
 
     def summary(self) -> str:
         """What `sideslip frequency` prints."""

@@ -112,8 +112,10 @@ class Estimates:
         return f"<Estimates of {self.session.model.name} by {methods}: {self.session.text:.300}>"
 
     def _repr_html_(self) -> str:
-        rows = [(n, *_rounded(e), "" if e.reference is None else f"{e.reference:.4g}", e.why)
-                for n, e in self.best.parameters.items()]  # fmt: skip
+        rows = [
+            (n, *_rounded(e), "" if e.reference is None else f"{e.reference:.4g}", e.why)
+            for n, e in self.best.parameters.items()
+        ]
         return table(repr(self), ("parameter", "estimate", "corrected bound", "before", ""), rows)
 
 
@@ -270,11 +272,16 @@ class GapAnswer:
 
         named = {s.effect: s for s in self.result.steps}
         rows = [
-            {"effect": n, "score": score, "threshold": named[n].threshold if n in named else self.result.threshold,
-             "named": n in named, "weight": named[n].confidence if n in named else float("nan"),
-             "minimum_detectable": self.result.minimum_detectable.get(n, float("nan"))}
+            {
+                "effect": n,
+                "score": score,
+                "threshold": named[n].threshold if n in named else self.result.threshold,
+                "named": n in named,
+                "weight": named[n].confidence if n in named else float("nan"),
+                "minimum_detectable": self.result.minimum_detectable.get(n, float("nan")),
+            }
             for n, score in sorted(self.result.scores.items(), key=lambda pair: -pair[1])
-        ]  # fmt: skip
+        ]
         return pd.DataFrame(rows)
 
     def summary(self) -> str:

@@ -67,8 +67,15 @@ def gap_sets(scratch: Path, made: Path, key: dict[str, Any]) -> list[dict[str, A
             flown = sideslip.fly_scenario(scenario, scratch / f"{letter}{number}", seed=seed, backfill=False)
             target = made / "gap" / f"{letter}_{number}.mcap"
             shutil.copyfile(flown.onboard, target)
-            rows.append({"name": f"gap/{letter}_{number}", "flight": f"gap/{target.name}", "sha256": digest(target),
-                         "source": "simulated", "seed": seed})  # fmt: skip
+            rows.append(
+                {
+                    "name": f"gap/{letter}_{number}",
+                    "flight": f"gap/{target.name}",
+                    "sha256": digest(target),
+                    "source": "simulated",
+                    "seed": seed,
+                }
+            )
         first, seed = plan[0]
         entry["derivatives"] = derivatives_of(first, seed)
     return rows

@@ -29,8 +29,13 @@ _KEY_PART = r"[A-Za-z0-9_\-]++[ \t]*+\.[ \t]*+"
 _LONG_KEY = re.compile(rf"(?<![A-Za-z0-9_\-])(?:{_KEY_PART}){{{DEEPEST}}}")
 _INTEGERS = range(-(2**63), 2**63)  # TOML 1.0: integers are of 64 bits
 
-_KINDS = {stat.S_IFDIR: "a folder", stat.S_IFIFO: "a pipe", stat.S_IFCHR: "a device", stat.S_IFBLK: "a device",
-          stat.S_IFSOCK: "a socket"}  # fmt: skip
+_KINDS = {
+    stat.S_IFDIR: "a folder",
+    stat.S_IFIFO: "a pipe",
+    stat.S_IFCHR: "a device",
+    stat.S_IFBLK: "a device",
+    stat.S_IFSOCK: "a socket",
+}
 
 
 def check_file(path: Path, what: str = "file", error: type[UserError] = UserError, most: int = LARGEST_DATA) -> int:

@@ -50,8 +50,13 @@ class Sums:
         take, take_z = np.eye(TOTAL), np.eye(WIDTH)
         take[:, 0] -= share
         take_z[:, 0] -= own
-        return Sums(self.rows, self.span, take_z @ self.cross @ take.T,
-                    take @ self.measured @ take.T, take_z @ self.instruments @ take_z.T)  # fmt: skip
+        return Sums(
+            self.rows,
+            self.span,
+            take_z @ self.cross @ take.T,
+            take @ self.measured @ take.T,
+            take_z @ self.instruments @ take_z.T,
+        )
 
 
 class Block:

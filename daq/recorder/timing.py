@@ -13,7 +13,7 @@ EDGES_US: tuple[int, ...] = (
     *(m * 10**e for e in range(1, 7) for m in (1, 2, 5)),  # 10 us to 5 s
     10_000_000,
     30_000_000,
-)  # fmt: skip
+)
 """Bin edges [us]: bin i holds times from edge i-1 up to below edge i; the first is below 10 us, the last over 30 s."""
 
 

@@ -18,8 +18,13 @@ PATIENCE_S = 1.0
 """To close a port waits this long for an attempt to open it; a name server may take longer to answer."""
 _READ_BYTES = 65536
 _NOBODY_THERE = (
-    errno.ECONNREFUSED, errno.ENETUNREACH, errno.EHOSTUNREACH, errno.ENETDOWN, errno.ETIMEDOUT, errno.EAGAIN,
-)  # fmt: skip
+    errno.ECONNREFUSED,
+    errno.ENETUNREACH,
+    errno.EHOSTUNREACH,
+    errno.ENETDOWN,
+    errno.ETIMEDOUT,
+    errno.EAGAIN,
+)
 
 
 class ClosingPort(BytePort, Protocol):

@@ -18,15 +18,20 @@ CRUISE_LIFT = 0.3
 
 @click.command(epilog=EXAMPLE)
 @click.option("--model", default="lateral", show_default=True, help="Built-in name, MODEL.toml or module:Class.")
-@click.option("--from", "estimate_path", type=click.Path(path_type=Path),
-              help="What estimate --json wrote: its model, aircraft, values and noise.")  # fmt: skip
+@click.option(
+    "--from",
+    "estimate_path",
+    type=click.Path(path_type=Path),
+    help="What estimate --json wrote: its model, aircraft, values and noise.",
+)
 @click.option("--aircraft", help="Built-in aircraft or an AIRCRAFT.toml.")
 @click.option("--kind", default="optimal", show_default=True, help="doublet, 121, 3211, chirp, multisine or optimal.")
 @click.option("--time", "duration", type=float, required=True, help="How long it takes [s].")
 @click.option("--limits", "limits_path", type=click.Path(path_type=Path), help="What it may do (LIMITS.toml).")
 @click.option("--separate", default="", help="Two effects of the gap catalogue, or parameters, to be told apart: A,B.")
-@click.option("--criterion", default="worst", show_default=True,
-              help="Of kind optimal: worst, D, A, or the name of a parameter.")  # fmt: skip
+@click.option(
+    "--criterion", default="worst", show_default=True, help="Of kind optimal: worst, D, A, or the name of a parameter."
+)
 @click.option("--controls", default="", help="Comma-separated controls to move  [default: all of the model].")
 @click.option("--band", default="0.1,1.5", show_default=True, help="Frequencies of chirps and multisines [Hz].")
 @click.option("--speed", type=float, help="True airspeed [m/s]  [default: that of a lift coefficient of 0.3].")

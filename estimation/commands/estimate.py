@@ -63,10 +63,18 @@ def _able(extra: Extra) -> str:
     is_flag=True,
     help="Take the repeated values of slow and stuck sensors for measurements; without it they are left out, and said.",
 )
-@click.option("--hold-initial", default="", metavar="NAMES",
-              help="Comma-separated states whose initial values are held: as measured, or NAME=VALUE; all.")  # fmt: skip
-@click.option("--free-initial", default="", metavar="NAMES",
-              help="Comma-separated states whose initial values are estimated though the model holds them; all.")  # fmt: skip
+@click.option(
+    "--hold-initial",
+    default="",
+    metavar="NAMES",
+    help="Comma-separated states whose initial values are held: as measured, or NAME=VALUE; all.",
+)
+@click.option(
+    "--free-initial",
+    default="",
+    metavar="NAMES",
+    help="Comma-separated states whose initial values are estimated though the model holds them; all.",
+)
 @click.option(
     "--stepwise", is_flag=True, help=f"Keep only the terms that a partial F ratio finds ({_able(Extra.STEPWISE)})."
 )

@@ -18,11 +18,17 @@ EXAMPLE = "Example: sideslip frequency sweep.mcap --input delta_a --output p --f
 @click.argument("flights", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="FLIGHT...")
 @click.option("--input", "control", required=True, help="Column that was moved: delta_e, delta_a, delta_r, cmd_a ...")
 @click.option("--output", required=True, help="Column that answers: p, q, r, beta, ay ...")
-@click.option("--with", "beside", help="Comma-separated inputs whose share is taken off; none for none  "
-              "[default: all other surfaces that moved].")  # fmt: skip
+@click.option(
+    "--with",
+    "beside",
+    help="Comma-separated inputs whose share is taken off; none for none  [default: all other surfaces that moved].",
+)
 @click.option("--fit", "fitted", is_flag=True, help="Fit a transfer function with delay, and tell what it says.")
-@click.option("--form", help="Fit this form: roll, dutch-roll, short-period, or orders like 1/2  "
-              "[default of --fit: what fits input and output].")  # fmt: skip
+@click.option(
+    "--form",
+    help="Fit this form: roll, dutch-roll, short-period, or orders like 1/2  "
+    "[default of --fit: what fits input and output].",
+)
 @click.option("--band", help="Frequencies from,to [Hz]  [default: what windows and samples allow].")
 @click.option("--points", default=60, show_default=True, help="Frequencies, evenly in their logarithm.")
 @click.option("--windows", help="Comma-separated window lengths [s]  [default: five of them].")

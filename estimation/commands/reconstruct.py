@@ -19,13 +19,19 @@ EXAMPLE = "Example: sideslip reconstruct log.mcap -o flight.mcap && sideslip est
 )
 @click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write wind and uncertainties as JSON.")
 @click.option(
-    "--trim-sideslip", type=click.FloatRange(min=0.0, max=30.0), default=1.7, show_default=True,
+    "--trim-sideslip",
+    type=click.FloatRange(min=0.0, max=30.0),
+    default=1.7,
+    show_default=True,
     help="How far from zero the mean sideslip may be [deg], 1 sigma.",
-)  # fmt: skip
+)
 @click.option(
-    "--attitude-error", type=click.FloatRange(min=0.0, max=30.0), default=0.17, show_default=True,
+    "--attitude-error",
+    type=click.FloatRange(min=0.0, max=30.0),
+    default=0.17,
+    show_default=True,
     help="Least slow error of the attitude, mounting included [deg], 1 sigma.",
-)  # fmt: skip
+)
 def reconstruct(
     flight: Path, output: Path, json_path: Path | None, trim_sideslip: float, attitude_error: float
 ) -> None:
@@ -67,8 +73,12 @@ def wind_lines(air: "AirData") -> list[str]:
 def as_json(output: Path, air: "AirData", columns: list[str]) -> dict[str, object]:
     """What was reconstructed and how sure, SI and radians."""
     return {
-        "version": 1, "flight": str(output), "columns": columns, "airspeed_from": air.airspeed,
+        "version": 1,
+        "flight": str(output),
+        "columns": columns,
+        "airspeed_from": air.airspeed,
         "std": {n: air.typical(n) for n in air.std},
         "wind": {"ned": air.wind.tolist(), "std": air.wind_std.tolist(), "gust": air.gust},
-        "scatter": dict(air.scatter), "notes": list(air.notes),
-    }  # fmt: skip
+        "scatter": dict(air.scatter),
+        "notes": list(air.notes),
+    }

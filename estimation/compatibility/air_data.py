@@ -24,7 +24,7 @@ from estimation.compatibility.air_filter import (
     Smoothed,
     likelihoods,
     smooth,
-)  # fmt: skip
+)
 from estimation.compatibility.air_nodes import (
     FIX,
     INERTIAL,
@@ -32,7 +32,7 @@ from estimation.compatibility.air_nodes import (
     fresh_values,
     measured_noise,
     stretches_of,
-)  # fmt: skip
+)
 from estimation.compatibility.records import attitude_errors
 from estimation.engine.derived import with_derived
 from estimation.errors import DataError
@@ -110,9 +110,15 @@ def reconstruct_air(flight: Flight, assumed: Assumptions = USUAL) -> AirData:
         )
     states, covariance = found.states[:, WIND], found.covariances[:, WIND, WIND]
     return AirData(
-        values, {n: s * widened for n, s in std.items()}, states.mean(axis=0),
-        widened * np.sqrt(np.diagonal(covariance, axis1=1, axis2=2).mean(axis=0)), gust, found.scatter, origin, tuple(notes),
-    )  # fmt: skip
+        values,
+        {n: s * widened for n, s in std.items()},
+        states.mean(axis=0),
+        widened * np.sqrt(np.diagonal(covariance, axis1=1, axis2=2).mean(axis=0)),
+        gust,
+        found.scatter,
+        origin,
+        tuple(notes),
+    )
 
 
 def airspeed_of(flight: Flight) -> tuple[Array, str]:
@@ -152,9 +158,13 @@ def with_air(flight: Flight, air: AirData) -> Flight:
     detail = dict(flight.provenance.detail)
     typical = {n: air.typical(n) for n in filled}
     detail[RECONSTRUCTED] = {
-        "columns": filled, "std": typical, "wind": air.wind.tolist(), "wind_std": air.wind_std.tolist(), "gust": air.gust,
+        "columns": filled,
+        "std": typical,
+        "wind": air.wind.tolist(),
+        "wind_std": air.wind_std.tolist(),
+        "gust": air.gust,
         "from": [*INERTIAL, *FIX, air.airspeed],
-    }  # fmt: skip
+    }
     stated = detail.get("uncertainty")
     detail["uncertainty"] = {**(stated if isinstance(stated, dict) else {}), **typical}
     said = ", ".join(filled)

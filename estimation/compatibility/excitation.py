@@ -43,9 +43,16 @@ _BOTH = "rudder and aileron doublets one after the other in the same flight, so 
 _ELEVATOR = "an elevator 3-2-1-1 of 3 deg or more, its steps about half a short period"
 _SPEED = "a slow sweep of airspeed in level flight at measured thrust, from near the stall to full speed"
 _MANOEUVRES = {
-    "dr": _RUDDER, "beta": _RUDDER, "r": _BOTH, "p": _BOTH, "da": _AILERON,
-    "de": _ELEVATOR, "alpha": _ELEVATOR, "q": _ELEVATOR, "k": _SPEED,
-}  # fmt: skip
+    "dr": _RUDDER,
+    "beta": _RUDDER,
+    "r": _BOTH,
+    "p": _BOTH,
+    "da": _AILERON,
+    "de": _ELEVATOR,
+    "alpha": _ELEVATOR,
+    "q": _ELEVATOR,
+    "k": _SPEED,
+}
 _CONSTANTS = {"CL_0": _SPEED, "CD_0": _SPEED, "Cm_0": _SPEED}
 _TRIM = "a stretch of steady, wings-level flight before the manoeuvre"
 

@@ -166,9 +166,13 @@ def _source(traced: Traced, folder: Path) -> str:
 
     generator = ca.CodeGenerator("generated.c", {"with_export": False, "casadi_int": "int"})
     functions = (
-        traced.rates, traced.rates_jacobian, traced.rates_by_all,
-        traced.outputs, traced.outputs_jacobian, traced.outputs_by_all,
-    )  # fmt: skip
+        traced.rates,
+        traced.rates_jacobian,
+        traced.rates_by_all,
+        traced.outputs,
+        traced.outputs_jacobian,
+        traced.outputs_by_all,
+    )
     for function in functions:
         generator.add(function)
     generator.generate(str(folder) + os.sep)

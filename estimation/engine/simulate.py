@@ -103,9 +103,15 @@ class Simulator:
         u, du = self._transformed(segment, values, sensitivities)
         step = np.diff(segment.time)
         return Drive(
-            np.append(step, 0.0), u, self._middle(u, step), self._end(u), segment.z,
-            du, self._middle_slopes(u, du, step), self._end(du),
-        )  # fmt: skip
+            np.append(step, 0.0),
+            u,
+            self._middle(u, step),
+            self._end(u),
+            segment.z,
+            du,
+            self._middle_slopes(u, du, step),
+            self._end(du),
+        )
 
     def _transformed(self, segment: Segment, values: Mapping[str, float], sensitivities: bool) -> tuple[Array, Array]:
         """Inputs (N, nu) with their transforms, and their derivatives (N, nu, nt) where sensitivities are asked for."""

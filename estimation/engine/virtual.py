@@ -64,9 +64,11 @@ class VirtualKernel:
         f, _, fp = (np.array(v) for v in traced.rates_jacobian.map(count)(*arguments))
         y, _, yp = (np.array(v) for v in traced.outputs_jacobian.map(count)(*arguments))
         return (
-            f.T.copy(), _spread(fp, traced.patterns["f_p"], (count, nx, np_)),
-            y.T.copy(), _spread(yp, traced.patterns["y_p"], (count, ny, np_)),
-        )  # fmt: skip
+            f.T.copy(),
+            _spread(fp, traced.patterns["f_p"], (count, nx, np_)),
+            y.T.copy(),
+            _spread(yp, traced.patterns["y_p"], (count, ny, np_)),
+        )
 
 
 def _spread(nonzeros: Array, pattern: Pattern, shape: tuple[int, int, int]) -> Array:
@@ -81,9 +83,11 @@ def _key(columns: Columns | None) -> tuple[Any, ...]:
     if columns is None:
         return ()
     return (
-        columns.count, tuple(columns.parameter.tolist()), tuple(columns.transform.tolist()),
+        columns.count,
+        tuple(columns.parameter.tolist()),
+        tuple(columns.transform.tolist()),
         tuple(map(tuple, columns.gain.tolist())),
-    )  # fmt: skip
+    )
 
 
 def _samples(drive: Drive, p: Array, transforms: int, gain: Array | None) -> list[Array]:
@@ -233,8 +237,11 @@ class _Variation:
     def _by_column(self, key: str, nonzeros: ca.MX, rows: int) -> ca.MX:
         """Derivatives with respect to p, each entry in the sensitivity column of its parameter; (rows, n) dense."""
         r, c = self.traced.patterns[key]
-        used = sorted((self.parameter[col], row, i) for i, (row, col) in enumerate(zip(r, c, strict=True))
-                      if self.parameter[col] >= 0)  # fmt: skip
+        used = sorted(
+            (self.parameter[col], row, i)
+            for i, (row, col) in enumerate(zip(r, c, strict=True))
+            if self.parameter[col] >= 0
+        )
         if not used:
             return ca.MX.zeros(rows, self.n)
         sparsity = ca.Sparsity.triplet(rows, self.n, [row for _, row, _ in used], [col for col, _, _ in used])

@@ -42,10 +42,13 @@ class Extras:
     def asked(self) -> tuple[Extra, ...]:
         """Those that differ from their default."""
         given = {
-            Extra.PROFILE: self.profile, Extra.BOOTSTRAP: self.bootstrap, Extra.SEED: self.seed,
-            Extra.STEPWISE: self.stepwise, Extra.RAW_INPUTS: self.raw_inputs,
+            Extra.PROFILE: self.profile,
+            Extra.BOOTSTRAP: self.bootstrap,
+            Extra.SEED: self.seed,
+            Extra.STEPWISE: self.stepwise,
+            Extra.RAW_INPUTS: self.raw_inputs,
             Extra.KEEP_HELD: self.keep_held,
-        }  # fmt: skip
+        }
         return tuple(extra for extra, value in given.items() if value)
 
 

@@ -265,9 +265,15 @@ def describe(problem: OutputErrorProblem, outcome: Fit, method: str) -> Result:
     effects = effects_of(problem, point)
     shared_names = tuple(problem.free[i] for i in problem.shared)
     found, pairs = estimates(
-        model, shared_names, unknowns[: len(shared_names)], spread.covariance, spread.coloured, spread.undetermined,
-        problem.flights, effects,
-    )  # fmt: skip
+        model,
+        shared_names,
+        unknowns[: len(shared_names)],
+        spread.covariance,
+        spread.coloured,
+        spread.undetermined,
+        problem.flights,
+        effects,
+    )
     flights = tuple(
         _flight_fit(problem, unknowns, point, i, (spread.local_covariance[i], spread.local_coloured[i]), effects)
         for i in range(len(problem.flights))

@@ -71,9 +71,16 @@ def airframe_of(model: Model, aircraft: Aircraft) -> Airframe:
     c = model.constants
     try:
         return Airframe(
-            c["b"], c["S"], c["m"], c["Ixx"], c["Iyy"], c["Izz"], c["Ixz"],
-            {p.name: _belief(p) for p in model.parameters}, lag,
-        )  # fmt: skip
+            c["b"],
+            c["S"],
+            c["m"],
+            c["Ixx"],
+            c["Iyy"],
+            c["Izz"],
+            c["Ixz"],
+            {p.name: _belief(p) for p in model.parameters},
+            lag,
+        )
     except KeyError as error:
         raise EstimationError(
             f"model {model.name} has no constant {error}, and method live cannot do without"

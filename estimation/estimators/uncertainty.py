@@ -155,9 +155,12 @@ def flight_score(
     spectrum = noise_spectrum(pieces, projected, inverse, nuisance_inverse, lags)
     inputs, edge, common = np.split(columns, [noise, noise + edges], axis=1)
     return FlightScore(
-        filtered_covariance(pieces, projected, spectrum), inputs, edge, common,
+        filtered_covariance(pieces, projected, spectrum),
+        inputs,
+        edge,
+        common,
         evidence(pieces, white, spectrum, responses[0]),
-    )  # fmt: skip
+    )
 
 
 def _responses(

@@ -28,10 +28,13 @@ CATEGORIES = ("A", "B", "C")
 
 # MIL-F-8785C table VII: largest roll mode time constant [s] of levels 1, 2, 3
 ROLL_MODE = {
-    ("A", True): (1.0, 1.4, 10.0), ("A", False): (1.4, 3.0, 10.0),
-    ("B", True): (1.4, 3.0, 10.0), ("B", False): (1.4, 3.0, 10.0),
-    ("C", True): (1.0, 1.4, 10.0), ("C", False): (1.4, 3.0, 10.0),
-}  # fmt: skip
+    ("A", True): (1.0, 1.4, 10.0),
+    ("A", False): (1.4, 3.0, 10.0),
+    ("B", True): (1.4, 3.0, 10.0),
+    ("B", False): (1.4, 3.0, 10.0),
+    ("C", True): (1.0, 1.4, 10.0),
+    ("C", False): (1.4, 3.0, 10.0),
+}
 # table VI: least damping, least damping times frequency [rad/s], least frequency [rad/s] of levels 1, 2, 3
 DUTCH_ROLL = {
     ("A", True): ((0.19, 0.35, 1.0), (0.02, 0.05, 0.4), (0.0, -math.inf, 0.4)),

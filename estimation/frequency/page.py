@@ -28,12 +28,18 @@ def write_frequency_report(found: Answer, flights: Sequence[Flight], folder: Pat
     beside = f", with {', '.join(r.inputs[1:])} taken off" if len(r.inputs) > 1 else ""
     lengths = ", ".join(f"{w:.3g}" for w in r.windows)
     return write_page(
-        folder / "index.html", "frequency.html.j2", templates=HERE,
+        folder / "index.html",
+        "frequency.html.j2",
+        templates=HERE,
         title=f"Frequency response of {r.output} to {r.input}",
         lead=f"{', '.join(r.flights)}: {r.duration:.4g} s of data{beside}; windows of {lengths} s.",
-        tables=tables, figure=response_picture(r, found.fit), notes=r.notes,
-        fit=found.fit, judged="" if found.fit is None else judged(found.fit), levels=found.craft.why_no_level,
-    )  # fmt: skip
+        tables=tables,
+        figure=response_picture(r, found.fit),
+        notes=r.notes,
+        fit=found.fit,
+        judged="" if found.fit is None else judged(found.fit),
+        levels=found.craft.why_no_level,
+    )
 
 
 def response_table(found: Answer) -> Table:
@@ -41,15 +47,20 @@ def response_table(found: Answer) -> Table:
     r = found.response
     rows = tuple(
         (
-            significant(float(r.omega[k]), 4), *pair(float(r.magnitude[k]), float(r.std[k])),
-            *pair(DEGREES * float(r.phase[k]), DEGREES * float(r.std_phase[k])), number(float(r.coherence[k]), 3),
+            significant(float(r.omega[k]), 4),
+            *pair(float(r.magnitude[k]), float(r.std[k])),
+            *pair(DEGREES * float(r.phase[k]), DEGREES * float(r.std_phase[k])),
+            number(float(r.coherence[k]), 3),
         )
         for k in range(r.omega.size)
-    )  # fmt: skip
+    )
     return Table(
-        "frequency_response", "Frequency response with its random error, one standard deviation",
-        ("frequency [rad/s]", "magnitude", "error", "phase [deg]", "error", "coherence"), rows, symbols=False,
-    )  # fmt: skip
+        "frequency_response",
+        "Frequency response with its random error, one standard deviation",
+        ("frequency [rad/s]", "magnitude", "error", "phase [deg]", "error", "coherence"),
+        rows,
+        symbols=False,
+    )
 
 
 def _fit_table(found: Answer) -> Table | None:
@@ -58,11 +69,14 @@ def _fit_table(found: Answer) -> Table | None:
         return None
     rows = tuple((n, *pair(p.estimate, p.std), significant(fit.cifer[n], 4), p.unit) for n, p in fit.parameters.items())
     return Table(
-        "transfer_function", f"Transfer function, form {fit.form.name}: H = {fit.form.equation}",
-        ("parameter", "estimate", "bound", "at the least CIFER cost", "unit"), rows, symbols=False,
+        "transfer_function",
+        f"Transfer function, form {fit.form.name}: H = {fit.form.equation}",
+        ("parameter", "estimate", "bound", "at the least CIFER cost", "unit"),
+        rows,
+        symbols=False,
         note="Estimates and bounds by maximum likelihood over the random errors; the bound counts that neighbouring "
         "frequencies share windows.",
-    )  # fmt: skip
+    )
 
 
 def _handling_table(found: Answer) -> Table | None:
@@ -70,11 +84,15 @@ def _handling_table(found: Answer) -> Table | None:
         return None
     rows = tuple(
         (
-            n.name, *(pair(n.value, n.std) if math.isfinite(n.std) else (significant(n.value, 4), "")), n.unit,
-            "" if n.level is None else "beyond 3" if n.level > 3 else str(n.level), n.definition, n.source,
+            n.name,
+            *(pair(n.value, n.std) if math.isfinite(n.std) else (significant(n.value, 4), "")),
+            n.unit,
+            "" if n.level is None else "beyond 3" if n.level > 3 else str(n.level),
+            n.definition,
+            n.source,
         )
         for n in found.numbers
-    )  # fmt: skip
+    )
     head = ("number", "value", "bound", "unit", "level", "definition", "source")
     note = "Of the response to the measured surface: the servo before it is not in them."
     return Table("handling_qualities", "Handling-quality numbers", head, rows, symbols=False, texts=(5, 6), note=note)

@@ -122,9 +122,15 @@ def _fitted(response: FrequencyResponse, good: NDArray[np.bool_], form: Form) ->
     units = form.units
     parameters = {n: Fitted(float(v), float(s), u) for n, v, s, u in zip(names, likely.x, spread, units, strict=True)}
     return TransferFunction(
-        form, parameters, dict(zip(names, classic.x.tolist(), strict=True)), float(np.sum(classic.fun**2)), misfit,
-        int(good.sum()), (float(omega[0]), float(omega[-1])), covariance,
-    )  # fmt: skip
+        form,
+        parameters,
+        dict(zip(names, classic.x.tolist(), strict=True)),
+        float(np.sum(classic.fun**2)),
+        misfit,
+        int(good.sum()),
+        (float(omega[0]), float(omega[-1])),
+        covariance,
+    )
 
 
 def _scale(x: Array) -> Array:

@@ -4,5 +4,12 @@ from estimation.models.base import InputTransform, Model, Parameter, ParameterRo
 from estimation.models.load import load_model, read_model, write_model
 
 __all__ = [
-    "InputTransform", "Model", "Parameter", "ParameterRole", "Signal", "load_model", "read_model", "write_model",
-]  # fmt: skip
+    "InputTransform",
+    "Model",
+    "Parameter",
+    "ParameterRole",
+    "Signal",
+    "load_model",
+    "read_model",
+    "write_model",
+]

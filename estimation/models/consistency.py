@@ -13,8 +13,10 @@ def check_model(model: ModelParts) -> None:
     where = f"model {model.name}"
     symbols: dict[str, str] = {}
     for kind, names in (
-        ("state", model.state_names), ("input", model.input_names), ("parameter", model.parameter_names),
-    ):  # fmt: skip
+        ("state", model.state_names),
+        ("input", model.input_names),
+        ("parameter", model.parameter_names),
+    ):
         for name in names:
             check_name(name, f"{where}: {kind}")
             if name in symbols:

@@ -12,8 +12,14 @@ from estimation.errors import ModelError
 from estimation.models.expressions import split_line
 
 TRANSFORM_KINDS: Mapping[str, int] = {
-    "delay": 1, "lag": 1, "deadzone": 1, "backlash": 1, "rate_limit": 1, "scale": 1, "bias": 1,
-}  # fmt: skip
+    "delay": 1,
+    "lag": 1,
+    "deadzone": 1,
+    "backlash": 1,
+    "rate_limit": 1,
+    "scale": 1,
+    "bias": 1,
+}
 """Input transforms by name -> number of parameters. Seconds for delay and lag, the input's unit for dead zone, backlash and
 bias, seconds per unit of the input for the rate limit (0: none)."""
 
@@ -191,6 +197,10 @@ class ModelParts:
     def structure(self) -> Structure:
         """Equal for models that differ in values only."""
         return Structure(
-            self.state_names, self.input_names, self.output_names, self.parameter_names,
-            tuple(sorted(self.constants)), self.equations,
-        )  # fmt: skip
+            self.state_names,
+            self.input_names,
+            self.output_names,
+            self.parameter_names,
+            tuple(sorted(self.constants)),
+            self.equations,
+        )

@@ -48,16 +48,20 @@ def write_check_report(
     write_all(list(tables.values()), folder / "tables")
     counts = [f.verdict for _, found in findings for f in found]
     return write_page(
-        folder / "index.html", "check.html.j2",
+        folder / "index.html",
+        "check.html.j2",
         title="Data compatibility",
         lead=f"{len(flights)} flight{'s' if len(flights) > 1 else ''}: {', '.join(f.name for f in flights)}. "
         "Do accelerations, rates, attitude and air data tell the same story?",
-        tables=tables, figures=motion_figures(told), findings=findings,
+        tables=tables,
+        figures=motion_figures(told),
+        findings=findings,
         unclear=_unclear(results),
         status=[(n, r.converged, r.text, r.turbulence) for n, r in results],
         notes=notes_table((t.name, note) for t in told for note in t.notes),
-        fails=counts.count("fail"), warns=counts.count("warn"),
-    )  # fmt: skip
+        fails=counts.count("fail"),
+        warns=counts.count("warn"),
+    )
 
 
 def _unclear(results: Sequence[tuple[str, Compatibility]]) -> Table | None:
@@ -89,12 +93,15 @@ def factor_table(results: Sequence[tuple[str, Compatibility]], flights: Sequence
         [("published, estimate (bound)", len(others))] if others else []
     )
     return Table(
-        "table2_compatibility", "Instrument factors found by flight-path reconstruction, with one-sigma bounds",
-        ("factor", "unit", *(n for n, _ in results), *others), tuple(rows), tuple(groups),
+        "table2_compatibility",
+        "Instrument factors found by flight-path reconstruction, with one-sigma bounds",
+        ("factor", "unit", *(n for n, _ in results), *others),
+        tuple(rows),
+        tuple(groups),
         note="Conventions: measured = true + bias for accelerations and rates, measured = K true + bias for β (and α, V). "
         "Our bounds are of filter innovations, so noise of the inertial sensors is counted, and corrected for colour left in "
         "them; the published ones are Cramér–Rao bounds of output error. " + (published.COMPARISON if ours else ""),
-    )  # fmt: skip
+    )
 
 
 def _with_bound(value: float, bound: float) -> str:
@@ -111,12 +118,14 @@ def _fit_table(results: Sequence[Compatibility]) -> Table:
             rows.append((flight.name, name, unit, significant(factor * fit["rms"]), significant(factor * fit["noise"]),
                          number(fit["r2"], 3), number(fit["whiteness"], 2)))  # fmt: skip
     return Table(
-        "compatibility_fit", "Measured against reconstructed",
-        ("flight", "channel", "unit", "rms difference", "sensor noise", "r²", "innovation autocorrelation, lag 1"), tuple(rows),
+        "compatibility_fit",
+        "Measured against reconstructed",
+        ("flight", "channel", "unit", "rms difference", "sensor noise", "r²", "innovation autocorrelation, lag 1"),
+        tuple(rows),
         symbols=False,
         note="The reconstruction is integrated from accelerations and rates alone: gusts, which move the vanes and not the "
         "inertial path, are in the difference of V, α and β.",
-    )  # fmt: skip
+    )
 
 
 def motion_figures(flights: Sequence[ReconstructedFlight]) -> list[Picture]:

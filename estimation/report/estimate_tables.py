@@ -53,8 +53,7 @@ def estimate_table(session: "Session", flight: "FlightEstimates") -> Table:
         head += ["estimate", "bound"] * 2
     note = _recommended(flight.verdict) + BOUNDS + (" " + published.COMPARISON if beside else "")
     caption = f"Estimates of {flight.flight.name}{_best(flight.verdict)}"
-    return Table(f"estimates_{_safe(flight.flight.name)}", caption, tuple(head), tuple(rows),
-                 tuple(groups), note=note)  # fmt: skip
+    return Table(f"estimates_{_safe(flight.flight.name)}", caption, tuple(head), tuple(rows), tuple(groups), note=note)
 
 
 def joint_table(session: "Session") -> Table | None:
@@ -75,12 +74,15 @@ def joint_table(session: "Session") -> Table | None:
         groups.append(("simulated", 1))
         head.append("truth")
     return Table(
-        "estimates_joint", f"Joint estimate over {len(session.flights)} flights{_best(session.verdict)}",
-        tuple(head), tuple(rows), tuple(groups),
+        "estimates_joint",
+        f"Joint estimate over {len(session.flights)} flights{_best(session.verdict)}",
+        tuple(head),
+        tuple(rows),
+        tuple(groups),
         note=_recommended(session.verdict)
         + BOUNDS
         + " Constant coefficients are each flight's own: their line is the mean over flights.",
-    )  # fmt: skip
+    )
 
 
 def _best(verdict: "Verdict | None") -> str:
@@ -105,8 +107,7 @@ def mean_table(session: "Session") -> Table | None:
         row = [name, *_before(session, name)]
         for method in methods:
             s = session.mean[method].get(name)
-            row += [CANNOT_TELL, "", "", ""] if s is None else [
-                *_to_bound(s.mean, s.std, s.bound), str(s.count)]  # fmt: skip
+            row += [CANNOT_TELL, "", "", ""] if s is None else [*_to_bound(s.mean, s.std, s.bound), str(s.count)]
         for other in ("ml", "ngn") if ours else ():
             said = published.mean(other, name)
             row += ["", ""] if said is None else [number(said[0]), significant(said[1], 2)]
@@ -121,10 +122,14 @@ def mean_table(session: "Session") -> Table | None:
         groups.append(("simulated", 1))
         head.append("truth")
     return Table(
-        "table5_means", "Mean and scatter over the flights that can tell", tuple(head), tuple(rows), tuple(groups),
+        "table5_means",
+        "Mean and scatter over the flights that can tell",
+        tuple(head),
+        tuple(rows),
+        tuple(groups),
         note="scatter: sample standard deviation over flights; bound: root mean square of their corrected bounds. "
         + (published.COMPARISON if ours else ""),
-    )  # fmt: skip
+    )
 
 
 def fit_table(session: "Session") -> Table:
@@ -139,11 +144,17 @@ def fit_table(session: "Session") -> Table:
                 (len(rows), 3 + 3 * k) for k, fit in enumerate(fits) if fit is not None and fit.theil > THEIL_LIMIT
             }
             rows.append((f.flight.name, method, *(c for fit in fits for c in _fit_cells(fit))))
-    return Table("fit", "Goodness of fit and residual whiteness",
-                 ("flight", "method", *(h for _ in outputs for h in ("r²", "Theil", "white"))),
-                 tuple(rows), (("", 2), *((o, 3) for o in outputs)), symbols=False,
-                 note=f"Theil's inequality coefficient: 0 perfect; in red above the limit of {THEIL_LIMIT:g}. white: share of "
-                 "residual autocorrelations inside the 95 % band of white noise.", failed=frozenset(failed))  # fmt: skip
+    return Table(
+        "fit",
+        "Goodness of fit and residual whiteness",
+        ("flight", "method", *(h for _ in outputs for h in ("r²", "Theil", "white"))),
+        tuple(rows),
+        (("", 2), *((o, 3) for o in outputs)),
+        symbols=False,
+        note=f"Theil's inequality coefficient: 0 perfect; in red above the limit of {THEIL_LIMIT:g}. white: share of "
+        "residual autocorrelations inside the 95 % band of white noise.",
+        failed=frozenset(failed),
+    )
 
 
 def _fit_cells(fit: object) -> list[str]:

@@ -21,9 +21,12 @@ PAGES = (
     ("campaign", "Campaign", "many flights together"),
 )
 WORDS = {
-    "no_gap": "no gap", "gap_closed": "gap closed", "gap_reduced": "gap reduced", "unknown_effect": "unknown effect",
+    "no_gap": "no gap",
+    "gap_closed": "gap closed",
+    "gap_reduced": "gap reduced",
+    "unknown_effect": "unknown effect",
     "cannot_tell": "cannot tell",
-}  # fmt: skip
+}
 
 
 HEAD = ("before [σ]", "after [σ]", "floor [σ]")
@@ -142,8 +145,12 @@ def _derivatives(data: dict[str, Any] | None, truth: dict[str, float]) -> Table 
         *(("value", "mean", "scatter") if ours else ()),
     ]
     titles = [f"{m} (recommended)" if m == best else m for m in methods]
-    groups = [("", 1), *((t, 2) for t in titles), *((("simulated", 2),) if truth else ()),
-              *((("wind tunnel", 1), ("published, ml", 2)) if ours else ())]  # fmt: skip
+    groups = [
+        ("", 1),
+        *((t, 2) for t in titles),
+        *((("simulated", 2),) if truth else ()),
+        *((("wind tunnel", 1), ("published, ml", 2)) if ours else ()),
+    ]
     notes = [ERROR.format(methods[0])] if truth and methods else []
     notes += [published.COMPARISON] if ours else []
     what = (
@@ -151,8 +158,7 @@ def _derivatives(data: dict[str, Any] | None, truth: dict[str, float]) -> Table 
         if source
         else "Means over the flights"
     )
-    return Table("derivatives", f"{what} [1/rad]", tuple(head), tuple(rows), tuple(groups),
-                 note=" ".join(notes))  # fmt: skip
+    return Table("derivatives", f"{what} [1/rad]", tuple(head), tuple(rows), tuple(groups), note=" ".join(notes))
 
 
 def _off(source: dict[str, Any], methods: list[str], name: str, true: float | None) -> str:
@@ -187,10 +193,16 @@ def _match(data: dict[str, Any] | None) -> Table | None:
         failed |= {(len(rows), 2 + 2 * k) for k in beyond} | ({(len(rows), 1 + 2 * len(channels))} if beyond else set())
         cells = [c for fit in fits for c in (number(fit.get("r2"), 3), number(fit.get("theil"), 3))]
         rows.append((flight["name"], *cells, "FAIL" if beyond else "pass"))
-    return Table("match", "Proof of match: flights predicted with parameters frozen",
-                 ("flight", *(h for _ in channels for h in ("r²", "Theil")), "match"), tuple(rows),
-                 (("", 1), *((c, 2) for c in channels), ("", 1)), symbols=False, failed=frozenset(failed),
-                 note=f"Limit: Theil's coefficient at most {limit:g} in every channel; in red what is above it.")  # fmt: skip
+    return Table(
+        "match",
+        "Proof of match: flights predicted with parameters frozen",
+        ("flight", *(h for _ in channels for h in ("r²", "Theil")), "match"),
+        tuple(rows),
+        (("", 1), *((c, 2) for c in channels), ("", 1)),
+        symbols=False,
+        failed=frozenset(failed),
+        note=f"Limit: Theil's coefficient at most {limit:g} in every channel; in red what is above it.",
+    )
 
 
 def _gap_table(data: dict[str, Any] | None) -> Table | None:

@@ -112,9 +112,11 @@ def write_csv(rows: Sequence[ModelRow], out: Path) -> None:
 def latex_table(rows: Sequence[ModelRow]) -> str:
     """A `tabular` for booktabs: symbol, value and bound rounded to the bound, what was believed before."""
     lines = [
-        r"\begin{tabular}{lrrr}", r"\toprule",
-        r"parameter & estimate & bound & before \\", r"\midrule",
-    ]  # fmt: skip
+        r"\begin{tabular}{lrrr}",
+        r"\toprule",
+        r"parameter & estimate & bound & before \\",
+        r"\midrule",
+    ]
     for row in rows:
         value, bound = rounded(row.value, row.std)
         before = "" if row.reference is None else f"{row.reference:.4g}"

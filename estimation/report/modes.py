@@ -96,10 +96,14 @@ def modes_with_spread(result: Result, flight: Flight, rng: np.random.Generator) 
         for m in modes(state_matrix(model, values, state, inputs), model.state_names):
             draws.setdefault(m.name, []).append(m)
     return [
-        SpreadMode(m, _half_width([d.speed for d in draws[m.name]]), _half_width([d.damping for d in draws[m.name]]),
-                   _unstable(draws[m.name]))
+        SpreadMode(
+            m,
+            _half_width([d.speed for d in draws[m.name]]),
+            _half_width([d.damping for d in draws[m.name]]),
+            _unstable(draws[m.name]),
+        )
         for m in best
-    ]  # fmt: skip
+    ]
 
 
 def _unstable(drawn: list[Mode]) -> float:
@@ -127,8 +131,11 @@ def mode_table(entries: list[tuple[str, str, list[SpreadMode]]]) -> Table:
     for who, method, found in entries:
         for m in found:
             aperiodic = math.isnan(m.mode.damping)
-            period = "" if aperiodic or m.mode.damping >= 1 else significant(
-                2 * math.pi / (m.mode.speed * math.sqrt(1 - m.mode.damping**2)))  # fmt: skip
+            period = (
+                ""
+                if aperiodic or m.mode.damping >= 1
+                else significant(2 * math.pi / (m.mode.speed * math.sqrt(1 - m.mode.damping**2)))
+            )
             rows.append((who, method, m.mode.name, "" if aperiodic else _pm(m.mode.speed, m.speed_spread),
                          "" if aperiodic else _pm(m.mode.damping, m.damping_spread), period,
                          _pm(-m.mode.speed, m.speed_spread) if aperiodic else "", _percent(m.unstable)))  # fmt: skip

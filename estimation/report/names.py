@@ -5,8 +5,15 @@ import re
 from markupsafe import Markup, escape
 
 _GREEK = {
-    "alpha": "α", "beta": "β", "delta": "δ", "phi": "φ", "theta": "θ", "psi": "ψ", "rho": "ρ", "tau": "τ",
-}  # fmt: skip
+    "alpha": "α",
+    "beta": "β",
+    "delta": "δ",
+    "phi": "φ",
+    "theta": "θ",
+    "psi": "ψ",
+    "rho": "ρ",
+    "tau": "τ",
+}
 _SURFACES = {"da": r"\delta_a", "dr": r"\delta_r", "de": r"\delta_e"}
 _DERIVATIVE = re.compile(r"^(C[A-Za-z])_(\w+)$")
 _FACTOR = re.compile(r"^(d|K_|tau_)(ax|ay|az|p|q|r|alpha|beta|V|phi|theta|psi)$")

@@ -17,7 +17,7 @@ from estimation.report.drawing.estimate_figures import (
     history_figure,
     proof_figure,
     scatter_figure,
-)  # fmt: skip
+)
 from estimation.report.drawing.figures import Picture
 from estimation.report.drawing.histories import write_flights
 from estimation.report.drawing.residual_figures import against_figure, moved, residual_figure
@@ -48,22 +48,35 @@ def write_estimate_report(session: "Session", folder: Path) -> Path:
     used = [f for f in session.flights if f.results]
     proofs = _proofs(session)
     tables: dict[str, Table | None] = {
-        "joint": joint_table(session), "mean": mean_table(session), "fit": fit_table(session), "modes": _modes(session),
-        "proof": _proof_table(session, proofs), "provenance": provenance_table(flights),
-        "runs": _runs(session), "verdict": _verdict_table(session), "untold": _untold(session),
+        "joint": joint_table(session),
+        "mean": mean_table(session),
+        "fit": fit_table(session),
+        "modes": _modes(session),
+        "proof": _proof_table(session, proofs),
+        "provenance": provenance_table(flights),
+        "runs": _runs(session),
+        "verdict": _verdict_table(session),
+        "untold": _untold(session),
         "card": flight_card(flights, session.aircraft if session.aircraft.name != UNNAMED else None),
-    }  # fmt: skip
+    }
     each = [estimate_table(session, f) for f in used]
     each = [*(replace(t, note="") for t in each[:-1]), *each[-1:]]  # one note on what the columns mean is enough
     write_all([*each, *(t for t in tables.values() if t is not None)], folder / "tables")
     best, whose = _shown_as_map(session)
     return write_page(
-        folder / "index.html", "estimate.html.j2",
-        title=f"Aerodynamic derivatives of {session.aircraft.name}" if session.aircraft.name != UNNAMED else "Derivatives",
+        folder / "index.html",
+        "estimate.html.j2",
+        title=f"Aerodynamic derivatives of {session.aircraft.name}"
+        if session.aircraft.name != UNNAMED
+        else "Derivatives",
         lead=_lead(session),
-        status=session.text, converged=session.converged, simulated=simulated(flights),
+        status=session.text,
+        converged=session.converged,
+        simulated=simulated(flights),
         comparison=published.COMPARISON if is_published(session) else "",
-        tables=tables, each=each, scatter=scatter_figure(session) if used else None,
+        tables=tables,
+        each=each,
+        scatter=scatter_figure(session) if used else None,
         doubts=[(m, html(n), s.text) for m, t in session.mean.items() for n, s in t.items() if s.text],
         histories=[history_figure(f, is_published(session)) for f in used[:SHOWN]],
         residuals=[p for f in used[:SHOWN] for p in _residual_figures(f)],
@@ -76,7 +89,7 @@ def write_estimate_report(session: "Session", folder: Path) -> Path:
         untold=[([html(n) for n in g.parameters], g) for g in grouped(untold(session))],
         notes=notes_table((f.flight.name, n) for f in used for n in f.notes),
         model=session.model,
-    )  # fmt: skip
+    )
 
 
 def estimate_figures(session: "Session") -> dict[str, Callable[[], Picture | None]]:
@@ -144,8 +157,10 @@ def _proofs(session: "Session") -> list[tuple[str, "Proof"]]:
             continue
         by = f", {method}" if len(session.methods) > 1 else ""
         pairs = zip(usable, [usable[-1], *usable[:-1]], strict=True)
-        proofs += [(donor[0].flight.name + by, predict(donor[1].fitted_model, f.flight, free=trims))
-                   for (f, _), donor in list(pairs)[:SHOWN]]  # fmt: skip
+        proofs += [
+            (donor[0].flight.name + by, predict(donor[1].fitted_model, f.flight, free=trims))
+            for (f, _), donor in list(pairs)[:SHOWN]
+        ]
     return proofs
 
 
@@ -232,13 +247,17 @@ def _proof_table(session: "Session", proofs: list[tuple[str, "Proof"]]) -> Table
         cells = [c for fit in fits for c in (("", "") if fit is None else (number(fit.r2, 3), number(fit.theil, 3)))]
         rows.append((p.name, whose, *cells, "FAIL" if beyond else "pass"))
     return Table(
-        "figure10_match", "Proof of match over flights",
+        "figure10_match",
+        "Proof of match over flights",
         ("flight", "predicted by", *(h for _ in outputs for h in ("r²", "Theil")), "match"),
-        tuple(rows), (("", 2), *((o, 2) for o in outputs), ("", 1)), symbols=False, failed=frozenset(failed),
+        tuple(rows),
+        (("", 2), *((o, 2) for o in outputs), ("", 1)),
+        symbols=False,
+        failed=frozenset(failed),
         note=f"Limit: Theil's coefficient at most {THEIL_LIMIT:g} in every channel; in red what is above it. Derivatives frozen, "
         f"{refitted(session)} refitted. A flight that could not tell a derivative predicts with what was believed before flying, "
         "or with a poor number: its predictions of flights that use that control show it.",
-    )  # fmt: skip
+    )
 
 
 def _modes(session: "Session") -> Table | None:

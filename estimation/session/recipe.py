@@ -75,11 +75,17 @@ class Recipe:
     def to_json(self) -> dict[str, object]:
         """The same as data."""
         models = [
-            {"model": m.model, "possible": not m.missing, "missing": list(m.missing), "methods": list(m.methods),
-             "reconstructed": list(m.reconstructed), "not_compared": list(m.silent),
-             "believe": list(TRUSTED_RECONSTRUCTED if m.reconstructed else m.methods)}
+            {
+                "model": m.model,
+                "possible": not m.missing,
+                "missing": list(m.missing),
+                "methods": list(m.methods),
+                "reconstructed": list(m.reconstructed),
+                "not_compared": list(m.silent),
+                "believe": list(TRUSTED_RECONSTRUCTED if m.reconstructed else m.methods),
+            }
             for m in self.models
-        ]  # fmt: skip
+        ]
         adds = {k: list(v) for k, v in self.adds.items()}
         return {"version": 1, "measured": list(self.measured), "air_data": self.air, "models": models, "adds": adds}
 

@@ -73,9 +73,11 @@ def _doubts_of_control(result: Result, column: str, control: str) -> list[Doubt]
     ratios = {
         e.name: e.estimate / e.reference
         for e in result.parameters.values()
-        if e.identifiable and e.reference and control in companions(result.model, e.name)
+        if e.identifiable
+        and e.reference
+        and control in companions(result.model, e.name)
         and abs(e.estimate) > 5.0 * e.std_coloured
-    }  # fmt: skip
+    }
     names = " and ".join(ratios)
     if ratios and all(r < 0.0 for r in ratios.values()):
         return [

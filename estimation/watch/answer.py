@@ -59,9 +59,16 @@ def write_watch_report(found: Watched, folder: Path, command: str) -> Path:
     write_all(list(tables.values()), folder / "tables")
     head, *rest = lines(found)
     return write_page(
-        folder / "index.html", "watch.html.j2", templates=HERE, title=f"Gap monitor: {found.flight.name}",
-        lead=f"{head}.", tables=tables, figure=history_picture(found), said=rest, command=command if found.alarms else "",
-    )  # fmt: skip
+        folder / "index.html",
+        "watch.html.j2",
+        templates=HERE,
+        title=f"Gap monitor: {found.flight.name}",
+        lead=f"{head}.",
+        tables=tables,
+        figure=history_picture(found),
+        said=rest,
+        command=command if found.alarms else "",
+    )
 
 
 def history_picture(found: Watched) -> Picture:
@@ -87,10 +94,15 @@ def history_picture(found: Watched) -> Picture:
 def _alarm_table(found: Watched) -> Table:
     rows = tuple(
         (
-            f"{a.time:.1f}", f"{a.since:.1f}", a.equation, ", ".join(a.channels), f"{a.score:.1f}", f"{a.threshold:.1f}",
+            f"{a.time:.1f}",
+            f"{a.since:.1f}",
+            a.equation,
+            ", ".join(a.channels),
+            f"{a.score:.1f}",
+            f"{a.threshold:.1f}",
             "; ".join(f"{n.effect} {significant(n.size, 2)} {n.unit}" for n in a.leading) or "none of the list",
         )
         for a in found.alarms
-    )  # fmt: skip
+    )
     head = ("noticed [s]", "since [s]", "equation", "shown by", "score", "threshold", "leading")
     return Table("alarms", "Alarms", head, rows, symbols=False, texts=(6,))

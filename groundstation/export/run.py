@@ -47,8 +47,10 @@ def export_file(
         return _export_counts(file, out, units_row)
     flight = open_flight(file, calibration)
     writer: dict[str, Callable[[Flight, Path], Sequence[str]]] = {
-        ".kml": _kml, ".gpx": _gpx, ".mcap": _foxglove,
-    }  # fmt: skip
+        ".kml": _kml,
+        ".gpx": _gpx,
+        ".mcap": _foxglove,
+    }
     notes = writer[suffix](flight, out) if suffix in writer else _write_table(flight, out, units_row)
     return Exported(out, tuple(notes))
 

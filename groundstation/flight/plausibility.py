@@ -50,9 +50,16 @@ def suspicions(time: Array, columns: Columns) -> list[Suspicion]:
     """What is odd about columns (N,) whose values look like another unit or sign; empty when nothing is suspicious."""
     present = {n: v for n, v in columns.items() if n in COLUMN_BY_NAME and np.isfinite(v).sum() >= 2}
     checks: Iterable[Iterator[Suspicion]] = (
-        _time(time), _gravity(present), _angles(present), _rates(present), _others(present), _attitude_rate(time, present),
-        _pressure_speed(present), _ground_speed(present), _sideways(time, present),
-    )  # fmt: skip
+        _time(time),
+        _gravity(present),
+        _angles(present),
+        _rates(present),
+        _others(present),
+        _attitude_rate(time, present),
+        _pressure_speed(present),
+        _ground_speed(present),
+        _sideways(time, present),
+    )
     with np.errstate(
         over="ignore", divide="ignore", invalid="ignore"
     ):  # of absurd values, which the checks themselves find

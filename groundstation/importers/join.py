@@ -37,9 +37,13 @@ def joined(flights: Sequence[Flight]) -> Flight:
         )
     notes = [n for f in flights for n in f.notes]
     made = Flight.build(
-        flights[0].name, np.concatenate(times), columns, segment=np.concatenate(segments),
-        provenance=flights[0].provenance, notes=[*notes, *said],
-    )  # fmt: skip
+        flights[0].name,
+        np.concatenate(times),
+        columns,
+        segment=np.concatenate(segments),
+        provenance=flights[0].provenance,
+        notes=[*notes, *said],
+    )
     origin = {f.provenance.path: f.provenance.sha256 for f in flights}
     if len(origin) == 1:
         return made

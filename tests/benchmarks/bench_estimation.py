@@ -76,8 +76,12 @@ def scipy_fit(data: FlightData) -> tuple[dict[str, float], float]:
         Cl = L0 + Lb * beta + Lp * ph + Lr * rh + Lda * da + Ldr * dr
         Cn = N0 + Nb * beta + Np * ph + Nr * rh + Ndr * dr
         k = q * S * b / inertia
-        x_dot = (-r + g / V * np.sin(phi) + rho * V * S / (2 * m) * CY, k * (c["Izz"] * Cl + c["Ixz"] * Cn),
-                 k * (c["Ixx"] * Cn + c["Ixz"] * Cl), p)  # fmt: skip
+        x_dot = (
+            -r + g / V * np.sin(phi) + rho * V * S / (2 * m) * CY,
+            k * (c["Izz"] * Cl + c["Ixz"] * Cn),
+            k * (c["Ixx"] * Cn + c["Ixz"] * Cl),
+            p,
+        )
         return np.array(x_dot), q * S / m * CY
 
     def misfit(theta: np.ndarray) -> np.ndarray:

@@ -15,9 +15,14 @@ import pytest
 from numpy.typing import NDArray
 
 ARGUMENTS = (
-    "--no-sandbox", "--disable-gpu-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
-    "--ignore-gpu-blocklist", "--disable-dev-shm-usage",
-)  # fmt: skip
+    "--no-sandbox",
+    "--disable-gpu-sandbox",
+    "--use-gl=angle",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--ignore-gpu-blocklist",
+    "--disable-dev-shm-usage",
+)
 TIME_LINE_UP = 15  # pixels from the lower edge of the page to the time line
 TIME_LINE = (0.24, 0.82)  # where it begins and ends, as shares of the page's width
 COLOURFUL = 1500  # saturated pixels that make a page count as drawn

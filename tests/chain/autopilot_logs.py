@@ -62,7 +62,7 @@ def messages(truth: Mapping[str, Array], rng: np.random.Generator) -> dict[str, 
         "baro": seen(5, 0.002, {"altitude": 0.3, "p_static": 10.0, "rho": 0.0}),
         "gnss": seen(10, 0.004, {"vn": 0.15, "ve": 0.15, "vd": 0.2}),
         "servo": Samples(time + BOOT, {n: np.round(v) for n, v in servo.items()}),
-    }  # fmt: skip
+    }
 
 
 def dataflash(truth: Mapping[str, Array], rng: np.random.Generator) -> bytes:
@@ -84,7 +84,7 @@ def dataflash(truth: Mapping[str, Array], rng: np.random.Generator) -> bytes:
         "BARO": (133, "ff", "Alt,Press", m["baro"].time, [baro["altitude"], baro["p_static"]]),
         "GPS": (134, "BLLefff", "Status,Lat,Lng,Alt,Spd,GCrs,VZ", m["gnss"].time, fix),
         "RCOU": (135, "HHHH", "C1,C2,C3,C4", m["servo"].time, [s["left"], s["right"], s["left"] * 0, s["rudder"]]),
-    }  # fmt: skip
+    }
     code = {"Q": "Q", "B": "B", "f": "f", "L": "i", "e": "i", "H": "H"}
     out = [_fmt(128, 89, "FMT", "BBnNZ", "Type,Length,Name,Format,Columns")]
     rows: list[tuple[float, bytes]] = []
@@ -122,7 +122,7 @@ def ulog(truth: Mapping[str, Array], rng: np.random.Generator) -> bytes:
         "vehicle_air_data": ("float baro_alt_meter;float rho;", m["baro"].time, [baro["altitude"], baro["rho"]]),
         "vehicle_gps_position": ("float vel_n_m_s;float vel_e_m_s;float vel_d_m_s;", m["gnss"].time, fix),
         "actuator_outputs": ("float[4] output;", m["servo"].time, [s["left"], s["right"], s["left"] * 0, s["rudder"]]),
-    }  # fmt: skip
+    }
     out = [b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 1_000_000), _message(b"B", bytes(40))]
     out += [_message(b"F", f"{name}:uint64_t timestamp;{fields}".encode()) for name, (fields, _, _) in topics.items()]
     out += [_message(b"A", struct.pack("<BH", 0, i) + name.encode()) for i, name in enumerate(topics)]

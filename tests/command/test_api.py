@@ -130,8 +130,13 @@ def test_checks_and_matches_draw_measured_beside_computed(result: Estimates, tmp
 def test_figures_are_those_of_the_page(result: Estimates, tmp_path: Path) -> None:
     figures = result.figures()
     assert set(figures) == {
-        "figure8", "figure9_cdfp_ld4", "residuals_cdfp_ld4", "against_cdfp_ld4", "correlations", "ellipses",
-    }  # fmt: skip
+        "figure8",
+        "figure9_cdfp_ld4",
+        "residuals_cdfp_ld4",
+        "against_cdfp_ld4",
+        "correlations",
+        "ellipses",
+    }
     one = figures["ellipses"]
     assert one is figures["ellipses"]  # drawn once
     shown = one._repr_html_()

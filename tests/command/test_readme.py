@@ -54,8 +54,12 @@ def test_commands_run_in_order(page: str, folder: Path) -> None:
         verb = words[1]
         done = subprocess.run(
             [sys.executable, "-m", "sideslip", *words[1:], *ADDED.get(verb, [])],
-            cwd=folder, capture_output=True, text=True, timeout=300, check=False,
-        )  # fmt: skip
+            cwd=folder,
+            capture_output=True,
+            text=True,
+            timeout=300,
+            check=False,
+        )
         if verb in ON_HARDWARE and not Path("/dev/i2c-1").exists():
             assert done.returncode == 2, command
             assert "/dev/i2c-1" in done.stderr

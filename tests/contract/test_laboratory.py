@@ -169,9 +169,13 @@ def install(folder: Path, rows: str, package: str) -> None:
 def run_with(folder: Path, code: str, root: Path) -> subprocess.CompletedProcess[str]:
     path = os.pathsep.join([str(folder), str(root)])
     return subprocess.run(
-        [sys.executable, "-c", code], env={**os.environ, "PYTHONPATH": path}, capture_output=True, text=True, timeout=60,
+        [sys.executable, "-c", code],
+        env={**os.environ, "PYTHONPATH": path},
+        capture_output=True,
+        text=True,
+        timeout=60,
         check=False,
-    )  # fmt: skip
+    )
 
 
 def test_a_scan_is_read_right_or_not_at_all_whatever_packages_are_installed(root: Path, tmp_path: Path) -> None:

@@ -79,9 +79,7 @@ def forged(data: bytes, rng: random.Random) -> bytes:
     return stream.getvalue()
 
 
-MUTATIONS: Mapping[str, Bytes] = {
-    f.__name__: f for f in (flip, length, cut, repeat, sectors, splice, noise, forged)
-}  # fmt: skip
+MUTATIONS: Mapping[str, Bytes] = {f.__name__: f for f in (flip, length, cut, repeat, sectors, splice, noise, forged)}
 
 
 @cache

@@ -94,9 +94,13 @@ def test_default_fits_a_signed_error_corrected_radio(worst: bool) -> None:
 
 
 SHOWN = DisplayConfig(
-    pitot_zero_count=8000, pitot_pa_per_count=1.0, alpha_zero_count=0, alpha_rad_per_count=1e-4, beta_zero_count=0,
+    pitot_zero_count=8000,
+    pitot_pa_per_count=1.0,
+    alpha_zero_count=0,
+    alpha_rad_per_count=1e-4,
+    beta_zero_count=0,
     beta_rad_per_count=1e-4,
-)  # fmt: skip
+)
 """With numbers for all messages, so that all are sent; at rest in the tests, `quiet_scan` flies 150 Pa of pitot pressure."""
 
 

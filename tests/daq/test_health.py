@@ -50,8 +50,11 @@ def test_new_level_is_accepted_at_its_second_sample() -> None:
 def test_configured_limits() -> None:
     watch = Watch(("supply",), HealthConfig(plausible={"supply": (10000, 20000)}))
     assert verdicts(watch, "supply", [9999, 10000, 20000, 20001]) == [
-        SensorState.OUT_OF_RANGE, SensorState.OK, SensorState.OK, SensorState.OUT_OF_RANGE,
-    ]  # fmt: skip
+        SensorState.OUT_OF_RANGE,
+        SensorState.OK,
+        SensorState.OK,
+        SensorState.OUT_OF_RANGE,
+    ]
 
 
 def test_summary_in_words() -> None:

@@ -140,8 +140,9 @@ def test_verify_and_info_tell_both_sessions(both: Path, tmp_path: Path) -> None:
     assert info["session"] == "s1, other"
     assert info["scans"] == SCANS + OTHER_SCANS
     assert [(s["session"], s["scans"], s["first_scan"]) for s in info["sessions"]] == [
-        ("s1", SCANS, 0), ("other", OTHER_SCANS, OTHER_FIRST)
-    ]  # fmt: skip
+        ("s1", SCANS, 0),
+        ("other", OTHER_SCANS, OTHER_FIRST),
+    ]
     said = CliRunner().invoke(commands.info, [str(both)]).output
     assert "session s1" in said
     assert "session other" in said
@@ -151,8 +152,9 @@ def test_recover_writes_each_session_to_a_file_of_its_own(both: Path, tmp_path: 
     result = recover(both, tmp_path / "out.mcap")
     assert result.recovered == SCANS + OTHER_SCANS
     assert [(s, p.name, n) for s, p, n in result.sessions] == [
-        ("s1", "out.mcap", SCANS), ("other", "out_2.mcap", OTHER_SCANS)
-    ]  # fmt: skip
+        ("s1", "out.mcap", SCANS),
+        ("other", "out_2.mcap", OTHER_SCANS),
+    ]
     for name, path, scans in result.sessions:
         saved = read_recording(path)
         assert (saved.info.session, len(saved.numbers)) == (name, scans)

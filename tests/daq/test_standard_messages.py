@@ -113,9 +113,16 @@ def test_angles_follow_the_vanes_whatever_their_supply_is() -> None:
 
 
 EVERYTHING = {
-    **FIX, "pitot_pressure": 8300, "alpha_vane": 20500, "beta_vane": 20100, "supply": 18400, "pwm_4": 16000, "pwm_1": 15000,
-    "static_pressure": 6_400_000, "static_temperature": 8_400_000,
-}  # fmt: skip
+    **FIX,
+    "pitot_pressure": 8300,
+    "alpha_vane": 20500,
+    "beta_vane": 20100,
+    "supply": 18400,
+    "pwm_4": 16000,
+    "pwm_1": 15000,
+    "static_pressure": 6_400_000,
+    "static_temperature": 8_400_000,
+}
 
 
 @pytest.mark.parametrize(
@@ -229,10 +236,14 @@ def _blown(wind: tuple[float, float, float], psi: float) -> dict[str, float]:
     velocity = (north + wind[0], east + wind[1], down + wind[2])
     names = ("velocity_north_mm", "velocity_east_mm", "velocity_down_mm")
     return {
-        **quaternion, "gnss_fix": 3, "height_msl_mm": 500_000, "pitot_pressure": 8191.5 + q / 1.0521206283,
-        "alpha_vane": 20000 + alpha / 1e-4, "beta_vane": 20000,
+        **quaternion,
+        "gnss_fix": 3,
+        "height_msl_mm": 500_000,
+        "pitot_pressure": 8191.5 + q / 1.0521206283,
+        "alpha_vane": 20000 + alpha / 1e-4,
+        "beta_vane": 20000,
         **{n: round(v * 1000) for n, v in zip(names, velocity, strict=True)},
-    }  # fmt: skip
+    }
 
 
 def test_wind_is_ground_velocity_less_air_velocity_in_every_heading() -> None:
@@ -295,9 +306,14 @@ def test_a_value_that_no_message_can_hold_is_not_a_number() -> None:
 def test_whatever_sensors_and_chips_say_never_raises(seed: int) -> None:
     rng = np.random.default_rng(seed)
     steep = DisplayConfig(
-        pitot_zero_count=-(2.0**31), pitot_pa_per_count=1e4, alpha_zero_count=2.0**32, alpha_rad_per_count=-1e4,
-        beta_zero_count=0, beta_rad_per_count=1e4, sensor_supply_count=1e-9,
-    )  # fmt: skip
+        pitot_zero_count=-(2.0**31),
+        pitot_pa_per_count=1e4,
+        alpha_zero_count=2.0**32,
+        alpha_rad_per_count=-1e4,
+        beta_zero_count=0,
+        beta_rad_per_count=1e4,
+        sensor_supply_count=1e-9,
+    )
     about = messages(
         DownlinkConfig(display=steep if seed % 2 else DISPLAY, supply_volts_per_count=1e4), rng.bytes(21).hex()
     )

@@ -262,10 +262,14 @@ def test_what_strangers_send_is_refused_or_ignored_and_breaks_nothing(session: S
     m, ask = mavutil.mavlink, session.client.mav
     session.until("HEARTBEAT")
     unknown = (
-        m.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES, m.MAV_CMD_REQUEST_PROTOCOL_VERSION,
-         m.MAV_CMD_GET_MESSAGE_INTERVAL, m.MAV_CMD_COMPONENT_ARM_DISARM,
-        m.MAV_CMD_DO_SET_MODE, m.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, 65535,
-    )  # fmt: skip
+        m.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES,
+        m.MAV_CMD_REQUEST_PROTOCOL_VERSION,
+        m.MAV_CMD_GET_MESSAGE_INTERVAL,
+        m.MAV_CMD_COMPONENT_ARM_DISARM,
+        m.MAV_CMD_DO_SET_MODE,
+        m.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN,
+        65535,
+    )
     for command in unknown:
         ask.command_long_send(1, 1, command, 0, 1, 0, 0, 0, 0, 0, 0)
         ack = session.until("COMMAND_ACK")

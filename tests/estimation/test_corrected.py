@@ -16,9 +16,14 @@ IMU = {"x_imu": 1.2, "y_imu": 0.1, "z_imu": -0.2}
 
 def at_the_centre() -> dict[str, np.ndarray]:
     return {
-        "V": 100.0 + np.sin(0.3 * TIME), "alpha": 0.07 + 0.02 * np.sin(0.8 * TIME), "beta": 0.05 * np.sin(1.3 * TIME),
-        "ax": 0.3 + 0.0 * TIME, "ay": 0.5 * np.sin(TIME), "az": -9.8 + 0.0 * TIME, **RATES,
-    }  # fmt: skip
+        "V": 100.0 + np.sin(0.3 * TIME),
+        "alpha": 0.07 + 0.02 * np.sin(0.8 * TIME),
+        "beta": 0.05 * np.sin(1.3 * TIME),
+        "ax": 0.3 + 0.0 * TIME,
+        "ay": 0.5 * np.sin(TIME),
+        "az": -9.8 + 0.0 * TIME,
+        **RATES,
+    }
 
 
 def as_shown() -> Flight:

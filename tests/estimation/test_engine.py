@@ -68,8 +68,10 @@ def test_lateral_rates_agree_with_scipy(clean_flight: Flight) -> None:
         s = q * c["S"] * c["b"] / (c["Ixx"] * c["Izz"] - c["Ixz"] ** 2)
         return [
             -r + c["g"] / V * np.sin(phi) + rho * V * c["S"] / 2 / c["m"] * CY,
-            s * (c["Izz"] * Cl + c["Ixz"] * Cn), s * (c["Ixx"] * Cn + c["Ixz"] * Cl), p,
-        ]  # fmt: skip
+            s * (c["Izz"] * Cl + c["Ixz"] * Cn),
+            s * (c["Ixx"] * Cn + c["Ixz"] * Cl),
+            p,
+        ]
 
     solution = solve_ivp(rates, (0, t[-1]), np.zeros(4), "DOP853", t, rtol=1e-9, atol=1e-11, max_step=0.05)
     y = simulate(model, data, x0=np.zeros(4), substeps=8)
@@ -81,14 +83,17 @@ def wide_model() -> Model:
     return load_model("lateral", "cdfp").plus(
         transforms=[InputTransform("delay", "delta_a", ("T_a",)), InputTransform("lag", "delta_r", ("T_r",))],
         parameters=[
-            Parameter("T_a", "s", 0.031), Parameter("T_r", "s", 0.04), Parameter("T_v", "s", 0.1),
-            Parameter("skew", "s", 0.023), Parameter("x_imu", "m", 0.1),
+            Parameter("T_a", "s", 0.031),
+            Parameter("T_r", "s", 0.04),
+            Parameter("T_v", "s", 0.1),
+            Parameter("skew", "s", 0.023),
+            Parameter("x_imu", "m", 0.1),
         ],
         states=[Signal("vane", "rad", start="beta")],
         lines=["vane_dot = (beta - vane)/T_v"],
         outputs={"beta": "vane", "ay": "ay + x_imu*r_dot"},
         output_delays={"r": "skew"},
-    )  # fmt: skip
+    )
 
 
 def test_sensitivities_are_derivatives_of_the_simulation(clean_flight: Flight) -> None:

@@ -64,9 +64,10 @@ def test_from_the_command_line(made_flights: list[Flight], tmp_path: Path) -> No
     assert done.exception is None
     assert set(tomllib.loads((tmp_path / "m.toml").read_text())["flown"]) >= {"beta", "V", "delta_a"}
     told = run.invoke(
-        match, [str(tmp_path / "m.toml"), *(str(tmp_path / f"{n}.mcap") for n in "ab"), "--json", str(tmp_path / "p.json")],
+        match,
+        [str(tmp_path / "m.toml"), *(str(tmp_path / f"{n}.mcap") for n in "ab"), "--json", str(tmp_path / "p.json")],
         standalone_mode=False,
-    )  # fmt: skip
+    )
     assert "beyond what the model was estimated from: V from " in told.output
     first, second = json.loads((tmp_path / "p.json").read_text())["flights"]
     assert first["beyond"] == {}

@@ -62,11 +62,15 @@ def test_model_survives_a_file(name: str, tmp_path: Any) -> None:
 
 
 def test_model_file_with_everything(tmp_path: Any) -> None:
-    model = load_model("lateral", "cdfp").with_biases("p").plus(
-        transforms=[InputTransform("delay", "delta_a", ("T",))],
-        parameters=[Parameter("T", "s", 0.02, 0.0, 0.2), Parameter("skew", "s")],
-        output_delays={"beta": "skew"},
-    )  # fmt: skip
+    model = (
+        load_model("lateral", "cdfp")
+        .with_biases("p")
+        .plus(
+            transforms=[InputTransform("delay", "delta_a", ("T",))],
+            parameters=[Parameter("T", "s", 0.02, 0.0, 0.2), Parameter("skew", "s")],
+            output_delays={"beta": "skew"},
+        )
+    )
     write_model(model, tmp_path / "m.toml")
     assert read_model(tmp_path / "m.toml") == model
 
@@ -140,9 +144,11 @@ def test_plus_adds_terms_states_and_outputs() -> None:
 
 
 def test_output_changes_chain() -> None:
-    model = load_model("lateral", "cdfp").with_biases("ay").plus(
-        outputs={"ay": "ay + x_imu*r_dot"}, parameters=[Parameter("x_imu", "m")]
-    )  # fmt: skip
+    model = (
+        load_model("lateral", "cdfp")
+        .with_biases("ay")
+        .plus(outputs={"ay": "ay + x_imu*r_dot"}, parameters=[Parameter("x_imu", "m")])
+    )
     assert model.output_expression("ay") == "ay_shown0 + x_imu*r_dot"
     assert model.definitions["ay_shown0"] == "ay + bias_ay"
 

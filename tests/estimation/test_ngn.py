@@ -290,8 +290,10 @@ def test_gap_and_dropouts_are_never_crossed(made_flights):
     beta[100:106] = np.nan
     flight = Flight.build("holed", holed.time, {**holed.columns, "beta": beta})
     axis = LateralAxis(AIRCRAFT)
-    steps = {round(float(flight.time[s.first[-1] + 1] - flight.time[s.first[0]]), 3) > 0
-             for s in stretches(axis, flight, "point", ("beta", "phi", "p", "r"))}  # fmt: skip
+    steps = {
+        round(float(flight.time[s.first[-1] + 1] - flight.time[s.first[0]]), 3) > 0
+        for s in stretches(axis, flight, "point", ("beta", "phi", "p", "r"))
+    }
     found = stretches(axis, flight, "point", ("beta", "phi", "p", "r"))
     assert steps == {True}
     assert len(found) == 3

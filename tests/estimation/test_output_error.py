@@ -162,7 +162,7 @@ def roll_yaw_record(rng: np.random.Generator, count: int = 1500) -> tuple[Flight
         "ay": linear("Y", x, v) + 0.03 * rng.normal(size=count),
         "p": x[0] + 0.005 * rng.normal(size=count),
         "r": x[1] + 0.005 * rng.normal(size=count),
-    }  # fmt: skip
+    }
     return Flight.build("roll_yaw", t, {**u, **columns}), p
 
 
@@ -243,8 +243,9 @@ def test_own_longitudinal_model_equals_an_independent_solution() -> None:
             return [
                 (T * np.cos(x[1]) - pd * S * CD) / m - g * np.sin(x[2] - x[1]),
                 x[3] - (pd * S * CL + T * np.sin(x[1])) / m / x[0] + g / x[0] * np.cos(x[2] - x[1]),
-                x[3], pd * S * c * Cm / Iyy,
-            ]  # fmt: skip
+                x[3],
+                pd * S * c * Cm / Iyy,
+            ]
 
         x = np.empty((count, 4))
         x[0] = x0
@@ -453,9 +454,13 @@ def test_finer_steps_are_taken_where_needed() -> None:
     from estimation.models import Model, Signal
 
     model = Model(
-        "stiff", (Signal("x"),), (Signal("u"),), (Signal("x"),), (Parameter("a", "1/s", -60.0), Parameter("g", "1", 1.0)),
+        "stiff",
+        (Signal("x"),),
+        (Signal("u"),),
+        (Signal("x"),),
+        (Parameter("a", "1/s", -60.0), Parameter("g", "1", 1.0)),
         ("x_dot = a*(x - g*u)",),
-    )  # fmt: skip
+    )
     t = np.arange(300) * 0.05
     u = np.interp(t, np.arange(0, 16, 0.5), np.random.default_rng(1).normal(size=32))
     fine = np.arange(0, t[-1] + 1e-9, 0.0005)

@@ -54,8 +54,13 @@ def sideslip(*arguments: object, path: Path | None = None, cwd: Path | None = No
     there = os.pathsep.join(str(p) for p in (ROOT, path) if p is not None)
     return subprocess.run(
         [sys.executable, "-c", "import sideslip; sideslip.main()", *(str(a) for a in arguments)],
-        env={**os.environ, "PYTHONPATH": there}, capture_output=True, text=True, check=False, timeout=120, cwd=cwd,
-    )  # fmt: skip
+        env={**os.environ, "PYTHONPATH": there},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+        cwd=cwd,
+    )
 
 
 def test_names_and_titles() -> None:

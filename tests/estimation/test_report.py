@@ -42,9 +42,16 @@ def flight(name: str, seed: int, rudder: float) -> Flight:
     r = rudder * (np.where((t > 4) & (t < 5), 0.12, 0) - np.where((t > 5) & (t < 6), 0.12, 0))
     flat = np.zeros_like(t)
     columns = {
-        "delta_a": a, "delta_r": r, "V": flat + 17.0, "alpha": flat + 0.09, "theta": flat + 0.09, "q": flat, "V_dot": flat,
-        "rho": flat + 1.17, **{c: 0.01 * np.sin(t) for c in ("beta", "p", "r", "phi", "ay")},
-    }  # fmt: skip
+        "delta_a": a,
+        "delta_r": r,
+        "V": flat + 17.0,
+        "alpha": flat + 0.09,
+        "theta": flat + 0.09,
+        "q": flat,
+        "V_dot": flat,
+        "rho": flat + 1.17,
+        **{c: 0.01 * np.sin(t) for c in ("beta", "p", "r", "phi", "ay")},
+    }
     values = {**LATERAL.starts(), "Cn_beta": 0.026, "Cl_dr": -0.02}
     truth = simulate(LATERAL, Flight.build(name, t, columns), values, x0=np.zeros(4))
     for i, c in enumerate(LATERAL.output_names):
@@ -205,10 +212,15 @@ def test_front_page_of_an_empty_folder_says_so(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("name", "expected"),
-    [("Cl_beta", r"C_{l_{\beta}}"), ("Cn_dr", r"C_{n_{\delta_r}}"), ("K_beta", r"K_{\beta}"), ("dax", r"\Delta_{a_x}"),
-     ("p", "p"),
-     ("two_words", r"\mathrm{two\_words}")],
-)  # fmt: skip
+    [
+        ("Cl_beta", r"C_{l_{\beta}}"),
+        ("Cn_dr", r"C_{n_{\delta_r}}"),
+        ("K_beta", r"K_{\beta}"),
+        ("dax", r"\Delta_{a_x}"),
+        ("p", "p"),
+        ("two_words", r"\mathrm{two\_words}"),
+    ],
+)
 def test_latex_of_names(name: str, expected: str) -> None:
     assert names.tex(name) == expected
 

@@ -16,9 +16,12 @@ from firmware_sim.world.scenario import built_in_scenarios, load_scenario
 
 _KEYS = st.text(min_size=1, max_size=8)
 _PLAIN = st.one_of(
-    st.booleans(), st.integers(-(2**62), 2**62), st.floats(allow_nan=False), st.text(max_size=12),
+    st.booleans(),
+    st.integers(-(2**62), 2**62),
+    st.floats(allow_nan=False),
+    st.text(max_size=12),
     st.lists(st.integers(-9, 9), max_size=3),
-)  # fmt: skip
+)
 _TABLES = st.recursive(
     st.dictionaries(_KEYS, _PLAIN, max_size=4),
     lambda inner: st.dictionaries(_KEYS, st.one_of(_PLAIN, inner, st.lists(inner, min_size=1, max_size=2)), max_size=4),

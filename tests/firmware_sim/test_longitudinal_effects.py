@@ -82,7 +82,7 @@ def over(m: Motion) -> float:
         ("Cl_alpha_p", "Cl", lambda m: over(m) * 0.5 * SPAN / (2 * m.V)),
         ("Cn_alpha_p", "Cn", lambda m: 0.3 * over(m) * 0.5 * SPAN / (2 * m.V)),
     ],
-)  # fmt: skip
+)
 def test_an_effect_adds_what_its_formula_says(name: str, quantity: str, expected: Callable[[Motion], float]) -> None:
     amount, plain = added(name, quantity, climb=1.2, **PULLED)
     assert amount == pytest.approx(expected(plain), rel=1e-9, abs=1e-14)

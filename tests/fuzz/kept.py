@@ -171,8 +171,12 @@ def _tables() -> Iterator[Kept]:
     yield Kept("csv", "8 million rows of a digit", lambda: b"time\n" + b"1\n" * (MOST // 2 - 9))
     yield Kept("csv", "16 MiB of numbers", lambda: b"time,p\n" + b"1,2\n" * (MOST // 4 - 9), large=True)
     yield Kept("csv", "16 MiB of words", lambda: b"time,p\n" + b"ab,cd\n" * (MOST // 6 - 9), large=True)
-    yield Kept("csv", "16 MiB of wide rows", lambda: b"time," + b",".join(b"c%d" % i for i in range(4000)) + b"\n"
-               + (b"0," * 4000 + b"1\n") * 2050, large=True)  # fmt: skip
+    yield Kept(
+        "csv",
+        "16 MiB of wide rows",
+        lambda: b"time," + b",".join(b"c%d" % i for i in range(4000)) + b"\n" + (b"0," * 4000 + b"1\n") * 2050,
+        large=True,
+    )
     yield Kept("csv", "noise", _noise, large=True)
     yield Kept("parquet", "forty million rows in some kilobytes", _many_equal_rows, large=True)
     yield Kept("parquet", "a page of a hundred megabytes in some kilobytes", _swollen_page, large=True)
@@ -193,14 +197,28 @@ def _tables() -> Iterator[Kept]:
 
 def _logs() -> Iterator[Kept]:
     yield Kept("ulog", "a format of itself", lambda: _ulog(_format("t:uint64_t timestamp;t[9] x;"), _topic("t")))
-    yield Kept("ulog", "arrays of arrays of arrays", lambda: _ulog(
-        _format("c:double[999] x;"), _format("b:c[999] x;"), _format("a:uint64_t timestamp;b[999] x;"), _topic("a")))  # fmt: skip
-    yield Kept("ulog", "a short time", lambda: _ulog(
-        _format("t:uint8_t timestamp;"), _topic("t"), seeds.ulog_message(b"D", b"\0\0\1") * 9))  # fmt: skip
-    yield Kept("ulog", "65,536 topics", lambda: _ulog(
-        _format("t:uint64_t timestamp;" + "float x;" * 9), *(_topic("t", i) for i in range(65_536))))  # fmt: skip
-    yield Kept("ulog", "appended data before the head", lambda: _ulog().replace(
-        bytes(24), struct.pack("<3Q", 1, 2**63, 17)) + b"\xff" * 99)  # fmt: skip
+    yield Kept(
+        "ulog",
+        "arrays of arrays of arrays",
+        lambda: _ulog(
+            _format("c:double[999] x;"), _format("b:c[999] x;"), _format("a:uint64_t timestamp;b[999] x;"), _topic("a")
+        ),
+    )
+    yield Kept(
+        "ulog",
+        "a short time",
+        lambda: _ulog(_format("t:uint8_t timestamp;"), _topic("t"), seeds.ulog_message(b"D", b"\0\0\1") * 9),
+    )
+    yield Kept(
+        "ulog",
+        "65,536 topics",
+        lambda: _ulog(_format("t:uint64_t timestamp;" + "float x;" * 9), *(_topic("t", i) for i in range(65_536))),
+    )
+    yield Kept(
+        "ulog",
+        "appended data before the head",
+        lambda: _ulog().replace(bytes(24), struct.pack("<3Q", 1, 2**63, 17)) + b"\xff" * 99,
+    )
     yield Kept("ulog", "as many samples as fit", _small_topics, large=True)
     for fill in (0, 0x44, 0x46, 0x41, 0xFF):
         yield Kept("ulog", f"16 MiB of {fill:#x}", lambda f=fill: _ulog(bytes([f]) * (MOST - 99)), large=True)  # type: ignore[misc]
@@ -229,18 +247,27 @@ def _logs() -> Iterator[Kept]:
         lambda: _dataflash_format(130, b"X", b"ZB", b"TimeUS,a", 68) + b"\xa3\x95\x82" + bytes(65),
     )
     yield Kept("dataflash", "16 MiB of heads", lambda: b"\xa3\x95" * (MOST // 2), large=True)
-    yield Kept("dataflash", "16 MiB of the shortest messages", lambda: _dataflash_format(130, b"X", b"B", b"TimeUS", 4)
-               + b"\xa3\x95\x82\1" * (MOST // 4 - 30), large=True)  # fmt: skip
+    yield Kept(
+        "dataflash",
+        "16 MiB of the shortest messages",
+        lambda: _dataflash_format(130, b"X", b"B", b"TimeUS", 4) + b"\xa3\x95\x82\1" * (MOST // 4 - 30),
+        large=True,
+    )
     yield Kept(
         "dataflash",
         "16 MiB of descriptions",
         lambda: _dataflash_format(130, b"X", b"QB", b"TimeUS,a", 12) * (MOST // 89),
         large=True,
     )
-    yield Kept("dataflash", "16 bytes become 16 columns", lambda: _dataflash_format(
-        130, b"X", b"Q" + b"b" * 15, b"TimeUS," + b",".join(b"a%x" % i for i in range(15)), 26)
-        + b"".join(b"\xa3\x95\x82" + struct.pack("<Q15b", 50_000 * i, *range(15)) for i in range(600_000)),
-        large=True)  # fmt: skip
+    yield Kept(
+        "dataflash",
+        "16 bytes become 16 columns",
+        lambda: (
+            _dataflash_format(130, b"X", b"Q" + b"b" * 15, b"TimeUS," + b",".join(b"a%x" % i for i in range(15)), 26)
+            + b"".join(b"\xa3\x95\x82" + struct.pack("<Q15b", 50_000 * i, *range(15)) for i in range(600_000))
+        ),
+        large=True,
+    )
     yield Kept(
         "dataflash", "noise", lambda: _dataflash_format(130, b"X", b"QB", b"TimeUS,a", 12) + _noise()[:-99], large=True
     )
@@ -322,7 +349,7 @@ def _texts() -> Iterator[Kept]:
         "(-8)**0.5",
         "1/0",
     ):
-        yield Kept("expression", text[:40] or "nothing", text.encode)  # fmt: skip
+        yield Kept("expression", text[:40] or "nothing", text.encode)
     for text in (
         '{"sent": Infinity, "heard": 1, "streams": []}',
         "[" * 100_000,
@@ -334,7 +361,7 @@ def _texts() -> Iterator[Kept]:
         '{"sent": 1, "heard": 340282366920938463463374607431768211456, "streams": []}',
         "9" * 5000,
     ):
-        yield Kept("signing state", text[:40], text.encode)  # fmt: skip
+        yield Kept("signing state", text[:40], text.encode)
     yield Kept("signing key", "zeros", lambda: bytes(32))
     yield Kept("signing key", "one byte 32 times", lambda: b"a" * 32)
     yield Kept("signing key", "two million bytes", lambda: b"ab" * 1_000_000)

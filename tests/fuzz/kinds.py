@@ -103,10 +103,17 @@ def lying_matrix(data: bytes, rng: Rng) -> bytes:
 def lying_topic(data: bytes, rng: Rng) -> bytes:
     """A ULog with a format that holds itself, much of it, or other types; lengths fit."""
     fields = (
-        b"uint64_t timestamp;self[9] s;", b"uint64_t timestamp;float[60000] x;", b"uint8_t timestamp;float x;",
-        b"uint64_t timestamp;" + b"double x;" * 3000, b"float x;", b"uint64_t timestamp;nothing n;", b"char[16] timestamp;",
-        b"uint64_t timestamp;float x;float x;", b"bool timestamp;int64_t[3] y;", b"uint64_t[2] timestamp;float a;",
-    )  # fmt: skip
+        b"uint64_t timestamp;self[9] s;",
+        b"uint64_t timestamp;float[60000] x;",
+        b"uint8_t timestamp;float x;",
+        b"uint64_t timestamp;" + b"double x;" * 3000,
+        b"float x;",
+        b"uint64_t timestamp;nothing n;",
+        b"char[16] timestamp;",
+        b"uint64_t timestamp;float x;float x;",
+        b"bool timestamp;int64_t[3] y;",
+        b"uint64_t[2] timestamp;float a;",
+    )
     name = bytes(rng.choice([b"self", b"sensor_combined", b"airspeed", b"inner"]))
     made = seeds.ulog_message(b"F", name + b":" + fields[int(rng.integers(len(fields)))])
     made += seeds.ulog_message(b"A", bytes([int(rng.integers(3)), int(rng.integers(4)), 0]) + name)

@@ -127,9 +127,14 @@ def encoded(data: bytes, rng: Rng) -> bytes:
     """The text in another encoding, or with a mark in front."""
     text = data.decode("utf-8", "replace")
     coded = (
-        b"\xef\xbb\xbf" + data, text.encode("utf-16"), text.encode("utf-16-le"), text.encode("utf-32"),
-        text.encode("latin-1", "replace"), data.replace(b"\n", b"\r"), data.replace(b"\n", b"\r\n"),
-    )  # fmt: skip
+        b"\xef\xbb\xbf" + data,
+        text.encode("utf-16"),
+        text.encode("utf-16-le"),
+        text.encode("utf-32"),
+        text.encode("latin-1", "replace"),
+        data.replace(b"\n", b"\r"),
+        data.replace(b"\n", b"\r\n"),
+    )
     return bytes(_pick(rng, coded))
 
 

@@ -119,10 +119,12 @@ def ulog_inputs() -> list[bytes]:
 def dataflash_inputs() -> list[bytes]:
     """IMU with two instances, attitude, airspeed, GPS, and units that tell the instance field."""
     formats = {
-        "IMU": (130, "QBffffff", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ"), "ATT": (131, "Qccc", "TimeUS,Roll,Pitch,Yaw"),
-        "ARSP": (132, "Qff", "TimeUS,Airspeed,DiffPress"), "GPS": (134, "QBLLeff", "TimeUS,Status,Lat,Lng,Alt,Spd,GCrs"),
+        "IMU": (130, "QBffffff", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ"),
+        "ATT": (131, "Qccc", "TimeUS,Roll,Pitch,Yaw"),
+        "ARSP": (132, "Qff", "TimeUS,Airspeed,DiffPress"),
+        "GPS": (134, "QBLLeff", "TimeUS,Status,Lat,Lng,Alt,Spd,GCrs"),
         "FMTU": (135, "QBNN", "TimeUS,FmtType,UnitIds,MultIds"),
-    }  # fmt: skip
+    }
     code = {"Q": "Q", "B": "B", "f": "f", "c": "h", "L": "i", "e": "i", "N": "16s"}
 
     def fmt(kind: int, length: int, name: str, letters: str, labels: str) -> bytes:
@@ -255,9 +257,11 @@ def model_inputs() -> list[bytes]:
 def expression_inputs() -> list[bytes]:
     """Right sides of equations."""
     return [
-        b"CY_0 + CY_beta*beta + CY_p*p*b/(2*V)", b"where(alpha < 0.2, sin(alpha)^2, tanh(beta)/(1 + abs(q)))",
-        b"q*S*b/Ixx*(Cl_0 + Cl_beta*beta) - (Izz - Iyy)*q*r/Ixx", b"max(min(p, 1e3), -2.5e-3)**3 + atan2(alpha, V)",
-    ]  # fmt: skip
+        b"CY_0 + CY_beta*beta + CY_p*p*b/(2*V)",
+        b"where(alpha < 0.2, sin(alpha)^2, tanh(beta)/(1 + abs(q)))",
+        b"q*S*b/Ixx*(Cl_0 + Cl_beta*beta) - (Izz - Iyy)*q*r/Ixx",
+        b"max(min(p, 1e3), -2.5e-3)**3 + atan2(alpha, V)",
+    ]
 
 
 def state_inputs() -> list[bytes]:

@@ -62,8 +62,15 @@ def slice_results(kind: Kind, seed: int, first: int, last: int) -> list[dict[str
         if process.returncode == 0:
             break
         at = started[-1] if started else first
-        found.append({"number": at, "status": None, "cpu_s": 0.0, "peak": 0,
-                      "fault": f"process ended with {process.returncode}: {last_words}"})  # fmt: skip
+        found.append(
+            {
+                "number": at,
+                "status": None,
+                "cpu_s": 0.0,
+                "peak": 0,
+                "fault": f"process ended with {process.returncode}: {last_words}",
+            }
+        )
         first = at + 1
     return found
 

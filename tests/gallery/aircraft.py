@@ -114,11 +114,16 @@ def properties(fdm: Any) -> dict[str, float]:
     """Mass, inertia and shape in SI, as an aircraft file has them."""
     inertia = SLUG * FOOT**2
     return {
-        "span": fdm["metrics/bw-ft"] * FOOT, "area": fdm["metrics/Sw-sqft"] * FOOT**2, "chord": fdm["metrics/cbarw-ft"] * FOOT,
-        "mass": fdm["inertia/mass-slugs"] * SLUG, "Ixx": fdm["inertia/ixx-slugs_ft2"] * inertia,
-        "Iyy": fdm["inertia/iyy-slugs_ft2"] * inertia, "Izz": fdm["inertia/izz-slugs_ft2"] * inertia,
-        "Ixz": -fdm["inertia/ixz-slugs_ft2"] * inertia,  # JSBSim's files have the product of inertia with the other sign
-    }  # fmt: skip
+        "span": fdm["metrics/bw-ft"] * FOOT,
+        "area": fdm["metrics/Sw-sqft"] * FOOT**2,
+        "chord": fdm["metrics/cbarw-ft"] * FOOT,
+        "mass": fdm["inertia/mass-slugs"] * SLUG,
+        "Ixx": fdm["inertia/ixx-slugs_ft2"] * inertia,
+        "Iyy": fdm["inertia/iyy-slugs_ft2"] * inertia,
+        "Izz": fdm["inertia/izz-slugs_ft2"] * inertia,
+        "Ixz": -fdm["inertia/ixz-slugs_ft2"]
+        * inertia,  # JSBSim's files have the product of inertia with the other sign
+    }
 
 
 def lateral_derivatives(fdm: Any, at: Mapping[str, Array], rows: NDArray[np.int64]) -> dict[str, float]:
@@ -150,5 +155,9 @@ def lateral_derivatives(fdm: Any, at: Mapping[str, Array], rows: NDArray[np.int6
 
 
 STEPS = {
-    "beta": ("beta", 0.01), "p": ("p", 0.02), "r": ("r", 0.02), "da": ("delta_a", 0.01), "dr": ("delta_r", 0.01),
-}  # fmt: skip
+    "beta": ("beta", 0.01),
+    "p": ("p", 0.02),
+    "r": ("r", 0.02),
+    "da": ("delta_a", 0.01),
+    "dr": ("delta_r", 0.01),
+}

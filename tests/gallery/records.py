@@ -122,11 +122,17 @@ SEEN = ("time", "V", "alpha", "beta", "p", "q", "r", "phi", "theta", "psi", "ax"
 def _seen(fdm: Any, k: int, surfaces: Array) -> list[float]:
     mass = fdm["inertia/mass-slugs"] * SLUG
     return [
-        k / RATE, fdm["velocities/vt-fps"] * FOOT, fdm["aero/alpha-rad"], fdm["aero/beta-rad"],
-        *(fdm[f"velocities/{n}-rad_sec"] for n in "pqr"), *(fdm[f"attitude/{n}-rad"] for n in ("phi", "theta", "psi")),
+        k / RATE,
+        fdm["velocities/vt-fps"] * FOOT,
+        fdm["aero/alpha-rad"],
+        fdm["aero/beta-rad"],
+        *(fdm[f"velocities/{n}-rad_sec"] for n in "pqr"),
+        *(fdm[f"attitude/{n}-rad"] for n in ("phi", "theta", "psi")),
         *(fdm[f"forces/fb{n}-total-lbs"] * POUND / mass for n in "xyz"),
-        *(fdm[f"accelerations/{n}dot-rad_sec2"] for n in "pqr"), *surfaces, fdm["atmosphere/rho-slugs_ft3"] * SLUG / FOOT**3,
-    ]  # fmt: skip
+        *(fdm[f"accelerations/{n}dot-rad_sec2"] for n in "pqr"),
+        *surfaces,
+        fdm["atmosphere/rho-slugs_ft3"] * SLUG / FOOT**3,
+    ]
 
 
 Columns = dict[str, Array]
@@ -179,10 +185,13 @@ def on_a_boom(columns: Columns, flown: Flown) -> Columns:
     )
     u, v, w = body[0], body[1] + c["r"] * vane, body[2] - c["q"] * vane
     return {
-        **c, "alpha": np.arctan2(w, u), "beta": np.arctan2(v, np.hypot(u, w)),
-        "ax": c["ax"] - (c["q"] ** 2 + c["r"] ** 2) * imu, "ay": c["ay"] + (c["r_dot"] + c["p"] * c["q"]) * imu,
+        **c,
+        "alpha": np.arctan2(w, u),
+        "beta": np.arctan2(v, np.hypot(u, w)),
+        "ax": c["ax"] - (c["q"] ** 2 + c["r"] ** 2) * imu,
+        "ay": c["ay"] + (c["r_dot"] + c["p"] * c["q"]) * imu,
         "az": c["az"] + (c["p"] * c["r"] - c["q_dot"]) * imu,
-    }  # fmt: skip
+    }
 
 
 def all_at_once(columns: Columns, flown: Flown) -> Columns:

@@ -59,8 +59,12 @@ class Device:
 
 
 def test_radios_on_usb_are_listened_to_and_other_serial_devices_left_alone() -> None:
-    devices = [Device("/dev/ttyUSB1", 0x10C4, 0xEA60), Device("/dev/ttyUSB0", 0x0403, 0x6015),
-               Device("/dev/ttyACM0", 0x2341, 0x0043), Device("/dev/ttyS0", None, None)]  # fmt: skip
+    devices = [
+        Device("/dev/ttyUSB1", 0x10C4, 0xEA60),
+        Device("/dev/ttyUSB0", 0x0403, 0x6015),
+        Device("/dev/ttyACM0", 0x2341, 0x0043),
+        Device("/dev/ttyS0", None, None),
+    ]
     assert usual_ports(devices) == (LISTENER, "serial:/dev/ttyUSB0:57600", "serial:/dev/ttyUSB1:57600")
     assert usual_ports([]) == (LISTENER,)
 

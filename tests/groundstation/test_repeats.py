@@ -19,9 +19,14 @@ def steady_then_moving(noise: float = 1e-3) -> Flight:
     rate = np.gradient(theta, TIME)
     zero = np.zeros_like(TIME)
     columns = {
-        "phi": zero + 0.01 * np.sin(0.3 * TIME), "theta": theta, "p": 0.003 * np.cos(0.3 * TIME), "q": rate, "r": zero,
-        "V": 120 + np.sin(0.2 * TIME), "alpha": 0.05 + 0.3 * swing,
-    }  # fmt: skip
+        "phi": zero + 0.01 * np.sin(0.3 * TIME),
+        "theta": theta,
+        "p": 0.003 * np.cos(0.3 * TIME),
+        "q": rate,
+        "r": zero,
+        "V": 120 + np.sin(0.2 * TIME),
+        "alpha": 0.05 + 0.3 * swing,
+    }
     for name in ("p", "q", "r"):
         columns[name] = columns[name] + noise * rng.standard_normal(TIME.size)
     return Flight.build("steady", TIME, columns)

@@ -32,8 +32,12 @@ def _started(words: Sequence[str], folder: Path) -> "subprocess.Popen[str]":
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
     return subprocess.Popen(
         [sys.executable, "-X", "importtime", "-m", "sideslip", *words],
-        cwd=folder, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
+        cwd=folder,
+        env=environment,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
 
 
 def _interrupted(words: Sequence[str], folder: Path, due: Callable[[int, str], bool]) -> tuple[int, str, bool]:
@@ -108,16 +112,24 @@ def test_interrupt_in_flight_closes_the_recording(tmp_path: Path) -> None:
     assert "Traceback" not in said
     checked = subprocess.run(
         [sys.executable, "-m", "sideslip", "verify", str(onboard)],
-        env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True, check=False,
-    )  # fmt: skip
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert checked.returncode == 0, checked.stdout + checked.stderr
 
 
 def test_a_job_in_the_background_is_not_interrupted(tmp_path: Path) -> None:
     """A shell starts such a job with SIGINT ignored, and means it."""
     command = f'trap "" INT; exec {sys.executable} -X importtime -m sideslip --help'
-    process = subprocess.Popen(["sh", "-c", command], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
-                               env={**os.environ, "PYTHONPATH": str(ROOT)})  # fmt: skip
+    process = subprocess.Popen(
+        ["sh", "-c", command],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )
     with process:
         assert process.stderr is not None
         for line in process.stderr:

@@ -96,9 +96,13 @@ _PA = 101325 * ((1 + 0.2 * (13.05 / 340.294) ** 2) ** 3.5 - 1)  # of 13.05 m/s c
 def test_stock_mavproxy_shows_the_aircraft_and_has_nothing_to_complain_of(tmp_path: Path) -> None:
     """All its default modules, no options: parameters, files, missions, fences and home are asked for, all answered."""
     display = DisplayConfig(
-        pitot_zero_count=0, pitot_pa_per_count=_PA / 8192, alpha_zero_count=0, alpha_rad_per_count=math.radians(5.05) / 100,
-        beta_zero_count=0, beta_rad_per_count=1e-4,
-    )  # fmt: skip
+        pitot_zero_count=0,
+        pitot_pa_per_count=_PA / 8192,
+        alpha_zero_count=0,
+        alpha_rad_per_count=math.radians(5.05) / 100,
+        beta_zero_count=0,
+        beta_rad_per_count=1e-4,
+    )
     config = DownlinkConfig(display=display, supply_volts_per_count=0.115)
     with Station(tmp_path, config) as station:
         station.fly_until(lambda: "Received 2 parameters" in station.said)

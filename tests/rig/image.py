@@ -26,9 +26,16 @@ PACKAGES = (
     " initramfs-tools lz4"
 )
 _NOT_NEEDED = (  # of a server's start; each takes seconds under emulation
-    "e2scrub_reap.service", "proc-sys-fs-binfmt_misc.automount", "systemd-binfmt.service", "systemd-pstore.service",
-    "apt-daily.timer", "apt-daily-upgrade.timer", "e2scrub_all.timer", "dpkg-db-backup.timer", "fstrim.timer",
-)  # fmt: skip
+    "e2scrub_reap.service",
+    "proc-sys-fs-binfmt_misc.automount",
+    "systemd-binfmt.service",
+    "systemd-pstore.service",
+    "apt-daily.timer",
+    "apt-daily-upgrade.timer",
+    "e2scrub_all.timer",
+    "dpkg-db-backup.timer",
+    "fstrim.timer",
+)
 _AGENT = """\
 #!/bin/bash
 while [ ! -e /dev/virtio-ports/rig ]; do sleep 0.2; done

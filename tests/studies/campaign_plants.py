@@ -74,9 +74,10 @@ def told(folder: Path, method: str) -> list[dict[str, Any]]:
         engine = SerialEngine()
         outcome = Campaign(plan, work, store, lambda _: engine, lambda *words: None).run()
     return [
-        dict(r) for r in outcome.groups
+        dict(r)
+        for r in outcome.groups
         if r["kind"] in CLAIMS or (r["kind"] == "difference" and r["probability"] <= LEVEL)
-    ]  # fmt: skip
+    ]
 
 
 def judged(claims: list[dict[str, Any]], flights: int) -> Mapping[str, Any]:

@@ -27,8 +27,15 @@ from groundstation.calibration.schema import NOMINAL_DIRECTORY
 from groundstation.flight import Flight
 
 PLANTED: Mapping[str, float] = {
-    "dax": 0.03, "day": -0.05, "daz": 0.04, "dp": 0.002, "dq": -0.001, "dr": 0.0015, "K_beta": 1.08, "dbeta": 0.0045,
-}  # fmt: skip
+    "dax": 0.03,
+    "day": -0.05,
+    "daz": 0.04,
+    "dp": 0.002,
+    "dq": -0.001,
+    "dr": 0.0015,
+    "K_beta": 1.08,
+    "dbeta": 0.0045,
+}
 GEOMETRY: Mapping[str, float] = {"x_vane": 0.35, "x_imu": 0.06, "tau_beta": 0.06}
 
 
@@ -118,9 +125,11 @@ def planted_in(scenario: Scenario) -> dict[str, float]:
     sensors = scenario.sensors
     force, rate, vane = sensors["imu"]["accel"]["bias"], sensors["imu"]["gyro"]["bias"], sensors["beta_vane"]
     return {
-        **{f"da{a}": b for a, b in zip("xyz", force, strict=True)}, **{f"d{a}": b for a, b in zip("pqr", rate, strict=True)},
-        "K_beta": vane["wash_factor"], "dbeta": vane["wash_offset"],
-    }  # fmt: skip
+        **{f"da{a}": b for a, b in zip("xyz", force, strict=True)},
+        **{f"d{a}": b for a, b in zip("pqr", rate, strict=True)},
+        "K_beta": vane["wash_factor"],
+        "dbeta": vane["wash_offset"],
+    }
 
 
 def first_steps(seeds: Sequence[int], wanted: int) -> None:

@@ -54,8 +54,13 @@ def reverse_sectors(data: bytes, rng: random.Random) -> bytes:
 
 
 DAMAGES: tuple[Callable[[bytes, random.Random], bytes], ...] = (
-    cut, flip, zero_tail, garble_sector, alter_code, reverse_sectors
-)  # fmt: skip
+    cut,
+    flip,
+    zero_tail,
+    garble_sector,
+    alter_code,
+    reverse_sectors,
+)
 
 
 def main(files_each: int = 50) -> None:

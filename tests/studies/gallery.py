@@ -68,8 +68,13 @@ def referred_to_the_cg(flight: Flight, flown: Flown) -> Flight:
 def by_way_of_matlab(flight: Flight, flown: Flown) -> Flight:
     """Saved as somebody else's MATLAB file, in degrees, knots and g, and imported with a mapping."""
     angles = ("alpha", "beta", "phi", "theta", "psi", "delta_e", "delta_a", "delta_r")
-    units = {**dict.fromkeys(angles, "deg"), **dict.fromkeys("pqr", "deg/s"), **dict.fromkeys(("ax", "ay", "az"), "g"),
-             "V": "knots", "rho": "kg/m3"}  # fmt: skip
+    units = {
+        **dict.fromkeys(angles, "deg"),
+        **dict.fromkeys("pqr", "deg/s"),
+        **dict.fromkeys(("ax", "ay", "az"), "g"),
+        "V": "knots",
+        "rho": "kg/m3",
+    }
     scale = {"deg": DEG, "deg/s": DEG, "knots": 1852 / 3600, "g": 9.80665, "kg/m3": 1.0}
     with tempfile.TemporaryDirectory() as folder:
         data, mapping = Path(folder) / "run.mat", Path(folder) / "map.toml"

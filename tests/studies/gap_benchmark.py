@@ -54,8 +54,11 @@ PAIRS = (
     ("vane_position", "Cl_da3"), ("Ixz_error", "CY_beta3"), ("Cl_alpha_beta", "rudder_lag"), ("prop_gyroscopic", "beta_scale"),
 )  # fmt: skip
 PITCH_PAIRS = (
-    ("Cm_alphadot", "alpha_scale"), ("thrust_scale", "elevator_delay"), ("propwash_elevator", "imu_x"), ("CL_alpha2", "V_scale"),
-)  # fmt: skip
+    ("Cm_alphadot", "alpha_scale"),
+    ("thrust_scale", "elevator_delay"),
+    ("propwash_elevator", "imu_x"),
+    ("CL_alpha2", "V_scale"),
+)
 CROSS_PAIRS = (("Cm_beta2", "Cn_da"), ("alpha_scale", "beta_lag"))
 INVISIBLE = ("stall_separation",)  # these flights do not come near the stall
 SUBJECTS: dict[str, tuple[tuple[str, ...], tuple[str, ...], tuple[tuple[str, str], ...], str]] = {

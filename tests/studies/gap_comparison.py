@@ -124,9 +124,14 @@ def score(rows: Iterable[Mapping[str, Any]], named: Mapping[int, str]) -> Score:
         parts[row["kind"]].append((named[i], row["label"]))
     one, none, other = parts["effects"], parts["nulls"], parts["unknown"]
     return Score(
-        sum(n == t for n, t in one), sum(bool(n) and same_class(n, t) for n, t in one), len(one),
-        sum(bool(n) for n, _ in none), len(none), sum(bool(n) for n, _ in other), len(other),
-    )  # fmt: skip
+        sum(n == t for n, t in one),
+        sum(bool(n) and same_class(n, t) for n, t in one),
+        len(one),
+        sum(bool(n) for n, _ in none),
+        len(none),
+        sum(bool(n) for n, _ in other),
+        len(other),
+    )
 
 
 def scored(rows: Sequence[Mapping[str, Any]], variant: Variant) -> Score:

@@ -104,7 +104,7 @@ DECOYS: Mapping[str, Decoy] = {
     "only impostors in the catalogue": Decoy(
         {"beta_lag": 1.0}, AS_FLOWN, ("unknown_effect", "time_skew", "vane_position"), without=("beta_lag",)
     ),
-}  # fmt: skip
+}
 
 
 def fly(decoy: Decoy, seed: int) -> list[Flight]:
@@ -124,16 +124,27 @@ def run(name: str, seed: int, nulls: int) -> dict[str, Any]:
     effects = tuple(e for e in catalogue() if e.name not in decoy.without)
     began = time.perf_counter()
     try:
-        result = run_gap(load_model("lateral", "cdfp"), four[: decoy.training], four[3 : 3 + decoy.holdout], effects,
-                         Options(seed=1, nulls=nulls))  # fmt: skip
+        result = run_gap(
+            load_model("lateral", "cdfp"),
+            four[: decoy.training],
+            four[3 : 3 + decoy.holdout],
+            effects,
+            Options(seed=1, nulls=nulls),
+        )
     except UserError as error:
         return {"decoy": name, "seed": seed, "answer": "refused", "text": str(error), "right": "refused" in decoy.right}
     answer = result.steps[0].effect if result.steps and result.steps[0].effect != "unknown" else result.verdict.value
     return {
-        "decoy": name, "seed": seed, "answer": answer, "verdict": result.verdict.value,
-        "steps": [s.effect for s in result.steps], "right": answer in decoy.right, "text": result.text,
-        "notes": [n for n in result.notes if "derived" not in n], "seconds": round(time.perf_counter() - began, 1),
-    }  # fmt: skip
+        "decoy": name,
+        "seed": seed,
+        "answer": answer,
+        "verdict": result.verdict.value,
+        "steps": [s.effect for s in result.steps],
+        "right": answer in decoy.right,
+        "text": result.text,
+        "notes": [n for n in result.notes if "derived" not in n],
+        "seconds": round(time.perf_counter() - began, 1),
+    }
 
 
 def main() -> None:

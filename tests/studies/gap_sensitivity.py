@@ -75,9 +75,14 @@ def answered(case: Case, nulls: int) -> dict[str, Any]:
     result = run_gap(load_model("lateral", "cdfp"), four[:3], four[3:], options=options)
     named = [s.effect for s in result.steps]
     return {
-        "flights": case.flights, "criterion": case.criterion, "factor": case.factor, "nulls": nulls,
-        "verdict": result.verdict.value, "named": named, "right": right(kind, label, named, result.verdict.value),
-    }  # fmt: skip
+        "flights": case.flights,
+        "criterion": case.criterion,
+        "factor": case.factor,
+        "nulls": nulls,
+        "verdict": result.verdict.value,
+        "named": named,
+        "right": right(kind, label, named, result.verdict.value),
+    }
 
 
 def right(kind: str, label: str, named: Sequence[str], verdict: str) -> bool:
@@ -99,8 +104,11 @@ def summed_up(rows: Sequence[dict[str, Any]]) -> dict[str, str]:
     for name in dict.fromkeys(r["criterion"] for r in rows if r["criterion"]):
         parts = []
         for factor in FACTORS:
-            pairs = [(r, as_set[r["flights"]]) for r in rows
-                     if r["criterion"] == name and r["factor"] == factor and r["flights"] in as_set]  # fmt: skip
+            pairs = [
+                (r, as_set[r["flights"]])
+                for r in rows
+                if r["criterion"] == name and r["factor"] == factor and r["flights"] in as_set
+            ]
             if pairs:
                 now, before = sum(r["right"] for r, _ in pairs), sum(b["right"] for _, b in pairs)
                 other = sum((r["verdict"], r["named"]) != (b["verdict"], b["named"]) for r, b in pairs)

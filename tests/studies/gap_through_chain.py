@@ -34,8 +34,10 @@ PITCH_EFFECTS = (
 )
 CROSS_EFFECTS = ("Cm_beta2", "Cn_alpha_p", "Cm_da2", "prop_gyroscopic")
 SUBJECTS = {
-    "lateral": (EFFECTS, "rich"), "longitudinal": (PITCH_EFFECTS, "longitudinal"), "six-dof": (CROSS_EFFECTS, "all_axes"),
-}  # fmt: skip
+    "lateral": (EFFECTS, "rich"),
+    "longitudinal": (PITCH_EFFECTS, "longitudinal"),
+    "six-dof": (CROSS_EFFECTS, "all_axes"),
+}
 """Model -> effects, plan of the flights."""
 
 

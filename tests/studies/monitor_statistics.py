@@ -33,8 +33,13 @@ USUAL = (1.0, 1.0)
 FLIGHT_S, BEGINS = 60.0, BEGINS_S
 CONDITIONS = {"20hz": Conditions(), "link": Conditions(rate=11.5, loss=0.05)}
 CHANGES = {
-    "Cn_da": -0.008, "Cl_da": 0.03, "Cn_dr": 0.01, "Cl_p": 0.1, "Cn_beta": -0.008, "Cl_0": 0.004,
-}  # fmt: skip
+    "Cn_da": -0.008,
+    "Cl_da": 0.03,
+    "Cn_dr": 0.01,
+    "Cl_p": 0.1,
+    "Cn_beta": -0.008,
+    "Cl_0": 0.004,
+}
 HIDDEN = {
     "elevon_stuck": ("Cl_da", "Cl_0", "Cl_beta", "Cl_p", "Cl_dr"),
     "vane_slipped": ("beta_bias", "CY_0", "Cl_0", "Cn_0"),

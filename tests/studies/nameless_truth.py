@@ -63,23 +63,32 @@ def one(
 ) -> dict[str, Any]:
     """Fly three training flights and one to hold out, analyse them, and keep what was said."""
     derivatives = truth.perturbed_derivatives(np.random.default_rng([seed, 7]))
-    four = flights(truth.fly([
-        truth.Request(seed * 10 + i, SPEEDS[i], effects, 0.15 * D, derivatives=derivatives, hidden=part) for i in range(4)
-    ]))  # fmt: skip
+    four = flights(
+        truth.fly(
+            [
+                truth.Request(seed * 10 + i, SPEEDS[i], effects, 0.15 * D, derivatives=derivatives, hidden=part)
+                for i in range(4)
+            ]
+        )
+    )
     began = time.process_time()
     result = run_gap(load_model("lateral", "cdfp"), four[:3], four[3:], options=Options(seed=1, nulls=nulls))
     last = result.steps[-1] if result.steps else None
     shape = last.shape if last is not None else None
     return {
-        "kind": kind, "label": label, "seed": seed, "verdict": result.verdict.value,
+        "kind": kind,
+        "label": label,
+        "seed": seed,
+        "verdict": result.verdict.value,
         "seconds": round(time.process_time() - began),
         "named": [s.effect for s in result.steps if s.effect != "unknown"],
         "unknown": any(s.effect == "unknown" for s in result.steps),
-        "form": said(shape), "closed": round(shape.closed, 3) if isinstance(shape, Curve) else None,
+        "form": said(shape),
+        "closed": round(shape.closed, 3) if isinstance(shape, Curve) else None,
         "before": None if last is None or last.holdout is None else round(last.holdout.before, 3),
         "after": None if last is None or last.holdout is None else round(last.holdout.after, 3),
         "held": None if last is None or last.holdout is None else round(last.holdout.closed, 3),
-    }  # fmt: skip
+    }
 
 
 def said(shape: Curve | Late | Happened | None) -> str:

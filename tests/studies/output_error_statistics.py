@@ -83,7 +83,10 @@ def _flight(columns: Mapping[str, np.ndarray]) -> Flight:
 SETS: Mapping[str, tuple[str, Callable[[int], Iterator[Group]]]] = {
     "white": ("made: white output noise, exact inputs", made(Case(noise=PLAIN, servo=None))),
     "still": ("made: still air, all sensors noisy, servo lag", made(Case(noise=NOISE))),
-    "straight": ("made: still air, all sensors noisy, surfaces straight between samples", made(Case(noise=NOISE, servo=None))),
+    "straight": (
+        "made: still air, all sensors noisy, surfaces straight between samples",
+        made(Case(noise=NOISE, servo=None)),
+    ),
     "gusts": ("made: gusts 0.12 m/s, exact inputs", made(Case(noise=PLAIN, servo=None, gust=0.12))),
     "both": ("made: gusts 0.12 m/s, all sensors noisy, servo lag", made(Case(noise=NOISE, gust=0.12))),
     "strong": ("made: gusts 0.3 m/s, all sensors noisy, servo lag", made(Case(noise=NOISE, gust=0.3))),
@@ -91,7 +94,7 @@ SETS: Mapping[str, tuple[str, Callable[[int], Iterator[Group]]]] = {
     "second-gusts": ("second: gusts 0.15 deg, all sensors noisy", second(0.15 * DEG)),
     "sim-still": ("sim: still air, all sensors noisy", sim(0.0)),
     "sim-gusts": ("sim: gusts 0.10 deg, all sensors noisy", sim(0.10)),
-}  # fmt: skip
+}
 
 
 class Tally:

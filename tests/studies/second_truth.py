@@ -52,9 +52,15 @@ TYPICAL: Mapping[str, float] = {
 }  # fmt: skip
 
 UNKNOWN: tuple[str, ...] = (
-    "pendulum", "gyro_clip", "stale_vane", "bank_accelerometer", "vane_friction", "attitude_turn_error",
-    "flexible_fin", "shear_burst",
-)  # fmt: skip
+    "pendulum",
+    "gyro_clip",
+    "stale_vane",
+    "bank_accelerometer",
+    "vane_friction",
+    "attitude_turn_error",
+    "flexible_fin",
+    "shear_burst",
+)
 
 EVERY: Mapping[str, float] = {**TYPICAL, **pitch.PITCH, **pitch.CROSS}
 LOCAL: tuple[str, ...] = ("gyro_drift", "vane_slip", "short_burst")
@@ -153,9 +159,16 @@ def fly(requests: Sequence[Request]) -> list[dict[str, Array]]:
     centred = np.array([r.centred for r in requests])
     hidden = {r.hidden: np.array([o.hidden is r.hidden for o in requests]) for r in requests if r.hidden is not None}
     history = _integrate(d, inertia, speed, u, gust, e, x_, centred, hidden, steps, n)
-    return [_measure({k: v[:, i] for k, v in history.items()}, r, g, {k: v[i] for k, v in e.items()},
-                     {k: v[i] for k, v in x_.items()})
-            for i, (r, g) in enumerate(zip(requests, rngs, strict=True))]  # fmt: skip
+    return [
+        _measure(
+            {k: v[:, i] for k, v in history.items()},
+            r,
+            g,
+            {k: v[i] for k, v in e.items()},
+            {k: v[i] for k, v in x_.items()},
+        )
+        for i, (r, g) in enumerate(zip(requests, rngs, strict=True))
+    ]
 
 
 def _gust(request: Request, rng: np.random.Generator, steps: int) -> Array:
@@ -227,8 +240,15 @@ def _integrate(d: Mapping[str, Array], inertia: Mapping[str, Array], V0: Array, 
         CL = CL + pitch.lift(d, e, over, al, be, da_, de, qd, wash)
         CD = d["CD_0"] + d["CD_k"] * CL**2
         CD = CD + pitch.drag(e, CL, al, be, da_, de, qh)
-        CY = (d["CY_0"] + d["CY_beta"] * be + d["CY_p"] * ph + d["CY_r"] * rh + d["CY_dr"] * slip * dr_
-              + e["CY_da"] * da_ + e["CY_beta3"] * be**3)  # fmt: skip
+        CY = (
+            d["CY_0"]
+            + d["CY_beta"] * be
+            + d["CY_p"] * ph
+            + d["CY_r"] * rh
+            + d["CY_dr"] * slip * dr_
+            + e["CY_da"] * da_
+            + e["CY_beta3"] * be**3
+        )
         Cl = (d["Cl_0"] + d["Cl_beta"] * b_mom + d["Cl_p"] * ph * (0.4 + 0.6 * X) + d["Cl_r"] * rh + d["Cl_da"] * da_
               + d["Cl_dr"] * slip * dr_ + e["Cl_alpha_beta"] * al * be + e["Cl_da_de"] * da_ * de
               + e["Cl_beta3"] * be**3 + e["Cl_da3"] * da_**3 + e["Cl_p_abs_p"] * ph * np.abs(ph)
@@ -347,8 +367,9 @@ def _lagged(signal: Array, tau: float) -> Array:
     return out
 
 
-def _measure(h: Mapping[str, Array], request: Request, rng: np.random.Generator, e: Mapping[str, float],
-             x_: Mapping[str, float]) -> dict[str, Array]:  # fmt: skip
+def _measure(
+    h: Mapping[str, Array], request: Request, rng: np.random.Generator, e: Mapping[str, float], x_: Mapping[str, float]
+) -> dict[str, Array]:
     """Instruments: effects on the measured signals, sampling at 20 Hz, white noise."""
     m = {k: h[k].copy() for k in h}
     m["beta"] = m["beta"] + e["vane_position"] * h["r"] / h["V"]

@@ -29,8 +29,13 @@ CROSS: Mapping[str, float] = {
     "Cl_alpha_da": 0.2, "Cn_alpha_da": 0.1, "Cn_alpha_dr": 0.2, "Cl_alpha_p": 1.0, "Cn_alpha_p": 0.3,
 }  # fmt: skip
 PITCH_UNKNOWN: tuple[str, ...] = (
-    "alpha_friction", "stale_alpha", "q_clip", "vertical_burst", "pitch_slosh", "theta_acceleration_error",
-)  # fmt: skip
+    "alpha_friction",
+    "stale_alpha",
+    "q_clip",
+    "vertical_burst",
+    "pitch_slosh",
+    "theta_acceleration_error",
+)
 
 
 class Elevator:
@@ -81,8 +86,9 @@ def drag(e: Mapping[str, Array], CL: Array, al: Array, be: Array, da: Array, de:
     )
 
 
-def pitching(d: Mapping[str, Array], e: Mapping[str, Array], over: Array, be: Array, da: Array, de: Array, qd: Array,
-             wash: Array) -> Array:  # fmt: skip
+def pitching(
+    d: Mapping[str, Array], e: Mapping[str, Array], over: Array, be: Array, da: Array, de: Array, qd: Array, wash: Array
+) -> Array:
     """Pitching moment coefficient beyond the linear one, without its part from the rate of angle of attack."""
     made = e["Cm_alpha2"] * over**2 + e["Cm_alpha3"] * over**3 + e["Cm_de3"] * de**3 + e["Cm_alpha_de"] * over * de
     made = made + e["Cm_beta2"] * be**2 + e["Cm_da2"] * da**2
@@ -97,8 +103,13 @@ def yawing(e: Mapping[str, Array], over: Array, da: Array, dr: Array, ph: Array)
     return np.asarray(over * (e["Cn_alpha_da"] * da + e["Cn_alpha_dr"] * dr + e["Cn_alpha_p"] * ph))
 
 
-def schedule(u: Array, t: Array, rng: np.random.Generator, kind: str,
-             multistep: Callable[[int, float, Sequence[float], float, int], None]) -> None:  # fmt: skip
+def schedule(
+    u: Array,
+    t: Array,
+    rng: np.random.Generator,
+    kind: str,
+    multistep: Callable[[int, float, Sequence[float], float, int], None],
+) -> None:
     """Elevator and throttle of `longitudinal` flights: 3-2-1-1, doublets of three sizes, a pull-up, throttle steps apart from
     them; of `all` flights what finds room between the lateral inputs. Commands are rows 2 [rad] and 3 [N] of u."""
     w, s = rng.uniform(0.9, 1.1), 1 if rng.uniform() < 0.5 else -1
@@ -120,8 +131,13 @@ def schedule(u: Array, t: Array, rng: np.random.Generator, kind: str,
         u[3, t >= a] = force * rng.uniform(0.8, 1.2)
 
 
-def bend(m: dict[str, Array], h: Mapping[str, Array], e: Mapping[str, float], x: Mapping[str, float],
-         lagged: Callable[[Array, float], Array]) -> None:  # fmt: skip
+def bend(
+    m: dict[str, Array],
+    h: Mapping[str, Array],
+    e: Mapping[str, float],
+    x: Mapping[str, float],
+    lagged: Callable[[Array, float], Array],
+) -> None:
     """Instruments of the pitching plane; h: true signals over time of one flight, m: what is measured so far."""
     m["alpha"] = m["alpha"] * (1 + e["alpha_scale"]) + e["alpha_bias"] - e["alpha_position"] * h["q"] / h["V"]
     if e["alpha_lag"]:

@@ -16,9 +16,15 @@ from tests.studies.gap_regression.selection import Regression, stepwise, stepwis
 WEAK = Way("weak", 15)
 # usual size of the second truth over that of the library; the signs are those of the library's own words
 HIDDEN = {
-    "Cl_alpha_beta": -1.0, "Ixz_error": 1.5, "motor_torque": -1.0, "rudder_lag": 1.0, "beta_lag": 1.0, "imu_lever_arm": 1.33,
-    "time_skew": 1.07, "wind_shear": 1.33,
-}  # fmt: skip
+    "Cl_alpha_beta": -1.0,
+    "Ixz_error": 1.5,
+    "motor_torque": -1.0,
+    "rudder_lag": 1.0,
+    "beta_lag": 1.0,
+    "imu_lever_arm": 1.33,
+    "time_skew": 1.07,
+    "wind_shear": 1.33,
+}
 
 
 def test_the_library_holds_every_form_of_every_effect_that_applies() -> None:

@@ -98,8 +98,13 @@ def _message_class(numbers: Mapping[str, int]) -> Any:
     message = file.message_type.add(name="Row")
     for i, (name, number) in enumerate(numbers.items()):
         message.field.add(
-            name=name, number=number, type=kind.TYPE_DOUBLE, label=kind.LABEL_OPTIONAL, proto3_optional=True, oneof_index=i
-        )  # fmt: skip
+            name=name,
+            number=number,
+            type=kind.TYPE_DOUBLE,
+            label=kind.LABEL_OPTIONAL,
+            proto3_optional=True,
+            oneof_index=i,
+        )
         message.oneof_decl.add(name=f"_{i}_")
     pool = descriptor_pool.DescriptorPool()
     pool.Add(file)  # type: ignore[no-untyped-call]

@@ -388,8 +388,10 @@ def read_recordings(path: str | Path) -> list[Recording]:
 
 
 def _several(path: Path, segments: list[Segment]) -> str:
-    names = ", ".join(f"{k} ({sum(e.topic == SCAN_TOPIC for s in g for e in s.entries)} scans)"
-                      for k, g in list(by_session(segments).items())[:5])  # fmt: skip
+    names = ", ".join(
+        f"{k} ({sum(e.topic == SCAN_TOPIC for s in g for e in s.entries)} scans)"
+        for k, g in list(by_session(segments).items())[:5]
+    )
     return (
         f"{path}: recordings of {len(by_session(segments))} sessions in one file: {names}; "
         f"'sideslip recover {path} -o OUT.mcap' writes each to a file of its own"

@@ -13,8 +13,12 @@ CHANNELS = ("beta", "p", "r", "phi", "ay")
 """Outputs of the predictor, whose innovations are looked at."""
 
 EQUATION_OF_CHANNEL: Mapping[str, str] = {
-    "ay": "CY", "p": "Cl", "r": "Cn", "beta": "kinematics", "phi": "kinematics",
-}  # fmt: skip
+    "ay": "CY",
+    "p": "Cl",
+    "r": "Cn",
+    "beta": "kinematics",
+    "phi": "kinematics",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,11 +54,18 @@ MISSING = (
     Effect("beta_bias", "sideslip vane has slipped", "sensor", 0.02, "rad"),
 )
 TITLES: Mapping[str, str] = {
-    "Cl_da": "aileron effectiveness", "Cn_dr": "rudder yaw effectiveness", "CY_dr": "rudder side force",
-    "Cl_p": "roll damping", "Cn_r": "yaw damping", "Cn_beta": "directional stability", "Cl_beta": "dihedral effect",
-    "CY_beta": "side force from sideslip", "Cl_0": "rolling trim (mass or surface out of place)",
-    "Cn_0": "yawing trim", "CY_0": "side force at rest",
-}  # fmt: skip
+    "Cl_da": "aileron effectiveness",
+    "Cn_dr": "rudder yaw effectiveness",
+    "CY_dr": "rudder side force",
+    "Cl_p": "roll damping",
+    "Cn_r": "yaw damping",
+    "Cn_beta": "directional stability",
+    "Cl_beta": "dihedral effect",
+    "CY_beta": "side force from sideslip",
+    "Cl_0": "rolling trim (mass or surface out of place)",
+    "Cn_0": "yawing trim",
+    "CY_0": "side force at rest",
+}
 
 
 def bank(airframe: Airframe, values: Mapping[str, float], stds: Mapping[str, float]) -> tuple[Effect, ...]:

@@ -38,9 +38,11 @@ class PredictorBank:
         table.update({n: np.zeros((models, 1)) for n in ("Cn_da", "CY_da")})
         self._delay_a, self._delay_r, self._vane_lag, self._vane_bias = (np.zeros((models, 1)) for _ in range(4))
         places = {
-            "aileron_delay": self._delay_a, "rudder_delay": self._delay_r,
-            "beta_lag": self._vane_lag, "beta_bias": self._vane_bias,
-        }  # fmt: skip
+            "aileron_delay": self._delay_a,
+            "rudder_delay": self._delay_r,
+            "beta_lag": self._vane_lag,
+            "beta_bias": self._vane_bias,
+        }
         for k, effect in enumerate(effects, start=1):
             (table[effect.name] if effect.name in table else places[effect.name])[k, 0] += effect.step
         self._motion = LateralMotion(airframe, table)

@@ -208,9 +208,12 @@ def _likelihood(data: Estimates, design: Design, tau2: Array, smooth: Array) -> 
         mine = design.penalty == s
         squares[s], traces[s] = np.sum(b[mine] ** 2), np.sum(np.diag(inverse)[mine])
     value = 0.5 * float(
-        np.linalg.slogdet(whole)[1].sum() + np.linalg.slogdet(A)[1] + np.sum(sizes * np.log(smooth))
-        + np.sum(residual * Wr) + np.sum(squares / smooth)
-    )  # fmt: skip
+        np.linalg.slogdet(whole)[1].sum()
+        + np.linalg.slogdet(A)[1]
+        + np.sum(sizes * np.log(smooth))
+        + np.sum(residual * Wr)
+        + np.sum(squares / smooth)
+    )
     explained = np.einsum("nkp,pq,nkq->k", WX, inverse, WX, optimize=True)
     between = 0.5 * (np.einsum("nkk->k", W) - explained - np.sum(Wr**2, axis=0))
     return value, np.concatenate([between, 0.5 * (sizes / smooth - (traces + squares) / smooth**2)])
@@ -231,9 +234,15 @@ def _in_units(found: Fit, unit: Array, design: Design) -> Fit:
     of_b, two = unit[design.owner], np.outer(unit, unit)
     smooth = found.smooth * _spline_units(unit, design) ** 2
     return Fit(
-        found.b * of_b, found.covariance * np.outer(of_b, of_b), found.tau2 * unit**2, smooth, found.S * two,
-        found.H * two, found.residual * unit, found.freedom,
-    )  # fmt: skip
+        found.b * of_b,
+        found.covariance * np.outer(of_b, of_b),
+        found.tau2 * unit**2,
+        smooth,
+        found.S * two,
+        found.H * two,
+        found.residual * unit,
+        found.freedom,
+    )
 
 
 def _spline_units(unit: Array, design: Design) -> Array:

@@ -77,9 +77,13 @@ class Stretch:
         self.omega = 2 * np.pi / self.duration * np.concatenate([[0], np.arange(first, first + self._count)])
         self._x = self._states(flight, segment)
         controls = [s.control or s.servo for s in simulator.model.inputs]
-        self._u = np.stack(
-            [curve(segment.time, segment.u[:, i], self._fine, edges=e) for i, e in enumerate(controls)], axis=1
-        ) if controls else np.zeros((self._fine.size, 0))  # fmt: skip
+        self._u = (
+            np.stack(
+                [curve(segment.time, segment.u[:, i], self._fine, edges=e) for i, e in enumerate(controls)], axis=1
+            )
+            if controls
+            else np.zeros((self._fine.size, 0))
+        )
         self._X = self._transform(self._x)
         self.z = self._outputs(segment, band)
         self._memory: _Remembered | None = None
@@ -194,8 +198,9 @@ class Stretch:
         traced = trace(simulator.model.structure)
         p = simulator.vector(values)
         for function, key, slopes in (
-            (traced.rates_by_input, "f_u", f_p), (traced.outputs_by_input, "y_u", y_p),
-        ):  # fmt: skip
+            (traced.rates_by_input, "f_u", f_p),
+            (traced.outputs_by_input, "y_u", y_p),
+        ):
             rows, columns = traced.patterns[key]
             entries = np.asarray(function.map(len(u))(self._x.T, u.T, np.tile(p[:, None], len(u))))
             for k, (row, column) in enumerate(zip(rows, columns, strict=True)):

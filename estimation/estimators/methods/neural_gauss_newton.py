@@ -14,17 +14,27 @@ def _form(name: str, title: str, improved: bool, rank: int, look: Look) -> Estim
         from estimation.estimators.neural_gauss_newton import estimate_ngn
 
         return estimate_ngn(
-            task.aircraft, task.repaired, model=task.model, improved=improved, device=task.device,
-            bootstraps=task.extras.bootstrap or None, seed=task.extras.seed,
-        )  # fmt: skip
+            task.aircraft,
+            task.repaired,
+            model=task.model,
+            improved=improved,
+            device=task.device,
+            bootstraps=task.extras.bootstrap or None,
+            seed=task.extras.seed,
+        )
 
     def fit_each(task: Task) -> "list[Result]":
         from estimation.estimators.neural_gauss_newton import estimate_campaign
 
         return estimate_campaign(
-            task.aircraft, task.repaired, model=task.model, improved=improved, device=task.device,
-            bootstraps=task.extras.bootstrap or None, seed=task.extras.seed,
-        )  # fmt: skip
+            task.aircraft,
+            task.repaired,
+            model=task.model,
+            improved=improved,
+            device=task.device,
+            bootstraps=task.extras.bootstrap or None,
+            seed=task.extras.seed,
+        )
 
     return Estimator(
         name,

@@ -114,9 +114,10 @@ def _settings(rows: Rows, options: NgnOptions) -> dict[str, object]:
     from estimation.estimators.neural_gauss_newton import samples
 
     smoothing = (
-        f"means over {samples.INTERVAL_S:g} s" if options.improved
+        f"means over {samples.INTERVAL_S:g} s"
+        if options.improved
         else "piecewise polynomials, derivatives of cubic splines"
-    )  # fmt: skip
+    )
     return {
         "form": "interval" if options.improved else "point",
         "inputs": [*rows.motion, *rows.axis.coefficients],

@@ -92,8 +92,11 @@ def _flight(
     own = np.array([i for i, f in enumerate(unknowns.owner) if f == index], int)
     names = tuple(unknowns.names[i] for i in own)
     local = _estimates(model, names, solution, own, [data])[0] if own.size else {}
-    values = {n: float(v) for i, (n, v) in enumerate(zip(unknowns.names, solution.theta, strict=True))
-              if unknowns.owner[i] in (-1, index)}  # fmt: skip
+    values = {
+        n: float(v)
+        for i, (n, v) in enumerate(zip(unknowns.names, solution.theta, strict=True))
+        if unknowns.owner[i] in (-1, index)
+    }
     predicted = simulate(model, data, values)
     time = np.full(data.samples, np.nan)
     measured = np.full_like(predicted, np.nan)
@@ -124,8 +127,10 @@ def _mean_of_locals(flights: tuple[FlightFit, ...]) -> dict[str, Estimate]:
     result = {}
     for name in flights[0].local:
         each = [f.local[name] for f in flights]
-        std, wide = (float(np.sqrt(np.sum(np.square(v)))) / len(each)
-                     for v in ([e.std for e in each], [e.std_coloured for e in each]))  # fmt: skip
+        std, wide = (
+            float(np.sqrt(np.sum(np.square(v)))) / len(each)
+            for v in ([e.std for e in each], [e.std_coloured for e in each])
+        )
         mean = float(np.mean([e.estimate for e in each]))
         result[name] = replace(each[0], estimate=mean, std=std, std_coloured=wide, identifiable=True, why="")
     return result

@@ -113,13 +113,20 @@ class Problem:
         multiplicity = self.rows.split(drawn)
         if not self.instruments:
             return fit_parameters(
-                self.predict(frozen, self.smooth), self.counts, [start],
-                multiplicity=multiplicity, iterations=FEW_STEPS,
-            ).theta  # fmt: skip
+                self.predict(frozen, self.smooth),
+                self.counts,
+                [start],
+                multiplicity=multiplicity,
+                iterations=FEW_STEPS,
+            ).theta
         return fit_with_instruments(
-            self.predict(frozen, self.measured), self.predict(frozen, self.instruments), self.counts, start,
-            multiplicity=multiplicity, iterations=FEW_STEPS,
-        ).theta  # fmt: skip
+            self.predict(frozen, self.measured),
+            self.predict(frozen, self.instruments),
+            self.counts,
+            start,
+            multiplicity=multiplicity,
+            iterations=FEW_STEPS,
+        ).theta
 
 
 def solve(problems: Sequence[Problem], options: NgnOptions) -> list[Solution]:
@@ -166,8 +173,11 @@ def _trained(problems: Sequence[Problem], options: NgnOptions) -> list[list[Trai
         for member in range(members):
             first = i * tries + member * training.restarts
             chosen.append(_best(problem, tried[first : first + training.restarts]))
-    everything = [problem.job(torch.ones(len(problem.rows.u), dtype=torch.float64), chosen[i * members + k][0])
-                  for i, problem in enumerate(problems) for k in range(members)]  # fmt: skip
+    everything = [
+        problem.job(torch.ones(len(problem.rows.u), dtype=torch.float64), chosen[i * members + k][0])
+        for i, problem in enumerate(problems)
+        for k in range(members)
+    ]
     finished = train_jobs(everything, training, options.device)
     return [
         [

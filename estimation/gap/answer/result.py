@@ -37,8 +37,12 @@ class Gap:
         return min(max(1.0 - left / excess, 0.0), 1.0)
 
     def to_json(self) -> dict[str, float]:
-        return {"before": _round(self.before), "after": _round(self.after), "floor": _round(self.floor),
-                "closed": _round(self.closed)}  # fmt: skip
+        return {
+            "before": _round(self.before),
+            "after": _round(self.after),
+            "floor": _round(self.floor),
+            "closed": _round(self.closed),
+        }
 
 
 @dataclass(frozen=True)
@@ -217,13 +221,18 @@ class GapResult:
     def to_json(self) -> dict[str, Any]:
         """The document of `gap --json`."""
         return {
-            "version": 1, "verdict": self.verdict.value, "text": self.text,
+            "version": 1,
+            "verdict": self.verdict.value,
+            "text": self.text,
             "minimum_detectable": {n: _round(v, 8) for n, v in self.minimum_detectable.items()},
             "steps": [s.to_json() for s in self.steps],
-            "model_before": self.files[0], "model_after": self.files[1],
+            "model_before": self.files[0],
+            "model_after": self.files[1],
             "scores": {n: _round(v, 3) for n, v in self.scores.items()},
-            "threshold": _round(self.threshold, 3), "nominal_threshold": _round(self.nominal_threshold, 3),
+            "threshold": _round(self.threshold, 3),
+            "nominal_threshold": _round(self.nominal_threshold, 3),
             "ties": [[t.first, t.second, _round(t.cosine, 3)] for t in self.ties],
             "rejected": [{"effect": r.effect, "why": r.why} for r in self.rejected],
-            "notes": list(self.notes), **dict(self.details.items()),
-        }  # fmt: skip
+            "notes": list(self.notes),
+            **dict(self.details.items()),
+        }

@@ -63,9 +63,14 @@ class Late:
 
     def to_json(self) -> dict[str, Any]:
         return {
-            "kind": "memory", "nameless": True, "output": self.output, "variables": [self.variable],
-            "time_constant": self.time, "score": rounded(self.score, 2), "threshold": rounded(self.threshold, 2),
-        }  # fmt: skip
+            "kind": "memory",
+            "nameless": True,
+            "output": self.output,
+            "variables": [self.variable],
+            "time_constant": self.time,
+            "score": rounded(self.score, 2),
+            "threshold": rounded(self.threshold, 2),
+        }
 
 
 @dataclass(frozen=True)
@@ -86,10 +91,16 @@ class Happening:
 
     def to_json(self) -> dict[str, Any]:
         return {
-            "what": self.what, "channel": self.channel, "flight": self.flight, "start": rounded(self.start, 3),
-            "end": rounded(self.end, 3), "size": [{"estimate": rounded(v, 6), "std": rounded(s, 6)} for v, s in self.sizes],
-            "unit": self.unit, "score": rounded(self.score, 2), "threshold": rounded(self.threshold, 2),
-        }  # fmt: skip
+            "what": self.what,
+            "channel": self.channel,
+            "flight": self.flight,
+            "start": rounded(self.start, 3),
+            "end": rounded(self.end, 3),
+            "size": [{"estimate": rounded(v, 6), "std": rounded(s, 6)} for v, s in self.sizes],
+            "unit": self.unit,
+            "score": rounded(self.score, 2),
+            "threshold": rounded(self.threshold, 2),
+        }
 
 
 @dataclass(frozen=True)
@@ -101,5 +112,8 @@ class Happened:
     def to_json(self) -> dict[str, Any]:
         first = self.events[0]
         return {
-            "kind": "event", "nameless": True, **first.to_json(), "events": [e.to_json() for e in self.events],
-        }  # fmt: skip
+            "kind": "event",
+            "nameless": True,
+            **first.to_json(),
+            "events": [e.to_json() for e in self.events],
+        }

@@ -89,11 +89,13 @@ def describe_events(happened: Happened) -> str:
     for e in happened.events:
         where = f"on {e.flight}" if e.flight else "on these flights"
         size = ", ".join(f"{v:.2g} +- {s:.1g}" for v, s in e.sizes)
-        said.append({
-            "drift": f"{e.channel} drifts {where} by {size} {e.unit} over each",
-            "slip": f"{e.channel} jumps {where} at {e.start:.1f} s by {size} {e.unit}",
-            "burst": f"the motion is disturbed {where} from {e.start:.1f} to {e.end:.1f} s, as by a gust",
-        }[e.what])  # fmt: skip
+        said.append(
+            {
+                "drift": f"{e.channel} drifts {where} by {size} {e.unit} over each",
+                "slip": f"{e.channel} jumps {where} at {e.start:.1f} s by {size} {e.unit}",
+                "burst": f"the motion is disturbed {where} from {e.start:.1f} to {e.end:.1f} s, as by a gust",
+            }[e.what]
+        )
     return (
         f"Something that goes with time and not with the motion: {'; '.join(said)}. Without it nothing is left that a term of "
         "the model would have to explain: no model term is wrong. Look at the instrument or the weather there, or leave the "

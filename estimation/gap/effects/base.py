@@ -114,10 +114,17 @@ class Form:
             raise EffectError(f"effect {self.label}: cannot be added to model {model.name}: {obstacle}")
         starts = {p.name: p.null_value(model) for p in self.parameters} | dict(at or {})
         parameters = [
-            Parameter(p.name, p.unit, start=starts[p.name], lower=min(p.lower, starts[p.name]),
-                      upper=max(p.upper, starts[p.name]), fixed=fixed, description=p.meaning)
+            Parameter(
+                p.name,
+                p.unit,
+                start=starts[p.name],
+                lower=min(p.lower, starts[p.name]),
+                upper=max(p.upper, starts[p.name]),
+                fixed=fixed,
+                description=p.meaning,
+            )
             for p in self.parameters
-        ]  # fmt: skip
+        ]
         return model.plus(
             terms=self._pieces(model),
             lines=self.lines,

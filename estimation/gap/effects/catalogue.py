@@ -26,16 +26,28 @@ from estimation.models.expressions import parse
 
 ENTRY_POINTS = "sideslip.effects"
 BUILT_IN: tuple[Effect, ...] = (
-    *DERIVATIVES, *NONLINEAR, *UNSTEADY, *INERTIAL, *PROPULSION, *ACTUATOR, *SENSOR, *ENVIRONMENT,
-)  # fmt: skip
+    *DERIVATIVES,
+    *NONLINEAR,
+    *UNSTEADY,
+    *INERTIAL,
+    *PROPULSION,
+    *ACTUATOR,
+    *SENSOR,
+    *ENVIRONMENT,
+)
 
 
 LONGITUDINAL: tuple[Effect, ...] = (
-    *longitudinal_aerodynamic.UNSTEADY, *longitudinal_aerodynamic.NONLINEAR, *longitudinal_aerodynamic.DRAG,
-    *longitudinal_propulsion.PROPULSION, *longitudinal_hardware.ACTUATOR, *longitudinal_hardware.SENSOR,
-    *longitudinal_aerodynamic.TIED, *(e for e in CROSS_INERTIAL if e.name == "pitch_inertial_coupling"),
+    *longitudinal_aerodynamic.UNSTEADY,
+    *longitudinal_aerodynamic.NONLINEAR,
+    *longitudinal_aerodynamic.DRAG,
+    *longitudinal_propulsion.PROPULSION,
+    *longitudinal_hardware.ACTUATOR,
+    *longitudinal_hardware.SENSOR,
+    *longitudinal_aerodynamic.TIED,
+    *(e for e in CROSS_INERTIAL if e.name == "pitch_inertial_coupling"),
     *(e for e in ENVIRONMENT if e.name == "gust"),
-)  # fmt: skip
+)
 LATERAL_LINES, LONGITUDINAL_LINES = frozenset({"CY", "Cl", "Cn"}), frozenset({"CL", "CD", "Cm"})
 
 

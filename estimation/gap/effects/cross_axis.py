@@ -15,11 +15,18 @@ _ALL = ("CY", "CL")  # lines of both planes
 def _even(name: str, title: str, line: str, of: str, term: str, typical: float, reach: float, source: str, physics: str,
           confusions: dict[str, str], separate_by: str) -> Effect:  # fmt: skip
     return Effect(
-        name, title, Group.NONLINEAR, physics, f"C_{line[1]} = ... + k {of}²", source,
+        name,
+        title,
+        Group.NONLINEAR,
+        physics,
+        f"C_{line[1]} = ... + k {of}²",
+        source,
         f"{'pitch-rate' if line == 'Cm' else 'a_x and V' if line == 'CD' else 'a_z'} residual even in {of}",
-        confusions, separate_by, one_term(name, line, term, typical, reach, f"per {of}²", "1/rad2", requires=_ALL),
+        confusions,
+        separate_by,
+        one_term(name, line, term, typical, reach, f"per {of}²", "1/rad2", requires=_ALL),
         family=f"even in {of}",
-    )  # fmt: skip
+    )
 
 
 _SLIP = "Whichever way the aircraft slips, wing and body meet the air askew: an even change of the longitudinal coefficients."
@@ -44,10 +51,17 @@ EVEN = (
 def _with_alpha(name: str, title: str, line: str, term: str, typical: float, reach: float, source: str, physics: str,
                 confusions: dict[str, str], separate_by: str, unit: str = "1/rad2") -> Effect:  # fmt: skip
     return Effect(
-        name, title, Group.DERIVATIVE, physics, f"C_{line[1]} = ... + k (α − 0.1) {term}", source,
+        name,
+        title,
+        Group.DERIVATIVE,
+        physics,
+        f"C_{line[1]} = ... + k (α − 0.1) {term}",
+        source,
         f"{'roll' if line == 'Cl' else 'yaw'}-rate residual that follows {term}, other sign at the other end of the speed range",
-        confusions, separate_by, one_term(name, line, f"{_OVER}*{term}", typical, reach, "change with α", unit, requires=_ALL),
-    )  # fmt: skip
+        confusions,
+        separate_by,
+        one_term(name, line, f"{_OVER}*{term}", typical, reach, "change with α", unit, requires=_ALL),
+    )
 
 
 _VORTEX = "The flow over the wing that the derivative lives of changes with lift: its value holds at one angle of attack only."

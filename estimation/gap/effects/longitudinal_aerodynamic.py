@@ -70,8 +70,9 @@ UNSTEADY = (
 )  # fmt: skip
 
 
-def _power(name: str, title: str, line: str, power: int, typical: float, reach: float, physics: str, source: str,
-           twin: str) -> Effect:  # fmt: skip
+def _power(
+    name: str, title: str, line: str, power: int, typical: float, reach: float, physics: str, source: str, twin: str
+) -> Effect:
     word = {"CL": "a_z", "Cm": "pitch-rate"}[line]
     letter = line[1]
     return Effect(

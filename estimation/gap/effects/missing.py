@@ -6,9 +6,16 @@ from estimation.models.base import Model
 REGRESSORS = {"beta": "beta", "p": "p_hat", "r": "r_hat", "da": "delta_a", "dr": "delta_r"}
 LONGITUDINAL_REGRESSORS = {"alpha": "alpha", "q": "q_hat", "de": "delta_e"}
 WORDS = {
-    "beta": "sideslip", "p": "roll rate", "r": "yaw rate", "da": "aileron", "dr": "rudder",
-    "alpha": "angle of attack", "q": "pitch rate", "de": "elevator", "0": "constant part",
-}  # fmt: skip
+    "beta": "sideslip",
+    "p": "roll rate",
+    "r": "yaw rate",
+    "da": "aileron",
+    "dr": "rudder",
+    "alpha": "angle of attack",
+    "q": "pitch rate",
+    "de": "elevator",
+    "0": "constant part",
+}
 LINES = {"CY": "side force", "Cl": "rolling moment", "Cn": "yawing moment"}
 LONGITUDINAL_LINES = {"CL": "lift", "Cm": "pitching moment"}
 TYPICAL = {
@@ -41,8 +48,15 @@ def _effect(name: str, line: str, quantity: str, suffix: str, regressor: str, mo
     prior = next((p for p in model.parameters if p.name == name), None)
     typical = TYPICAL.get(name, 0.1)
     start = prior.start if prior is not None else 0.0
-    parameter = EffectParameter(name, "1/rad", typical, start - 12 * typical, start + 12 * typical,
-                                none=start, meaning=f"{quantity} per {WORDS[suffix]}")  # fmt: skip
+    parameter = EffectParameter(
+        name,
+        "1/rad",
+        typical,
+        start - 12 * typical,
+        start + 12 * typical,
+        none=start,
+        meaning=f"{quantity} per {WORDS[suffix]}",
+    )
     form = (
         Form(name, (parameter,), frees=(name,))
         if held

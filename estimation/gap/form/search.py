@@ -192,15 +192,21 @@ def _measure(task: Task, baseline: Baseline, fitted: Fitted) -> Measured | None:
         return None
     floor = task.floors(own)
     gap = Gap(
-        rms_over_noise(baseline.problem, baseline.fit, scatter), rms_over_noise(child.problem, child.fit, scatter),
+        rms_over_noise(baseline.problem, baseline.fit, scatter),
+        rms_over_noise(child.problem, child.fit, scatter),
         floor.training_median,
-    )  # fmt: skip
+    )
     before, after = on_holdout(baseline, prepared), on_holdout(child, prepared)
     held = None
     if before is not None and after is not None and floor.holdout_median is not None:
         held = Gap(rms_over_noise(*before, scatter), rms_over_noise(*after, scatter), floor.holdout_median)
     return Measured(
-        child, own, gap, held, asked(*same, baseline, prepared, child.noise),
+        child,
+        own,
+        gap,
+        held,
+        asked(*same, baseline, prepared, child.noise),
         asked(child.problem, child.fit, child, prepared, child.noise),
-        floor_energy(child, prepared, task.errors, task.seed), floor.highest,
-    )  # fmt: skip
+        floor_energy(child, prepared, task.errors, task.seed),
+        floor.highest,
+    )

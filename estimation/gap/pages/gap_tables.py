@@ -72,10 +72,14 @@ def step_formulas(step: Step) -> Table | None:
     if not isinstance(step.shape, Curve) or not step.shape.candidates:
         return None
     rows = tuple(
-        (formula, ", ".join(f"{n} = {v:.4g} ± {s:.2g}" for n, (v, s) in found.items()), f"{100 * closed:.0f}",
-         "as good as the curve" if good else "worse")
+        (
+            formula,
+            ", ".join(f"{n} = {v:.4g} ± {s:.2g}" for n, (v, s) in found.items()),
+            f"{100 * closed:.0f}",
+            "as good as the curve" if good else "worse",
+        )
         for formula, found, closed, good in step.shape.candidates
-    )  # fmt: skip
+    )
     head = ("formula", "unknowns", "closed [%]", "")
     note = "Share of the whitened energy above the nulls' that is gone on the held-out flights, or on the training flights."
     return Table("formulas", "Plain formulas in place of the curve", head, rows, symbols=False, texts=(1, 3), note=note)

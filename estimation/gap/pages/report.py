@@ -25,9 +25,12 @@ if TYPE_CHECKING:
 HERE = Path(__file__).parent
 BAND = "#9db4c4"
 TITLES = {
-    "no_gap": "No gap", "gap_closed": "Gap found and closed", "gap_reduced": "Gap found and reduced",
-    "unknown_effect": "A gap nothing in the catalogue explains", "cannot_tell": "These flights cannot tell",
-}  # fmt: skip
+    "no_gap": "No gap",
+    "gap_closed": "Gap found and closed",
+    "gap_reduced": "Gap found and reduced",
+    "unknown_effect": "A gap nothing in the catalogue explains",
+    "cannot_tell": "These flights cannot tell",
+}
 
 
 @dataclass(frozen=True)
@@ -48,22 +51,31 @@ def write_gap_report(result: GapResult, folder: Path, effects: Sequence[Effect] 
     steps = [_told(s) for s in result.steps]
     tables: dict[str, Table | None] = {
         "missing": gap_tables.missing_table(result) if result.views else None,
-        "repeat": gap_tables.repeat_table(result), "ties": gap_tables.ties_table(result),
-        "cannot": gap_tables.cannot_table(result), "rejected": gap_tables.rejected_table(result),
+        "repeat": gap_tables.repeat_table(result),
+        "ties": gap_tables.ties_table(result),
+        "cannot": gap_tables.cannot_table(result),
+        "rejected": gap_tables.rejected_table(result),
         "sizes": gap_tables.sizes_table(result, effects or catalogue(model=result.model_before)),
         "notes": notes_table(_of_flight(n) for n in result.notes),
-    }  # fmt: skip
+    }
     write_all(
         [*(t for s in steps for t in s.tables), *(t for t in tables.values() if t is not None)], folder / "tables"
     )
     flights = [h.flight + (" (held out)" if h.holdout else "") for h in result.histories]
     return write_page(
-        folder / "index.html", "report.html.j2", templates=HERE,
-        title=TITLES[result.verdict.value], lead=f"Model {result.model_before.name}; flights: {', '.join(flights)}.",
-        r=result, steps=steps, tables=tables, gate=result.details["kinematic_gate"],
+        folder / "index.html",
+        "report.html.j2",
+        templates=HERE,
+        title=TITLES[result.verdict.value],
+        lead=f"Model {result.model_before.name}; flights: {', '.join(flights)}.",
+        r=result,
+        steps=steps,
+        tables=tables,
+        gate=result.details["kinematic_gate"],
         histories=[history_figure(h, result) for h in result.histories],
-        bars=score_figure(result), places=residual_maps(result) if result.views else None,
-    )  # fmt: skip
+        bars=score_figure(result),
+        places=residual_maps(result) if result.views else None,
+    )
 
 
 def gap_figures(result: GapResult) -> dict[str, Callable[[], Picture]]:

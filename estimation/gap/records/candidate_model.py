@@ -52,8 +52,14 @@ def awakened(model: Model, form: Form, at: Mapping[str, float] | None = None) ->
     for p in form.parameters:
         old = dormant[p.name]
         start = (at or {}).get(p.name, old.start)
-        fresh[p.name] = replace(old, fixed=False, start=start, lower=min(old.lower, start), upper=max(old.upper, start),
-                                role=ParameterRole.DERIVATIVE)  # fmt: skip
+        fresh[p.name] = replace(
+            old,
+            fixed=False,
+            start=start,
+            lower=min(old.lower, start),
+            upper=max(old.upper, start),
+            role=ParameterRole.DERIVATIVE,
+        )
     return replace(
         model,
         parameters=tuple(fresh.get(p.name, p) for p in model.parameters),

@@ -29,9 +29,14 @@ def backward_check(setting: Setting, findings: Sequence[Finding]) -> tuple[list[
         if idle(gain, finding.round_.threshold):
             why = f"no longer needed once {last.candidate.hypothesis.label} is in the model"
             fresh = fit_baseline(
-                without.model, without.clean, setting.prepared, setting.scatter, without.fit.values, without.fit.locals,
+                without.model,
+                without.clean,
+                setting.prepared,
+                setting.scatter,
+                without.fit.values,
+                without.fit.locals,
                 without.noise,
-            )  # fmt: skip
+            )
             kept = [replace(f, child=fresh) if f is last else f for f in others]
             return kept, [Rejected(old.hypothesis.label, why)]
         rival = _rival(setting, without, old, gain)

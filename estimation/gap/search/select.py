@@ -66,10 +66,12 @@ def promise(round_: Round) -> Array:
     """(hypotheses,) standardised gains by which full fits are chosen: effects that a small step cannot judge (delays, lags,
     plays) count with either sign."""
     projected, screen = round_.screen.projected(), round_.screen
-    either = np.array([
-        projected.gain(screen.span(h)) if hypothesis.form.nonlinear else round_.gains[h]
-        for h, hypothesis in enumerate(screen.hypotheses)
-    ])  # fmt: skip
+    either = np.array(
+        [
+            projected.gain(screen.span(h)) if hypothesis.form.nonlinear else round_.gains[h]
+            for h, hypothesis in enumerate(screen.hypotheses)
+        ]
+    )
     # nor does the scatter of a small step on the nulls count against them
     nonlinear = np.array([h.form.nonlinear for h in screen.hypotheses])
     shared = float(np.median(round_.inflation))

@@ -41,8 +41,9 @@ class Column:
     parameter: EffectParameter
 
 
-def sensitivity(problem: Problem, fit: Fit, base_residuals: Sequence[Array], hypothesis: Hypothesis, column: EffectParameter
-                ) -> list[Array] | None:  # fmt: skip
+def sensitivity(
+    problem: Problem, fit: Fit, base_residuals: Sequence[Array], hypothesis: Hypothesis, column: EffectParameter
+) -> list[Array] | None:
     """Per record (N, ny) change of the outputs per unit of a hypothesis' parameter, by secants of a typical size.
 
     Two-sided where the parameter may have either sign; None where the hypothesis makes the motion diverge.

@@ -83,8 +83,11 @@ def _regressors(problem: Problem, found: Fit, index: int) -> dict[tuple[str, str
     made = {}
     for name, s in signals.items():
         for shape, values in (
-            ("linear", s), ("odd", s * np.abs(s)), ("even", s**2), ("rate", np.gradient(s, coarse.time)),
-        ):  # fmt: skip
+            ("linear", s),
+            ("odd", s * np.abs(s)),
+            ("even", s**2),
+            ("rate", np.gradient(s, coarse.time)),
+        ):
             rms = float(np.sqrt(np.mean(values**2)))
             if rms > 0.0:
                 made[(name, shape)] = values / rms

@@ -27,8 +27,13 @@ class Repeats:
         return self.chi2 > self.limit
 
     def to_json(self) -> dict[str, Any]:
-        return {"flight": self.flight, "chi2": round(self.chi2, 1), "usual": round(self.usual, 1),
-                "limit": round(self.limit, 1), "odd": self.odd}  # fmt: skip
+        return {
+            "flight": self.flight,
+            "chi2": round(self.chi2, 1),
+            "usual": round(self.usual, 1),
+            "limit": round(self.limit, 1),
+            "odd": self.odd,
+        }
 
 
 def repeatability(round_: Round, names: Sequence[str]) -> tuple[Repeats, ...]:

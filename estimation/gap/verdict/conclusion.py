@@ -164,8 +164,12 @@ def models(base: Model, first: Baseline, kept: Sequence[Finding], shape: Shape |
 
 def histories(setting: Setting, before: Baseline, after: Baseline, last: Round) -> tuple[Histories, ...]:
     """Measured, before and after over time for every flight, training and held out."""
-    band = np.array([np.nanstd(np.concatenate([n[i][:, c] for n in last.null_residuals[:BAND] for i in range(len(n))]))
-                     for c in range(len(setting.base.outputs))])  # fmt: skip
+    band = np.array(
+        [
+            np.nanstd(np.concatenate([n[i][:, c] for n in last.null_residuals[:BAND] for i in range(len(n))]))
+            for c in range(len(setting.base.outputs))
+        ]
+    )
     prepared, made = setting.prepared, []
     pairs = [(before.problem, before.fit, after.fit, False)]
     held_before, held_after = on_holdout(before, prepared), on_holdout(after, prepared)

@@ -32,8 +32,10 @@ def locate(parent: Baseline, child: Baseline, form: Form) -> Where:
     training flight that shows the effect are given."""
     scatter = parent.scatter
     outputs = child.model.output_names
-    gain = [np.nan_to_num((p / scatter) ** 2 - (c / scatter) ** 2)
-            for p, c in zip(parent.fit.residuals, child.fit.residuals, strict=True)]  # fmt: skip
+    gain = [
+        np.nan_to_num((p / scatter) ** 2 - (c / scatter) ** 2)
+        for p, c in zip(parent.fit.residuals, child.fit.residuals, strict=True)
+    ]
     criteria = child.criteria
     order = channels_that_gain(np.sum([g.sum(axis=0) for g in gain], axis=0), criteria)
     spans = [spans_of(child.problem.coarse[i].time, g.sum(axis=1), criteria) for i, g in enumerate(gain)]

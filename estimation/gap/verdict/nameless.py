@@ -37,10 +37,12 @@ def searched(setting: Setting, search: SearchState, round_: Round, decision: Dec
     number = len(search.rounds)
     held = setting.errors[len(setting.prepared.of(setting.prepared.training)) :]
     task = Task(
-        setting.prepared, setting.errors, setting.options.seed,
+        setting.prepared,
+        setting.errors,
+        setting.options.seed,
         lambda b: setting.screened(b, number + 1),
         lambda r: floors(r, on_holdout(r.baseline, setting.prepared), held, setting.options.seed),
-    )  # fmt: skip
+    )
     try:
         return find_shape(round_, task, decision.verdict is Verdict.UNKNOWN)
     except GapError:  # a motion that cannot be linearised: the answer stands without a shape

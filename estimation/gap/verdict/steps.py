@@ -48,8 +48,11 @@ def step_of(setting: Setting, finding: Finding, floor: Floors) -> Step:
     parent, child = as_sampled(finding.parent) if followed else finding.parent, finding.child
     held_before, held_after = on_holdout(parent, prepared), on_holdout(child, prepared)
     scatter = setting.scatter
-    gap = Gap(rms_over_noise(parent.problem, parent.fit, scatter), rms_over_noise(child.problem, child.fit, scatter),
-              floor.training_median)  # fmt: skip
+    gap = Gap(
+        rms_over_noise(parent.problem, parent.fit, scatter),
+        rms_over_noise(child.problem, child.fit, scatter),
+        floor.training_median,
+    )
     held = None
     if held_before is not None and held_after is not None and floor.holdout_median is not None:
         held = Gap(rms_over_noise(*held_before, scatter), rms_over_noise(*held_after, scatter), floor.holdout_median)
@@ -122,11 +125,14 @@ def practical(parent: Baseline, child: Baseline) -> str:
 def worth_in_words(worth: Mapping[str, float], criteria: Criteria) -> str:
     """Largest change of outputs [deg, deg/s] beside the tolerances that there are."""
     bands = {
-        "p": (criteria.tolerance_rate, "deg/s"), "r": (criteria.tolerance_rate, "deg/s"),
-        "beta": (criteria.tolerance_sideslip, "deg"), "phi": (criteria.tolerance_bank, "deg"),
-        "q": (criteria.tolerance_rate, "deg/s"), "alpha": (criteria.tolerance_sideslip, "deg"),
+        "p": (criteria.tolerance_rate, "deg/s"),
+        "r": (criteria.tolerance_rate, "deg/s"),
+        "beta": (criteria.tolerance_sideslip, "deg"),
+        "phi": (criteria.tolerance_bank, "deg"),
+        "q": (criteria.tolerance_rate, "deg/s"),
+        "alpha": (criteria.tolerance_sideslip, "deg"),
         "theta": (criteria.tolerance_bank, "deg"),
-    }  # fmt: skip
+    }
     judged = [(n, worth[n], *bands[n]) for n in bands if n in worth]
     words = [f"{n} {w:.2g} against {b:g} {unit}" + (" (beyond it)" if w > b else "") for n, w, b, unit in judged]
     beyond = any(w > b for _, w, b, _ in judged)

@@ -49,8 +49,11 @@ def scatter_figure(session: "Session") -> Picture:
 def _scatter_panel(axis: Any, session: "Session", name: str) -> None:
     width = 0.6 / max(1, len(session.methods))
     for k, method in enumerate(session.methods):
-        at = [(i + (k + 0.5) * width - 0.3, f.results[method].parameters.get(name))
-              for i, f in enumerate(session.flights) if method in f.results]  # fmt: skip
+        at = [
+            (i + (k + 0.5) * width - 0.3, f.results[method].parameters.get(name))
+            for i, f in enumerate(session.flights)
+            if method in f.results
+        ]
         told = [(x, e) for x, e in at if e is not None and e.identifiable and np.isfinite(e.std_coloured)]
         if told:
             axis.errorbar([x for x, _ in told], [e.estimate for _, e in told], [e.std_coloured for _, e in told],
@@ -144,8 +147,15 @@ def correlation_figure(result: Result, whose: str) -> Picture:
         axis.grid(visible=False)
         for i, j in zip(*np.nonzero(np.abs(rho) >= 0.5), strict=True):
             if i != j:
-                axis.text(j, i, f"{rho[i, j]:.2f}".replace("0.", "."), ha="center", va="center", fontsize=6,
-                          color="w" if abs(rho[i, j]) > 0.75 else "k")  # fmt: skip
+                axis.text(
+                    j,
+                    i,
+                    f"{rho[i, j]:.2f}".replace("0.", "."),
+                    ha="center",
+                    va="center",
+                    fontsize=6,
+                    color="w" if abs(rho[i, j]) > 0.75 else "k",
+                )
         figure.colorbar(drawn, ax=axis, shrink=0.8)
     return picture(figure, "correlations", f"Correlation of the estimates, {whose}; numbers from 0.5.")
 

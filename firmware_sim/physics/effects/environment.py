@@ -25,10 +25,14 @@ class RoughAir(Effect):
         powers = [n ** (-5.0 / 3.0) * n for n in numbers]
         total = sum(powers)
         self._waves = [
-            (n, math.sqrt(2.0 * w / total), self.draw(lambda g: g.uniform(0.0, 2.0 * math.pi)),
-             self.draw(lambda g: g.uniform(0.0, 2.0 * math.pi)))
+            (
+                n,
+                math.sqrt(2.0 * w / total),
+                self.draw(lambda g: g.uniform(0.0, 2.0 * math.pi)),
+                self.draw(lambda g: g.uniform(0.0, 2.0 * math.pi)),
+            )
             for n, w in zip(numbers, powers, strict=True)
-        ]  # fmt: skip
+        ]
 
     def wind(self, m: "Motion", x: State) -> None:
         sin = self.xp.sin

@@ -31,10 +31,14 @@ LONGEST_ARRAY = 32
 """Elements of an array field that become series (the 32 outputs of ACTUATOR_OUTPUT_STATUS); longer ones are blocks of bytes."""
 # Values that mean "not known" in the message definitions, by message and field.
 _NOT_KNOWN = {
-    ("SYS_STATUS", "voltage_battery"): 65535, ("SYS_STATUS", "current_battery"): -1, ("GPS_RAW_INT", "vel"): 65535,
-    ("GPS_RAW_INT", "cog"): 65535, ("GPS_RAW_INT", "eph"): 65535, ("GPS_RAW_INT", "epv"): 65535,
+    ("SYS_STATUS", "voltage_battery"): 65535,
+    ("SYS_STATUS", "current_battery"): -1,
+    ("GPS_RAW_INT", "vel"): 65535,
+    ("GPS_RAW_INT", "cog"): 65535,
+    ("GPS_RAW_INT", "eph"): 65535,
+    ("GPS_RAW_INT", "epv"): 65535,
     ("GLOBAL_POSITION_INT", "hdg"): 65535,
-}  # fmt: skip
+}
 _FIX_3D = 3
 _PARAM_VALUE = 22
 _NUMPY = {"b": "i1", "B": "u1", "h": "i2", "H": "u2", "i": "i4", "I": "u4", "q": "i8", "Q": "u8", "f": "f4", "d": "f8"}

@@ -36,11 +36,15 @@ def flown() -> Flown:
     truths = [second_truth.perturbed_derivatives(rng, 0.10) for _ in range(7)]
     requests = [
         second_truth.Request(
-            60 + i, 16.5, gust=math.radians(0.1) if 3 <= i < 6 else 0.0, derivatives=truth, centred=True,
+            60 + i,
+            16.5,
+            gust=math.radians(0.1) if 3 <= i < 6 else 0.0,
+            derivatives=truth,
+            centred=True,
             manoeuvres="rich" if i < 6 else "aileron_only",
         )
         for i, truth in enumerate(truths)
-    ]  # fmt: skip
+    ]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(second_truth, "NOISE", dict.fromkeys(second_truth.NOISE, 0.0))
         return list(zip(second_truth.fly(requests), truths, strict=True))

@@ -118,8 +118,10 @@ def test_scores_are_those_of_a_regression_with_priors() -> None:
     """Against generalised least squares with covariance I + G P G', written out."""
     rng = np.random.default_rng(5)
     effects = (
-        Effect("a", "", "Cl", 1.0, "1", 0.3), Effect("b", "", "Cl", 2.0, "1", 0.5), Effect("c", "", "Cn", 1.0, "1"),
-    )  # fmt: skip
+        Effect("a", "", "Cl", 1.0, "1", 0.3),
+        Effect("b", "", "Cl", 2.0, "1", 0.5),
+        Effect("c", "", "Cn", 1.0, "1"),
+    )
     evidence, W, G = Evidence(effects), [], []
     for k in range(40):
         white, signatures = rng.standard_normal((5, 1)), rng.standard_normal((5, 3, 1)) * 0.3

@@ -95,10 +95,12 @@ def test_auto_finds_an_order_where_no_mode_is_known() -> None:
 @pytest.mark.parametrize(
     ("control", "output", "name", "orders"),
     [
-        ("delta_a", "p", "roll", (0, 1)), ("cmd_r", "ay", "dutch-roll", (2, 2)), ("delta_e", "q", "short-period", (1, 2)),
+        ("delta_a", "p", "roll", (0, 1)),
+        ("cmd_r", "ay", "dutch-roll", (2, 2)),
+        ("delta_e", "q", "short-period", (1, 2)),
         ("delta_e", "az", "short-period", (2, 2)),
     ],
-)  # fmt: skip
+)
 def test_forms_of_input_and_output(control: str, output: str, name: str, orders: tuple[int, int]) -> None:
     found = form_for(control, output)
     assert found is not None
@@ -158,11 +160,15 @@ def test_bandwidth_of_an_attitude_by_hand() -> None:
 @pytest.mark.parametrize(
     ("craft", "T", "level"),
     [
-        (Craft("I", "A", 1000.0), 0.9, 1), (Craft("I", "A", 1000.0), 1.2, 2), (Craft("III", "A", 1e5), 1.2, 1),
-        (Craft("IV", "C"), 1.5, 3), (Craft("IV", "C"), 11.0, 4), (Craft("", "A", 1000.0), 0.9, None),
+        (Craft("I", "A", 1000.0), 0.9, 1),
+        (Craft("I", "A", 1000.0), 1.2, 2),
+        (Craft("III", "A", 1e5), 1.2, 1),
+        (Craft("IV", "C"), 1.5, 3),
+        (Craft("IV", "C"), 11.0, 4),
+        (Craft("", "A", 1000.0), 0.9, None),
         (Craft("I", "A", 3.5), 0.9, None),
     ],
-)  # fmt: skip
+)
 def test_levels_of_the_roll_mode(craft: Craft, T: float, level: int | None) -> None:
     """MIL-F-8785C table VII; none for an aircraft without a pilot or a class."""
     response = exact(Plant((3.0,), (1.0, 1.0 / T)), "delta_a", "p")

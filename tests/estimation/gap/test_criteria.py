@@ -73,8 +73,14 @@ def test_sensitivity_counts_the_same_flights_as_set_and_moved() -> None:
             "named": [],
         }
 
-    rows = [row("a", "", 1.0, True), row("b", "", 1.0, True), row("a", "strong", 0.7, False, "gap_closed"),
-            row("b", "strong", 0.7, True), row("c", "strong", 0.7, True), row("a", "strong", 1.4, True)]  # fmt: skip
+    rows = [
+        row("a", "", 1.0, True),
+        row("b", "", 1.0, True),
+        row("a", "strong", 0.7, False, "gap_closed"),
+        row("b", "strong", 0.7, True),
+        row("c", "strong", 0.7, True),
+        row("a", "strong", 1.4, True),
+    ]
     assert summed_up(rows) == {
         "strong": "0.7: 1 right of 2 sets (as set 2), 1 answers other; 1.4: 1 right of 1 sets (as set 1), 0 answers other"
     }

@@ -98,8 +98,11 @@ def forms_of(model: Model) -> list[tuple[str, Form]]:
     return [(e.name, f) for e in catalogue(model=model) for f in e.applicable(model)]
 
 
-@pytest.mark.parametrize(("name", "form"), [*forms_of(PITCHING), *((n, f) for n, f in forms_of(ALL_AXES) if n in CROSS)],
-                         ids=lambda v: v if isinstance(v, str) else v.label)  # fmt: skip
+@pytest.mark.parametrize(
+    ("name", "form"),
+    [*forms_of(PITCHING), *((n, f) for n, f in forms_of(ALL_AXES) if n in CROSS)],
+    ids=lambda v: v if isinstance(v, str) else v.label,
+)
 def test_every_form_is_nothing_at_no_effect(name: str, form: Form) -> None:
     model = ALL_AXES if name in CROSS else PITCHING
     added = form.added_to(model)
@@ -140,7 +143,7 @@ def test_every_form_is_nothing_at_no_effect(name: str, form: Form) -> None:
         ("cg_x", "Cm", lambda k, m: k / 0.61 * m["CZ"]),
         ("rho_error", "q_dyn", lambda k, m: (k - 1) * 0.5 * 1.17 * 16.0**2),
     ],
-)  # fmt: skip
+)
 def test_a_form_adds_what_its_formula_says(name: str, line: str, expected) -> None:  # type: ignore[no-untyped-def]
     parameter = effect(name).forms[0].parameters[0]
     size = parameter.null_value(PITCHING) + parameter.typical
@@ -166,7 +169,7 @@ def test_a_form_adds_what_its_formula_says(name: str, line: str, expected) -> No
         ("prop_gyroscopic", "Cn", lambda k: k * 0.5 / (0.5 * 1.17 * 256 * 0.787 * 1.5)),
         ("prop_gyroscopic", "Cm", lambda k: k * 0.3 / (0.5 * 1.17 * 256 * 0.787 * 0.61)),
     ],
-)  # fmt: skip
+)
 def test_a_form_across_the_axes_adds_what_its_formula_says(name: str, line: str, expected) -> None:  # type: ignore[no-untyped-def]
     parameter = effect(name, ALL_AXES).forms[0].parameters[0]
     with_it, plain = changed(name, {parameter.name: parameter.typical}, ALL_AXES)
@@ -205,11 +208,18 @@ def test_readings_of_instruments_follow_rigid_body_kinematics() -> None:
     ("name", "value", "carried"),
     [
         ("Iyy_error", {"Iyy": 0.276}, dict.fromkeys(("Cm_0", "Cm_alpha", "Cm_q", "Cm_de"), 1.2)),
-        ("rho_error", {"rho_factor": 1.1},
-         {**dict.fromkeys(("CL_0", "CL_alpha", "CL_q", "CL_de", "CD_0", "Cm_0", "Cm_alpha", "Cm_q", "Cm_de"), 1 / 1.1),
-          "CD_k": 1.1}),
+        (
+            "rho_error",
+            {"rho_factor": 1.1},
+            {
+                **dict.fromkeys(
+                    ("CL_0", "CL_alpha", "CL_q", "CL_de", "CD_0", "Cm_0", "Cm_alpha", "Cm_q", "Cm_de"), 1 / 1.1
+                ),
+                "CD_k": 1.1,
+            },
+        ),
     ],
-)  # fmt: skip
+)
 def test_what_is_said_to_be_carried_by_derivatives_is(
     name: str, value: dict[str, float], carried: dict[str, float]
 ) -> None:

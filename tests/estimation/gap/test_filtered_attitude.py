@@ -52,8 +52,9 @@ def test_rate_may_be_an_input() -> None:
 
 def linear() -> Linear:
     """An aircraft that hardly moves: what is seen is the instruments' own."""
-    return Linear(A=-np.eye(4), B=np.zeros((4, 0)), C=np.zeros((5, 4)), D=np.zeros((5, 0)), controls=(), dt=STEP,
-                  scale=np.ones(5))  # fmt: skip
+    return Linear(
+        A=-np.eye(4), B=np.zeros((4, 0)), C=np.zeros((5, 4)), D=np.zeros((5, 0)), controls=(), dt=STEP, scale=np.ones(5)
+    )
 
 
 class _Outputs:

@@ -77,8 +77,13 @@ def test_measured_before_and_after_of_every_channel_are_there_in_the_units_shown
     answered: GapResult, tmp_path: Path
 ) -> None:
     read = Recording(write_gap_recording(answered, tmp_path / "gap.rrd"))
-    shown = {"beta": ("deg", DEGREES), "p": ("deg/s", DEGREES), "r": ("deg/s", DEGREES), "phi": ("deg", DEGREES),
-             "ay": ("m/s2", 1.0)}  # fmt: skip
+    shown = {
+        "beta": ("deg", DEGREES),
+        "p": ("deg/s", DEGREES),
+        "r": ("deg/s", DEGREES),
+        "phi": ("deg", DEGREES),
+        "ay": ("m/s2", 1.0),
+    }
     assert set(shown) == set(answered.outputs)
     for h, place in zip(answered.histories, ("training/f0", "training/f1", "held_out/f3"), strict=True):
         for c, name in enumerate(answered.outputs):

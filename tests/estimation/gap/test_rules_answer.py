@@ -27,9 +27,13 @@ def stub(**fields: Any) -> Any:
 
 # ------------------------------------------------------------------------------------------------ confirmation
 def asked(
-    patch: pytest.MonkeyPatch, score: float = 5.0, gain: float = 100.0, cross: float | None = 1.0, held: float | None = 1.0,
+    patch: pytest.MonkeyPatch,
+    score: float = 5.0,
+    gain: float = 100.0,
+    cross: float | None = 1.0,
+    held: float | None = 1.0,
     timing: bool = False,
-) -> tuple[Any, str]:  # fmt: skip
+) -> tuple[Any, str]:
     """A linear candidate beside a nameless term that gains 100, threshold 4."""
     patch.setattr(accepting, "held_gain", lambda *given: held)
     patch.setattr(accepting, "by_timing", lambda *given: timing)

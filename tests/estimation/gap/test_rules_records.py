@@ -91,8 +91,11 @@ def test_nuisances_are_as_wide_as_what_no_flight_is_free_of() -> None:
 
 
 def test_a_user_s_own_parameter_of_that_name_is_the_user_s() -> None:
-    own = replace(ROLL, parameters=(*ROLL.parameters, Parameter("bias_p"), Parameter("timing_x")),
-                  equations=("p_dot = L_p*p + L_a*delta_a + bias_p + timing_x",))  # fmt: skip
+    own = replace(
+        ROLL,
+        parameters=(*ROLL.parameters, Parameter("bias_p"), Parameter("timing_x")),
+        equations=("p_dot = L_p*p + L_a*delta_a + bias_p + timing_x",),
+    )
     made = with_nuisance(own, {"p": 0.01}, STEP, AS_SET)
     problem = Problem(made, own, (), (), AS_SET)
     assert made.parameter("bias_p").role is ParameterRole.DERIVATIVE
@@ -110,9 +113,14 @@ def test_how_a_surface_moves_between_samples_is_believed_and_limited() -> None:
 def linear(outputs: int, states: int) -> Linear:
     """A motion that decays in a second and shows nothing of its controls."""
     return Linear(
-        A=-np.eye(states), B=np.zeros((states, 0)), C=np.ones((outputs, states)), D=np.zeros((outputs, 0)), controls=(),
-        dt=STEP, scale=np.ones(outputs),
-    )  # fmt: skip
+        A=-np.eye(states),
+        B=np.zeros((states, 0)),
+        C=np.ones((outputs, states)),
+        D=np.zeros((outputs, 0)),
+        controls=(),
+        dt=STEP,
+        scale=np.ones(outputs),
+    )
 
 
 def test_the_error_of_an_attitude_filter_is_forgotten_in_three_seconds() -> None:

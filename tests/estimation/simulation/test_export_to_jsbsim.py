@@ -83,7 +83,9 @@ def states(count: int = 8) -> States:
     return States(values, np.full(count, 1.05), np.zeros(count))
 
 
-CHANGES: dict[str, tuple[Callable[[Model], Model], Callable[[dict[str, np.ndarray], np.ndarray], dict[str, np.ndarray]]]] = {
+CHANGES: dict[
+    str, tuple[Callable[[Model], Model], Callable[[dict[str, np.ndarray], np.ndarray], dict[str, np.ndarray]]]
+] = {
     "moment": (
         lambda m: with_effect(m, "Cn_da", Cn_da=-0.012),
         lambda x, c: {"Cn": -0.012 * x["delta_a"]},
@@ -95,7 +97,10 @@ CHANGES: dict[str, tuple[Callable[[Model], Model], Callable[[dict[str, np.ndarra
     "factors": (
         lambda m: m.with_starts(k_CY=1.1, k_Cl=1.05, k_Cn=0.97, k_CL=1.04, k_CD=1.2, k_Cm=0.9),
         lambda x, c: {
-            "CY": 0.1 * c[:, 1], "Cl": 0.05 * c[:, 3], "Cn": -0.03 * c[:, 5], "Cm": -0.1 * c[:, 4],
+            "CY": 0.1 * c[:, 1],
+            "Cl": 0.05 * c[:, 3],
+            "Cn": -0.03 * c[:, 5],
+            "Cm": -0.1 * c[:, 4],
             "CX": -0.2 * np.cos(x["alpha"]) * -(c[:, 0] * np.cos(x["alpha"]) + c[:, 2] * np.sin(x["alpha"]))
             + 0.04 * np.sin(x["alpha"]) * (c[:, 0] * np.sin(x["alpha"]) - c[:, 2] * np.cos(x["alpha"])),
             "CZ": -0.2 * np.sin(x["alpha"]) * -(c[:, 0] * np.cos(x["alpha"]) + c[:, 2] * np.sin(x["alpha"]))
@@ -113,7 +118,7 @@ CHANGES: dict[str, tuple[Callable[[Model], Model], Callable[[dict[str, np.ndarra
             "Cn": x["beta"] ** 3,
         },
     ),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", CHANGES)
@@ -204,9 +209,15 @@ def test_a_delay_counts_frames_of_the_rate_it_is_written_for(attached: Attached)
 
 @pytest.mark.parametrize(
     "text",
-    ["1.5*tanh(3*beta) - cosh(p)", "where(beta < 0.02, beta^3, sqrt(abs(alpha)))", "-(V - 40)^2/rho", "sign(r)*exp(q)*max(p, r)",
-     "atan2(p, r) + log(V)", "sinh(beta) - min(alpha, 2*beta)/3"],
-)  # fmt: skip
+    [
+        "1.5*tanh(3*beta) - cosh(p)",
+        "where(beta < 0.02, beta^3, sqrt(abs(alpha)))",
+        "-(V - 40)^2/rho",
+        "sign(r)*exp(q)*max(p, r)",
+        "atan2(p, r) + log(V)",
+        "sinh(beta) - min(alpha, 2*beta)/3",
+    ],
+)
 def test_any_expression_has_in_jsbsim_the_value_it_has_here(attached: Attached, tmp_path: Path, text: str) -> None:
     term = Translator(attached.model, {}).term(text)
     assert isinstance(term, ET.Element)

@@ -170,8 +170,15 @@ method = "measured"
 [mount]
 position = [0.0, 0.5, -0.1]
 """
-    fix = {"latitude_e7": 470_000_000, "longitude_e7": 85_000_000, "height_msl_mm": 60_000, "velocity_north_mm": 15_000,
-           "velocity_east_mm": 0, "velocity_down_mm": 0, "gnss_fix": 3}  # fmt: skip
+    fix = {
+        "latitude_e7": 470_000_000,
+        "longitude_e7": 85_000_000,
+        "height_msl_mm": 60_000,
+        "velocity_north_mm": 15_000,
+        "velocity_east_mm": 0,
+        "velocity_down_mm": 0,
+        "gnss_fix": 3,
+    }
     scans = [replace(s, values={**s.values, **fix}) for s in make_scans(20, r=0.4)]
     plain, moved = calibrate(scans, nominal), calibrate(scans, nominal.with_texts({"gnss_antenna.toml": antenna}))
     assert moved["vn"][10] == pytest.approx(plain["vn"][10] + 0.4 * 0.5, abs=2e-3)
@@ -183,8 +190,14 @@ position = [0.0, 0.5, -0.1]
 
 def test_gnss_counts_only_with_a_fix(make_scans: MakeScans, nominal: CalibrationSet) -> None:
     scans = make_scans(4)
-    fix = {"latitude_e7": 470_000_000, "longitude_e7": 85_000_000, "height_msl_mm": 60_000, "velocity_north_mm": 15_000,
-           "velocity_east_mm": -1000, "velocity_down_mm": 0}  # fmt: skip
+    fix = {
+        "latitude_e7": 470_000_000,
+        "longitude_e7": 85_000_000,
+        "height_msl_mm": 60_000,
+        "velocity_north_mm": 15_000,
+        "velocity_east_mm": -1000,
+        "velocity_down_mm": 0,
+    }
     scans[1] = replace(scans[1], values={**scans[1].values, **fix, "gnss_fix": 3})
     scans[2] = replace(scans[2], values={**scans[2].values, **fix, "gnss_fix": 0})
     flight = calibrate(scans, nominal, align=False)

@@ -18,9 +18,13 @@ def test_triad_undoes_scale_misalignment_and_warm_bias(rng: np.random.Generator)
     truth, warmth = rng.standard_normal(3) * 9, 25.0
     reading = sensitivity @ truth + bias + slope * warmth
     triad = Triad(
-        output_unit="m/s2", matrix=tuple(map(tuple, np.linalg.inv(sensitivity))), bias=tuple(bias), bias_per_kelvin=tuple(slope),
-        reference_temperature=300.0, valid=(-80, 80),
-    )  # fmt: skip
+        output_unit="m/s2",
+        matrix=tuple(map(tuple, np.linalg.inv(sensitivity))),
+        bias=tuple(bias),
+        bias_per_kelvin=tuple(slope),
+        reference_temperature=300.0,
+        valid=(-80, 80),
+    )
     out = inertial.apply_triad(triad, arrays(reading), np.array([325.0]))
     np.testing.assert_allclose(np.concatenate(out), truth, rtol=1e-12)
     assert np.isnan(inertial.apply_triad(triad, arrays(reading), None)[0][0])  # a warm bias without a temperature
@@ -78,9 +82,13 @@ def test_vanes_off_the_cg_give_the_free_stream(rng: np.random.Generator) -> None
         seen_alpha = 1.15 * np.arctan2(at_alpha[2], at_alpha[0]) + 0.01
         seen_beta = 0.92 * np.arctan2(at_beta[1], at_beta[0]) - 0.004
         back = flow.flow_angles(
-            flow.undo_wash(np.array([seen_alpha]), alpha_vane), flow.undo_wash(np.array([seen_beta]), beta_vane),
-            np.array([speed]), arrays(rates), alpha_vane, beta_vane,
-        )  # fmt: skip
+            flow.undo_wash(np.array([seen_alpha]), alpha_vane),
+            flow.undo_wash(np.array([seen_beta]), beta_vane),
+            np.array([speed]),
+            arrays(rates),
+            alpha_vane,
+            beta_vane,
+        )
         np.testing.assert_allclose(np.concatenate(back), [alpha, beta], atol=1e-12)
 
 

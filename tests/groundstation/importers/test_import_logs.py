@@ -63,7 +63,7 @@ def px4_topics(flown: Columns) -> dict[str, tuple[str, list[tuple[float, ...]]]]
             "float baro_alt_meter;float baro_pressure_pa;float rho;",
             list(zip(t[::4], flown["altitude"][::4], flown["p_static"][::4], flown["rho"][::4], strict=True)),
         ),
-    }  # fmt: skip
+    }
 
 
 def test_ulog_rewritten_by_pyulog_imports(tmp_path: Path, flown: Columns) -> None:

@@ -103,9 +103,12 @@ def test_loose_variables_nested_structs_and_a_matrix(tmp_path: Path, flown: Colu
     attitude = np.column_stack([flown["phi"], flown["theta"]]) * DEG
     columns = as_columns(flown) if save is save_v5 else flown
     variables = {
-        "t": columns["time"], "att": attitude if save is save_v5 else attitude.T, "air": {"tas": columns["V"]}, "name": "second",
+        "t": columns["time"],
+        "att": attitude if save is save_v5 else attitude.T,
+        "air": {"tas": columns["V"]},
+        "name": "second",
         "short": np.arange(5.0).reshape(1, -1),
-    }  # fmt: skip
+    }
     path = save(tmp_path / "log.mat", variables)
     mapping = tmp_path / "map.toml"
     mapping.write_text(

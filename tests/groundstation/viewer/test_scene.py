@@ -83,12 +83,16 @@ def test_recorded_flight_arrives_with_its_values(tmp_path: Path, rng: np.random.
     np.testing.assert_allclose(np.sort(model[:, 0]), np.sort(np.degrees(f["beta_model"])))
     paths = entity_paths(tmp_path / "f.rrd")
     assert {c.entity for c in COLUMNS} <= paths
-    np.testing.assert_allclose(poses(tmp_path / "f.rrd", e.AIRCRAFT), [
-        quaternion_xyzw(*row) for row in zip(f["phi"], f["theta"], f["psi"], strict=True)
-    ], atol=1e-6)  # fmt: skip
-    np.testing.assert_allclose(poses(tmp_path / "f.rrd", e.CHASED), [
-        quaternion_xyzw(phi, theta, 0.0) for phi, theta in zip(f["phi"], f["theta"], strict=True)
-    ], atol=1e-6)  # fmt: skip
+    np.testing.assert_allclose(
+        poses(tmp_path / "f.rrd", e.AIRCRAFT),
+        [quaternion_xyzw(*row) for row in zip(f["phi"], f["theta"], f["psi"], strict=True)],
+        atol=1e-6,
+    )
+    np.testing.assert_allclose(
+        poses(tmp_path / "f.rrd", e.CHASED),
+        [quaternion_xyzw(phi, theta, 0.0) for phi, theta in zip(f["phi"], f["theta"], strict=True)],
+        atol=1e-6,
+    )
     places = poses(tmp_path / "f.rrd", e.AIRCRAFT, "translation")
     np.testing.assert_allclose(places[:, 0], np.radians(1e-5 * np.arange(len(f))) * 6_371_000.0, atol=1e-3)
     np.testing.assert_allclose(places[:, 2], -f["altitude_gnss"], atol=1e-5)

@@ -89,9 +89,12 @@ def derived(s: Signals) -> dict[str, Array | float]:
     v = dict(s)
     q_dyn = 0.5 * v["rho"] * v["V"] ** 2
     v |= {
-        "q_dyn": q_dyn, "qS": q_dyn * v["S"], "qSb": q_dyn * v["S"] * v["b"],
-        "p_hat": v["p"] * v["b"] / (2 * v["V"]), "r_hat": v["r"] * v["b"] / (2 * v["V"]),
-    }  # fmt: skip
+        "q_dyn": q_dyn,
+        "qS": q_dyn * v["S"],
+        "qSb": q_dyn * v["S"] * v["b"],
+        "p_hat": v["p"] * v["b"] / (2 * v["V"]),
+        "r_hat": v["r"] * v["b"] / (2 * v["V"]),
+    }
     v["beta_rate"] = (
         v["p"] * np.sin(v["alpha"])
         - v["r"] * np.cos(v["alpha"])

@@ -120,7 +120,9 @@ LIBRARY: tuple[Hypothesis, ...] = (
     _term("Cn_betadot", lambda s, d: {"Cn": 0.03 * s["beta_rate"] * s["b"] / (2 * s["V"])}),
     _term("indicial_lag", _wake),
     _correction("Ixz_error", lambda s: {"Ixz": s["Ixz"] + 0.02}),
-    _term("lateral_cg", lambda s, d: {"Cl": -0.01 * s["m"] * s["az"] / s["qSb"], "Cn": 0.01 * s["m"] * s["ax"] / s["qSb"]}),
+    _term(
+        "lateral_cg", lambda s, d: {"Cl": -0.01 * s["m"] * s["az"] / s["qSb"], "Cn": 0.01 * s["m"] * s["ax"] / s["qSb"]}
+    ),
     _term("prop_gyroscopic", lambda s, d: {"Cn": 0.15 * s["q"] / s["qSb"]}),
     _term("motor_torque", lambda s, d: {"Cl": 0.04 * s["thrust"] / s["qSb"]}),
     _term("slipstream_rudder", _slipstream),
@@ -145,11 +147,13 @@ LIBRARY: tuple[Hypothesis, ...] = (
     _gyro("gyro_scale", lambda s: {n: s[n] / 1.03 for n in ("p", "q", "r")}, "all axes"),
     _gyro("gyro_scale", lambda s: {"p": s["p"] / 1.03}, "roll"),
     _gyro("gyro_scale", lambda s: {"r": s["r"] / 1.03}, "yaw"),
-    _correction("attitude_lag", lambda s: {"phi": s["phi"] + 0.1 * s["phi_rate"], "theta": s["theta"] + 0.1 * s["theta_rate"]}),
+    _correction(
+        "attitude_lag", lambda s: {"phi": s["phi"] + 0.1 * s["phi_rate"], "theta": s["theta"] + 0.1 * s["theta_rate"]}
+    ),
     _correction("airspeed_scale", lambda s: {"V": 1.06 * s["V"]}),
     _gyro("time_skew", _inertial_unit_later, "inertial unit"),
     _correction("time_skew", lambda s: {n: late(s[n], -0.07, s["step"]) for n in ("phi", "theta")}, "attitude"),
     _correction("time_skew", lambda s: {"beta": late(s["beta"], -0.07, s["step"])}, "air data"),
     _term("wind_shear", lambda s, d: {"beta": -0.15 * np.cos(s["psi"]) * np.sin(s["theta"] - s["alpha"])}, "east wind"),
     _term("wind_shear", lambda s, d: {"beta": 0.15 * np.sin(s["psi"]) * np.sin(s["theta"] - s["alpha"])}, "north wind"),
-)  # fmt: skip
+)

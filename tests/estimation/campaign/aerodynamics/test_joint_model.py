@@ -85,8 +85,10 @@ def test_evidence_takes_the_term_that_is_there_and_its_gain_is_that_of_leaving_f
         both, one = [
             np.linalg.solve(known.M[rest][:, :n, :n].sum(axis=0), known.g[rest][:, :n].sum(axis=0)) for n in (2, 1)
         ]
-        loss = [g @ t - 0.5 * t @ M @ t for g, t, M in
-                [(known.g[i][:2], both, known.M[i][:2, :2]), (known.g[i][:1], one, known.M[i][:1, :1])]]  # fmt: skip
+        loss = [
+            g @ t - 0.5 * t @ M @ t
+            for g, t, M in [(known.g[i][:2], both, known.M[i][:2, :2]), (known.g[i][:1], one, known.M[i][:1, :1])]
+        ]
         gain += loss[0] - loss[1]
     assert taken[0].gain == pytest.approx(gain)
 
