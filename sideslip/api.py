@@ -63,7 +63,7 @@ def check(flights: "Flights", factors: Sequence[str] = (), joint: bool = False) 
     from estimation.compatibility.reconstruction import compatibility
     from estimation.models.kinematic import STANDARD_FACTORS
     from estimation.session.flights import unique_names
-    from groundstation.flight.quality import quality_report
+    from groundstation.flight.quality.report import quality_report
 
     read = unique_names(read_flights(flights))
     wanted = tuple(factors) or STANDARD_FACTORS

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from estimation.session.proof_of_match import Proof
     from estimation.session.session import Session
     from groundstation.flight import Flight
-    from groundstation.flight.quality import Finding
+    from groundstation.flight.quality.report import Finding
 
 __all__ = ["Check", "Estimates", "GapAnswer", "Match"]
 

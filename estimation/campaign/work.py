@@ -121,7 +121,7 @@ def _parts(flight: Flight, work: Work) -> list[Flight]:
 
 def _bad_quality(flight: Flight) -> str:
     """What of the data is not usable at all, empty where nothing is."""
-    from groundstation.flight.quality import quality_report
+    from groundstation.flight.quality.report import quality_report
 
     words = [f"{f.check}: {f.text}" for f in quality_report(flight) if f.verdict == "fail"]
     return f"{flight.name}: {'; '.join(words)}" if words else ""

@@ -10,7 +10,7 @@ import click
 if TYPE_CHECKING:
     from estimation.compatibility.result import Compatibility, Factor
     from groundstation.flight import Flight
-    from groundstation.flight.quality import Finding
+    from groundstation.flight.quality.report import Finding
 
 EXAMPLE = (
     "Example: sideslip check ld1.mcap ld2.mcap --factors +K_alpha,dalpha --figure compatibility.png --json check.json"
@@ -70,7 +70,7 @@ def check(
     from estimation.report.published import is_of
     from estimation.session.flights import select_segments, unique_names
     from groundstation.flight import read_flight, write_flight
-    from groundstation.flight.quality import quality_report, worst
+    from groundstation.flight.quality.report import quality_report, worst
 
     factors, known = wanted_factors(factors_text)
     check_outputs(json=json_path, figure=figure_path, report=report_folder, write=folder)
@@ -125,7 +125,7 @@ def _excitation(flight: "Flight", aircraft: str | None) -> "tuple[Finding, ...]"
     """What the flight can tell of its aircraft's derivatives; one finding that says why not where it names none."""
     from estimation.aircraft.of_flight import aircraft_of
     from estimation.compatibility.excitation import CHECK, excitation_findings, predicted_bounds
-    from groundstation.flight.quality import Finding
+    from groundstation.flight.quality.report import Finding
 
     if aircraft is None and not flight.provenance.aircraft:
         why = "not predicted, for the flight names no aircraft; give one with --aircraft NAME or FILE"

@@ -24,8 +24,8 @@ from estimation.estimators.uncertainty import STILL, TIED, estimates, input_move
 from estimation.models import load_model
 from estimation.models.base import Model
 from groundstation.flight import Flight, MissingColumnError
-from groundstation.flight.noise import noise
-from groundstation.flight.quality import SENSOR_NOISE, Finding
+from groundstation.flight.quality.noise import noise
+from groundstation.flight.quality.report import SENSOR_NOISE, Finding
 
 Array = NDArray[np.float64]
 

@@ -6,7 +6,7 @@ from estimation.engine.conditioned import Conditioned, conditioned, repaired
 from estimation.models.kinematic import MEASUREMENTS
 from groundstation.flight import Array, Flight
 from groundstation.flight.notes import Note, NoteKind
-from groundstation.flight.quality import Finding
+from groundstation.flight.quality.report import Finding
 
 CHECK = "left out"
 

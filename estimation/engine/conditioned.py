@@ -13,7 +13,7 @@ from estimation.engine.kernel import Array
 from estimation.engine.plausible import refuse_other_time_unit, wild
 from groundstation.flight import Flight
 from groundstation.flight.notes import Note, NoteKind
-from groundstation.flight.repeats import Repeats, repeats
+from groundstation.flight.quality.repeats import Repeats, repeats
 
 KEEP = "--keep-held keeps them"
 

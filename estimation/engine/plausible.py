@@ -13,7 +13,7 @@ from estimation.errors import DataError
 from estimation.models.base import Signal
 from groundstation.flight import Array, Flight
 from groundstation.flight.notes import Note, NoteKind
-from groundstation.flight.repeats import STUCK_SAMPLES, repeats, span_of
+from groundstation.flight.quality.repeats import STUCK_SAMPLES, repeats, span_of
 
 FOLDED = ("theta", "alpha", "beta", "delta_e", "delta_a", "delta_r", "cmd_e", "cmd_a", "cmd_r")
 """Angles that never exceed a right angle."""
@@ -117,7 +117,7 @@ def _ratio_to_slope(flight: Flight, rate: str, angle: str) -> float | None:
 def stuck(time: Array, values: Array) -> NDArray[np.bool_]:
     """Samples at which a noisy channel, seen by itself, shows one and the same number for more than a second; (N,) bool.
 
-    With the other channels of its flight `groundstation.flight.repeats` tells more.
+    With the other channels of its flight `groundstation.flight.quality.repeats` tells more.
     """
     return repeats(Flight.build("one channel", time, {"channel": values}), "channel").stuck
 

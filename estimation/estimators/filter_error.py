@@ -39,7 +39,7 @@ from estimation.models import load_model
 from estimation.models.base import Model, Parameter
 from estimation.models.driven import force_states
 from groundstation.flight import Flight
-from groundstation.flight.noise import noise as noise_of
+from groundstation.flight.quality.noise import noise as noise_of
 
 FIRST_GAIN = 0.2  # of each measured state on itself: a filter that follows from the first step
 LOOP = LoopOptions(iterations=150, tolerance=1e-3)  # relaxation of the full covariance converges slowly

@@ -19,7 +19,7 @@ from estimation.report.tables import CANNOT_TELL, Table, number, rounded, signif
 
 if TYPE_CHECKING:
     from groundstation.flight import Flight
-    from groundstation.flight.quality import Finding
+    from groundstation.flight.quality.report import Finding
 
 UNITS = {"V": "m/s"}
 RECONSTRUCTED = "#0072B2"

@@ -19,7 +19,7 @@ from estimation.errors import EstimationError
 from estimation.estimators.recursive import airframe_of, samples_of
 from estimation.models.base import Model, Parameter
 from groundstation.flight import Flight
-from groundstation.flight.noise import noise
+from groundstation.flight.quality.noise import noise
 
 Array = NDArray[np.float64]
 

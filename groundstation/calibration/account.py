@@ -12,7 +12,7 @@ from groundstation.calibration.readings import Readings
 from groundstation.calibration.scan_table import ScanTable
 from groundstation.calibration.schema import CalibrationSet
 from groundstation.calibration.uncertainty import column_uncertainty
-from groundstation.flight.noise import noise
+from groundstation.flight.quality.noise import noise
 
 Array = NDArray[np.float64]
 

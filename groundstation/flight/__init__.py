@@ -1,8 +1,8 @@
 """The calibrated flight and what can be said of it: columns, noise, quality, manoeuvres. All that `estimation` may import."""
 
 from groundstation.flight.errors import FlightError, MissingColumnError
+from groundstation.flight.files.reading import read_flight
 from groundstation.flight.flight import AIRCRAFT_FILE, GAP_FACTOR, RECONSTRUCTED, Array, Flight, Provenance
-from groundstation.flight.reading import read_flight
 from groundstation.flight.writing import write_flight
 
 __all__ = [

@@ -17,7 +17,7 @@ from daq.contract.plain_words import LONGEST_NAME, listed, plain_name
 from groundstation.flight import Flight, Provenance
 from groundstation.flight.credible_columns import credible_values
 from groundstation.flight.notes import Note, unknown_columns
-from groundstation.flight.plausibility import suspicions
+from groundstation.flight.quality.plausibility import suspicions
 from groundstation.importers.endings import LOGS, TABLES
 from groundstation.importers.errors import ImportDataError
 from groundstation.importers.formats.tables import RECORD

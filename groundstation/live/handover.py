@@ -14,7 +14,7 @@ from groundstation.calibration.errors import CalibrationError
 from groundstation.calibration.recording import calibrate_recording
 from groundstation.flight import Flight, FlightError, write_flight
 from groundstation.flight.manoeuvres import Manoeuvre, cut, find_manoeuvres
-from groundstation.flight.quality import Finding, quality_report
+from groundstation.flight.quality.report import Finding, quality_report
 from groundstation.identification.history import DETAIL as LIVE_IDENTIFICATION
 
 

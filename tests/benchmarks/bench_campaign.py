@@ -26,7 +26,7 @@ from estimation.campaign.sources import entries_of
 from estimation.campaign.store import Store
 from estimation.campaign.work import do, read_subject
 from estimation.campaign.work_list import work_list
-from groundstation.flight.quality import quality_report
+from groundstation.flight.quality.report import quality_report
 from tests.estimation.campaign.running import children, results_of, start
 from tests.studies.campaign_scaling import make_flights, memory_of
 

@@ -16,7 +16,7 @@ from estimation.report.check_page import write_check_report
 from estimation.report.front import write_front_page
 from estimation.report.page import write_estimate_report
 from estimation.session import runner
-from groundstation.flight.quality import quality_report
+from groundstation.flight.quality.report import quality_report
 from tests.browser.fits import OVERFLOW
 from tests.estimation.gap.test_rerun_report import an_answer
 from tests.estimation.test_report import CRAFT, LATERAL, flight, kinematic_flight

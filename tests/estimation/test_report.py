@@ -24,7 +24,7 @@ from estimation.report.tables import Table, number, rounded
 from estimation.session import runner
 from estimation.session.session import Session
 from groundstation.flight import Flight, Provenance
-from groundstation.flight.quality import quality_report
+from groundstation.flight.quality.report import quality_report
 
 CRAFT = load_aircraft("cdfp")
 LATERAL = load_model("lateral", CRAFT)

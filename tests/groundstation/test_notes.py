@@ -10,7 +10,7 @@ from estimation.engine.data import prepare
 from estimation.models import Signal, load_model
 from groundstation.flight import Flight, read_flight, write_flight
 from groundstation.flight.notes import Note, NoteKind, from_meta, once, texts, to_meta, unknown_columns
-from groundstation.flight.quality import time_order
+from groundstation.flight.quality.report import time_order
 
 
 def flight(*notes: Note | str, **columns: np.ndarray) -> Flight:

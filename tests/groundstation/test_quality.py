@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from groundstation.flight import Flight, Provenance
-from groundstation.flight.plausibility import suspicions
-from groundstation.flight.quality import Finding, quality_report, worst
+from groundstation.flight.quality.plausibility import suspicions
+from groundstation.flight.quality.report import Finding, quality_report, worst
 
 Columns = dict[str, np.ndarray]
 

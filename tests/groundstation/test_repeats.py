@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from groundstation.flight import Flight
-from groundstation.flight.quality import quality_report
-from groundstation.flight.repeats import quantum, repeats
+from groundstation.flight.quality.repeats import quantum, repeats
+from groundstation.flight.quality.report import quality_report
 
 RATE = 25.0
 TIME = np.arange(1500) / RATE

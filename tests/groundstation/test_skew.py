@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from groundstation.flight import Flight
-from groundstation.flight.skew import attitude_skew, control_skew
+from groundstation.flight.quality.skew import attitude_skew, control_skew
 
 
 def rolling(rng: np.random.Generator, delay: float, noise: float = 0.005, bias: float = 0.01) -> Flight:

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from groundstation.flight.thrift import ThriftReader
+from groundstation.flight.files.thrift import ThriftReader
 
 
 def _file() -> bytes:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from daq.contract.input_files import read_bytes
 from daq.contract.plain_words import listed, plain_name
-from groundstation.flight.parquet_columns import MOST_COLUMNS
+from groundstation.flight.files.parquet_columns import MOST_COLUMNS
 from groundstation.importers.errors import ImportDataError
 from groundstation.importers.formats.tables import Table
 from groundstation.importers.mapping import FileFormat

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from daq.contract.errors import UserError
 from daq.contract.input_files import read_bytes
-from groundstation.flight.thrift import ThriftReader
+from groundstation.flight.files.thrift import ThriftReader
 
 Array = NDArray[np.float64]
 

@@ -13,11 +13,11 @@ from daq.contract.input_files import check_file
 from daq.contract.plain_words import listed, one_line, plain_name
 from daq.contract.recordings.claims import json_object, mapping
 from groundstation.flight.credible_columns import credible_values, plain_names
-from groundstation.flight.csv_columns import read_csv
 from groundstation.flight.errors import FlightError
+from groundstation.flight.files.csv_columns import read_csv
+from groundstation.flight.files.parquet_columns import read_parquet
 from groundstation.flight.flight import GAP_FACTOR, Array, Flight, Provenance
 from groundstation.flight.notes import Note, from_meta, unknown_columns
-from groundstation.flight.parquet_columns import read_parquet
 from groundstation.flight.writing import FLIGHT_TOPIC, METADATA_NAME, value_digest
 
 FOREIGN = "if another program wrote the file, convert it with 'sideslip import'"

@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from daq.contract.channels import COLUMN_BY_NAME
 from groundstation.flight.flight import GAP_FACTOR, Flight
 from groundstation.flight.manoeuvres import CONTROLS, find_manoeuvres
-from groundstation.flight.noise import noise
 from groundstation.flight.notes import NoteKind
-from groundstation.flight.plausibility import suspicions
-from groundstation.flight.repeats import BIG, quantum, repeats, runs_of
-from groundstation.flight.skew import Skew, attitude_skew, control_skew
+from groundstation.flight.quality.noise import noise
+from groundstation.flight.quality.plausibility import suspicions
+from groundstation.flight.quality.repeats import BIG, quantum, repeats, runs_of
+from groundstation.flight.quality.skew import Skew, attitude_skew, control_skew
 
 Array = NDArray[np.float64]
 Verdict = Literal["ok", "warn", "fail"]
@@ -153,7 +153,7 @@ def dropouts(flight: Flight) -> Finding:
 
 
 def stale_samples(flight: Flight) -> Finding:
-    """Columns slower than their clock, and sensors stuck while the motion must have moved them (`groundstation.flight.repeats`).
+    """Columns slower than their clock, and sensors stuck while the motion must have moved them (see `quality.repeats`).
 
     Fails when a column that moves in flight never changes. A coarse step in steady flight is no fault, and only told.
     """

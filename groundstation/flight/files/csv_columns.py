@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from daq.contract.channels import COLUMN_BY_NAME
 from daq.contract.errors import UserError
 from daq.contract.plain_words import one_line, plain_name
-from groundstation.flight.parquet_columns import MOST_COLUMNS, MOST_ROWS
-from groundstation.flight.plain_csv import plain_columns
+from groundstation.flight.files.parquet_columns import MOST_COLUMNS, MOST_ROWS
+from groundstation.flight.files.plain_csv import plain_columns
 
 Array = NDArray[np.float64]
 

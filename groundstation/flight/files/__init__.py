@@ -1,0 +1,1 @@
+"""Flights read from files: MCAP, CSV and Parquet, each within bounds."""
