@@ -128,10 +128,10 @@ def _engine(pieces: int, workers: int | None, scheduler: str, serial: bool, dash
     import os
 
     if serial:
-        from estimation.campaign.serial import SerialEngine
+        from estimation.campaign.workers.serial import SerialEngine
 
         return SerialEngine()
-    from estimation.campaign.cluster import Cluster
+    from estimation.campaign.workers.cluster import Cluster
 
     cluster = Cluster(min(pieces, workers or os.cpu_count() or 1), scheduler, dashboard=dashboard)
     if cluster.dashboard:

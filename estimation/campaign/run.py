@@ -25,8 +25,8 @@ from estimation.campaign.schema import DATABASE, GROUPS
 from estimation.campaign.sources import Entry
 from estimation.campaign.store import Store
 from estimation.campaign.tasks import Finished, Row, Work
-from estimation.campaign.work import OK
 from estimation.campaign.work_list import Member, WorkList, envelope_work, joint_work, left_to_do, match_works
+from estimation.campaign.workers.work import OK
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -35,7 +35,7 @@ LEAST_VARIANCE = 1e-300  # an estimate without a bound weighs nothing that can b
 
 
 class Engine(Protocol):
-    """Where work is done: `estimation.campaign.serial` or `estimation.campaign.cluster`."""
+    """Where work is done: `estimation.campaign.workers.serial` or `estimation.campaign.workers.cluster`."""
 
     workers: int
     dashboard: str

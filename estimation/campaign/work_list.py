@@ -13,7 +13,7 @@ from estimation.campaign.plan import Plan
 from estimation.campaign.schema import VERSION
 from estimation.campaign.sources import Entry
 from estimation.campaign.tasks import Subject, Work
-from estimation.campaign.work import CHECK, aircraft_from_text, model_of
+from estimation.campaign.workers.work import CHECK, aircraft_from_text, model_of
 from estimation.estimators.estimator import Extra
 from estimation.estimators.registry import find
 

@@ -21,11 +21,11 @@ from estimation.campaign.groups import group_rows
 from estimation.campaign.plan import Plan
 from estimation.campaign.run import Campaign
 from estimation.campaign.schema import RESULTS, arrow_schema
-from estimation.campaign.serial import SerialEngine
 from estimation.campaign.sources import entries_of
 from estimation.campaign.store import Store
-from estimation.campaign.work import do, read_subject
 from estimation.campaign.work_list import work_list
+from estimation.campaign.workers.serial import SerialEngine
+from estimation.campaign.workers.work import do, read_subject
 from groundstation.flight.quality.report import quality_report
 from tests.estimation.campaign.running import children, results_of, start
 from tests.studies.campaign_scaling import make_flights, memory_of

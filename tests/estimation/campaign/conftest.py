@@ -9,10 +9,10 @@ import pytest
 
 from estimation.campaign.plan import plan_from
 from estimation.campaign.run import Campaign, Outcome
-from estimation.campaign.serial import SerialEngine
 from estimation.campaign.sources import entries_of
 from estimation.campaign.store import Store
 from estimation.campaign.work_list import work_list
+from estimation.campaign.workers.serial import SerialEngine
 
 
 @pytest.fixture

@@ -10,9 +10,9 @@ import pytest
 
 from estimation.aircraft import load_aircraft
 from estimation.campaign.errors import CampaignError, OverdueError
-from estimation.campaign.limits import interrupted_after
 from estimation.campaign.plan import plan_from, read_plan
 from estimation.campaign.run import Outcome
+from estimation.campaign.workers.limits import interrupted_after
 from estimation.models import load_model
 from estimation.session import runner
 from groundstation.flight import read_flight

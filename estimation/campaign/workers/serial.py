@@ -3,9 +3,9 @@
 from collections.abc import Iterator
 
 from estimation.campaign.errors import OverdueError
-from estimation.campaign.limits import interrupted_after
 from estimation.campaign.tasks import Finished, Work
-from estimation.campaign.work import do, failed
+from estimation.campaign.workers.limits import interrupted_after
+from estimation.campaign.workers.work import do, failed
 
 
 class SerialEngine:

@@ -12,9 +12,9 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 from estimation.campaign.errors import CampaignError
-from estimation.campaign.limits import ended_after, overdue_text
 from estimation.campaign.tasks import Finished, Row, Work
-from estimation.campaign.work import OtherSoftwareError, do, failed
+from estimation.campaign.workers.limits import ended_after, overdue_text
+from estimation.campaign.workers.work import OtherSoftwareError, do, failed
 
 if TYPE_CHECKING:
     from distributed import Client, Future, LocalCluster
