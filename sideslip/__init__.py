@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from sideslip.cli import software_version
     from sideslip.entry import main
     from sideslip.responses import frequency_response
+    from sideslip.watching import watch
 
 _HOMES = {
     **dict.fromkeys(("check", "design", "estimate", "gap", "import_log", "match", "open", "simulate"), "sideslip.api"),
@@ -24,10 +25,11 @@ _HOMES = {
     "frequency_response": "sideslip.responses",
     "main": "sideslip.entry",
     "software_version": "sideslip.cli",
+    "watch": "sideslip.watching",
 }
 __all__ = [
     "Flown", "check", "design", "estimate", "fly_scenario", "frequency_response", "gap", "import_log", "main", "match", "open",
-    "simulate", "software_version",
+    "simulate", "software_version", "watch",
 ]  # fmt: skip
 
 

@@ -91,7 +91,7 @@ def estimate(
 
     read = unique_names(read_flights(flights))
     if simulation is None:
-        chosen, craft = _model(model, read, aircraft)
+        chosen, craft = model_of(model, read, aircraft)
     else:
         attached = _on_simulation(simulation, model, read, aircraft, estimating=True)
         chosen, craft, read = attached.model, attached.aircraft, list(attached.flights)
@@ -114,7 +114,7 @@ def match(
 
     read = unique_names(read_flights(flights))
     if simulation is None:
-        chosen, _ = _model(model, read, aircraft)
+        chosen, _ = model_of(model, read, aircraft)
     else:
         attached = _on_simulation(simulation, model, read, aircraft, predicting=True)
         chosen, read = attached.model, list(attached.flights)
@@ -136,7 +136,7 @@ def gap(
 
     training, held = read_flights(flights), read_flights(holdout)
     if simulation is None:
-        chosen, _ = _model(model, [*training, *held], aircraft)
+        chosen, _ = model_of(model, [*training, *held], aircraft)
     else:
         attached = _on_simulation(simulation, model, [*training, *held], aircraft)
         chosen = attached.model
@@ -153,7 +153,7 @@ def design(
     from estimation.design.design import Task
     from estimation.design.design import design as designed
 
-    chosen, craft = _model(model, [], aircraft)
+    chosen, craft = model_of(model, [], aircraft)
     density = task.setdefault("density", 1.17)
     task.setdefault("speed", math.sqrt(2 * craft.mass * 9.80665 / (density * craft.area * 0.3)))
     return designed(chosen, craft, Task(kind, time, **task))
@@ -164,7 +164,7 @@ def simulate(model: "AnyModel", flight: "Flight | str | Path", *, aircraft: "Any
     from estimation.engine.simulate import simulate as simulated
 
     (read,) = read_flights(flight)
-    chosen, _ = _model(model, [read], aircraft)
+    chosen, _ = model_of(model, [read], aircraft)
     y = simulated(chosen, read)
     return read.with_columns(**{f"{name}_model": y[:, i] for i, name in enumerate(chosen.output_names)})
 
@@ -186,7 +186,7 @@ def _on_simulation(
     return attached_to(spec, str(model), flights, None if aircraft is None else str(aircraft), **purpose)
 
 
-def _model(which: "AnyModel", flights: "Sequence[Flight]", aircraft: "AnyAircraft") -> "tuple[Model, Aircraft]":
+def model_of(which: "AnyModel", flights: "Sequence[Flight]", aircraft: "AnyAircraft") -> "tuple[Model, Aircraft]":
     """The model, and the aircraft it is of: the given one, the one the flights carry or name, else unknown where it may be."""
     from estimation.aircraft import Aircraft, unknown_aircraft
     from estimation.aircraft.of_flight import aircraft_of

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from estimation.gap.answer.result import GapResult
     from estimation.report.drawing.figures import Picture
     from estimation.session.proof_of_match import Proof
+    from estimation.watch.over_file import Watched
 
 LEADING = 12  # hypotheses of a gap that a plot shows: the page has them all
 
@@ -93,6 +94,15 @@ def plot_scores(result: "GapResult", ax: Any) -> Any:
     ax.invert_yaxis()
     ax.axvline(result.threshold, color="C3", linewidth=1.0)
     ax.set_xlabel(f"score; line: threshold {result.threshold:.2f}")
+    return ax
+
+
+def plot_watched(found: "Watched", ax: Any) -> Any:
+    """Score of the gap monitor over its threshold, where controls moved; lines where an alarm was told."""
+    from estimation.watch.answer import draw_history
+
+    (ax,) = _axes(ax, 1, (7.0, 2.6))
+    draw_history(found, ax)
     return ax
 
 

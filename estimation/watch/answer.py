@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from groundstation.flight import Flight
 
 HERE = Path(__file__).parent
 BEFORE_S, AFTER_S = 30.0, 20.0  # s about an alarm that are cut out for the gap workflow
+PAUSE_S = 2.0  # between two words of the monitor, beyond which no control moved and no line is drawn
 
 
 def alarm_words(a: Alarm) -> str:
@@ -77,18 +79,22 @@ def history_picture(found: Watched) -> Picture:
 
     with styled():
         figure = Figure(figsize=(7.2, 2.6), layout="constrained")
-        axes = figure.subplots()
-        time, score = np.array([w.time for w in found.history]), np.array([w.score for w in found.history])
-        gaps = np.flatnonzero(np.diff(time) > 2.0) + 1
-        axes.plot(np.insert(time, gaps, np.nan), np.insert(score, gaps, np.nan), color="#0072B2")
-        axes.axhline(1.0, color="#D55E00", linestyle="--")
-        for a in found.alarms:
-            axes.axvline(a.time, color="#D55E00", linewidth=0.8)
-        axes.set_xlabel("time [s]")
-        axes.set_ylabel("score / threshold")
+        draw_history(found, figure.subplots())
     return picture(
         figure, "watch_history", "The larger of both statistics over its threshold; blank where no control moved."
     )
+
+
+def draw_history(found: Watched, axes: Any) -> None:
+    """The score over its threshold on axes, with a line where an alarm was told."""
+    time, score = np.array([w.time for w in found.history]), np.array([w.score for w in found.history])
+    pauses = np.flatnonzero(np.diff(time) > PAUSE_S) + 1
+    axes.plot(np.insert(time, pauses, np.nan), np.insert(score, pauses, np.nan), color="#0072B2")
+    axes.axhline(1.0, color="#D55E00", linestyle="--")
+    for a in found.alarms:
+        axes.axvline(a.time, color="#D55E00", linewidth=0.8)
+    axes.set_xlabel("time [s]")
+    axes.set_ylabel("score / threshold")
 
 
 def _alarm_table(found: Watched) -> Table:

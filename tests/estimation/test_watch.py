@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import sideslip
+from daq.contract.errors import UserError
 from daq.identification.monitor import threshold
 from daq.identification.monitor.nulls import Conditions
 from daq.identification.monitor.threshold import Calibration
@@ -167,3 +168,31 @@ def test_a_flight_without_manoeuvres_is_refused_before_anything_is_simulated(
     aircraft = load_aircraft("cdfp")
     with pytest.raises(EstimationError, match="only 0 s of manoeuvring"):
         watch(load_model("lateral", aircraft), Flight.build("still", flight.time, still), aircraft, hours=1.0)
+
+
+@pytest.mark.usefixtures("known_thresholds")
+def test_the_notebook_says_what_the_verb_says(flights: dict[str, Path], tmp_path: Path) -> None:
+    _, verb = answered(flights, "elevon_stuck", tmp_path)
+    found = sideslip.watch(flights["elevon_stuck"], flights["model"], aircraft="cdfp", hours=1.0)
+    saved = json.loads(found.save(tmp_path / "notebook.json").read_text())
+    assert saved == {k: v for k, v in verb.items() if k != "next"}
+    assert f"{len(found.alarms)} alarm" in repr(found)
+    assert found.summary().count("t = ") == len(found.alarms) == found._repr_html_().count("<tr><td>")
+    frame = found.to_pandas()
+    assert frame["score"].max() > 1.0
+    assert frame["time"].is_monotonic_increasing
+    stretch = found.stretch()
+    assert stretch is not None
+    assert stretch.time[-1] <= found.alarms[0].time + 20.1
+    assert len(found.plot().lines) == 2 + len(found.alarms)
+    assert "svg" in found.figures()["watch_history"].uri[:20]
+    with pytest.raises(UserError, match=r"end the name in \.json"):
+        found.save(tmp_path / "notebook.csv")
+
+
+@pytest.mark.usefixtures("known_thresholds")
+def test_a_quiet_flight_in_the_notebook_has_no_stretch(flights: dict[str, Path]) -> None:
+    found = sideslip.watch(read_flight(flights["none"]), flights["model"], aircraft="cdfp", hours=1.0)
+    assert found.alarms == ()
+    assert found.stretch() is None
+    assert "no alarm" in repr(found)
