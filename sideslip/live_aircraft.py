@@ -1,5 +1,7 @@
 """The aircraft as live identification is told of it: from the aircraft file that is given, carried along, or built in."""
 
+from dataclasses import replace
+
 from daq.identification.airframe import DERIVATIVES, Airframe, Belief
 from estimation.aircraft import Aircraft
 from estimation.aircraft.library import load_aircraft
@@ -12,18 +14,33 @@ DOUBTED = (
 NEEDED = ("b", "S", "m", "Ixx", "Iyy", "Izz", "Ixz")
 
 
-def live_aircraft(name: str, text: str | None = None) -> LiveAircraft:
-    """The aircraft of a name or file; text: that of the file which travelled with the recording.
+def live_aircraft(name: str, text: str | None = None, model: str = "") -> LiveAircraft:
+    """The aircraft of a name or file; text: that of the file which travelled with the recording; model: file of a model of its
+    lateral derivatives that the gap monitor holds against flight.
 
-    Raises AircraftError where there is no such aircraft, or where its file lacks geometry, mass or inertia.
+    Raises AircraftError where there is no such aircraft, or where its file lacks geometry, mass or inertia, ModelError and
+    EstimationError where the model cannot be read, or has other parameters.
     """
     aircraft = (
         load_aircraft(name) if text is None else aircraft_from_text(text, f"aircraft {name} of the recording", name)
     )
     aircraft.need(NEEDED, "live identification")
+    sources = {n: p.source for n, p in aircraft.derivatives.items()}
     return LiveAircraft(
-        aircraft.name, airframe_of_file(aircraft), {n: p.source for n, p in aircraft.derivatives.items()}
+        aircraft.name, airframe_of_file(aircraft), sources, airframe_of_model(model, aircraft) if model else None
     )
+
+
+def airframe_of_model(model: str, aircraft: Aircraft) -> Airframe:
+    """An aircraft as a model has it: its values, and what it says that these may be wrong by."""
+    from estimation.estimators.recursive import airframe_of
+    from estimation.models.load import load_model
+    from estimation.watch.over_file import values_of
+
+    read = load_model(model, aircraft)
+    airframe = airframe_of(read, aircraft)
+    values, stds = values_of(read)
+    return replace(airframe, beliefs={n: Belief(v, stds.get(n, 0.0)) for n, v in values.items()})
 
 
 def airframe_of_file(aircraft: Aircraft) -> Airframe:

@@ -39,6 +39,11 @@ _VIEW_HELP = "Show it in the browser, in rerun's own window, or not at all."
 )
 @click.option("--aircraft", help="Name or file, for live identification  [default: the one the recording names].")
 @click.option("--watch", "watched", is_flag=True, help="Say when the aircraft no longer flies as its file believes.")
+@click.option(
+    "--model",
+    type=click.Path(path_type=Path),
+    help="MODEL.toml that --watch holds against flight, in place of the aircraft's beliefs.",
+)
 @click.option("--estimate", "with_estimate", is_flag=True, help="Estimate parameters from the finished flight.")
 @click.option(
     "--out",
@@ -64,6 +69,7 @@ def ground(
     layout: str | None,
     aircraft: str | None,
     watched: bool,
+    model: Path | None,
     with_estimate: bool,
     out: Path | None,
     json_path: Path | None,
@@ -78,7 +84,7 @@ def ground(
     from groundstation.live.config import configured
     from groundstation.live.replay import Replay, parse_speed, replay_into
 
-    settings = configured(config, layout, aircraft, watched)
+    settings = configured(config, layout, aircraft, watched, model)
     folder = out or _session_folder(settings)
     with _views(settings, window) as views:
         player = Replay()
@@ -98,7 +104,7 @@ def ground(
         finally:
             station.close()
         handed = _finish(station, settings, folder)
-        _conclude(station, handed, json_path)
+        _conclude(station, handed, json_path, settings.identification.model)
         if with_estimate:
             _estimate(handed, settings, folder, show=views is not None)
         if replay is not None and views is not None and duration is None and not interrupted:
@@ -107,8 +113,8 @@ def ground(
     return 130 if interrupted else 0
 
 
-def _conclude(station: "Station", handed: list["Handover"], json_path: Path | None) -> None:
-    """Say what the session has left, and write its counters."""
+def _conclude(station: "Station", handed: list["Handover"], json_path: Path | None, model: str) -> None:
+    """Say what the session has left, and write its counters. model: that the gap monitor held against flight, or ""."""
     from groundstation.cli.data import write_json
     from groundstation.identification.history import alarmed
 
@@ -116,7 +122,10 @@ def _conclude(station: "Station", handed: list["Handover"], json_path: Path | No
         for line in flight.lines():
             click.echo(line)
         if alarmed(flight.flight.provenance.detail):
-            click.echo(f"  the gap monitor gave alarms; next: sideslip gap {flight.manoeuvres_path or flight.path}")
+            held = f" --model {model}" if model else ""
+            click.echo(
+                f"  the gap monitor gave alarms; next: sideslip gap {flight.manoeuvres_path or flight.path}{held}"
+            )
     summary = station.receiver.summary()
     summary["flight"] = str(handed[0].path) if handed else None
     summary["flights"] = [str(h.path) for h in handed]

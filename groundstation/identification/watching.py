@@ -1,4 +1,4 @@
-"""The gap monitor beside live identification: does what the aircraft file believes still describe what is flown?
+"""The gap monitor beside live identification: does what the aircraft file believes, or a model, still describe what is flown?
 
 Its thresholds come from simulated flights, half a minute of processor time, so they are made in a thread; samples wait for them.
 """
@@ -26,7 +26,7 @@ class LiveWatch:
     """Give it samples of manoeuvring flight; `alarms` are those told so far. rate: scans a second that are seen."""
 
     def __init__(self, aircraft: LiveAircraft, rate: float) -> None:
-        self._aircraft = aircraft
+        self._airframe = aircraft.airframe if aircraft.modelled is None else aircraft.modelled
         self._conditions = Conditions(rate=rate, loss=LOST) if rate < SLOWER_HZ else Conditions(rate=ON_BOARD_HZ)
         self._monitor: GapMonitor | None = None
         self._waiting: list[Sample] = []
@@ -66,13 +66,13 @@ class LiveWatch:
         return 0.0 if self._monitor is None else self._monitor.watched
 
     def _calibrate(self) -> None:
-        beliefs = self._aircraft.airframe.beliefs
+        beliefs = self._airframe.beliefs
         values = {n: b.value for n, b in beliefs.items()}
         try:
-            effects = bank(self._aircraft.airframe, values, {n: b.std for n, b in beliefs.items() if b.std > 0.0})
+            effects = bank(self._airframe, values, {n: b.std for n, b in beliefs.items() if b.std > 0.0})
             rng = np.random.default_rng([SEED, len(effects)])
-            found = calibrated(self._aircraft.airframe, values, effects, self._conditions, rng=rng, hours=HOURS)
-            self._monitor = GapMonitor(self._aircraft.airframe, values, effects, found)
+            found = calibrated(self._airframe, values, effects, self._conditions, rng=rng, hours=HOURS)
+            self._monitor = GapMonitor(self._airframe, values, effects, found)
         except (LinAlgError, ArithmeticError, ValueError) as error:  # an aircraft that does not fly by its beliefs
             self.trouble = f"no gap monitor: its thresholds cannot be simulated from these beliefs ({error})"
 

@@ -56,12 +56,14 @@ class HandoverConfig(_Table):
 
 class IdentificationConfig(_Table):
     """Live identification. watch: the gap monitor beside it. aircraft: name or file; empty: the one that the recording names or
-    carries. wanted: bound to be reached, one standard deviation, as a share of a derivative. forward: ports that get
-    NAMED_VALUE_FLOAT of each derivative. lines_every_s: time of flight between two lines in the log."""
+    carries. model: file of a model that the gap monitor holds against flight; empty: what the aircraft file believes. wanted:
+    bound to be reached, one standard deviation, as a share of a derivative. forward: ports that get NAMED_VALUE_FLOAT of each
+    derivative. lines_every_s: time of flight between two lines in the log."""
 
     enabled: bool = True
     watch: bool = False
     aircraft: str = ""
+    model: str = ""
     wanted: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.05
     forward: tuple[str, ...] = ()
     lines_every_s: Annotated[float, Field(gt=0.0)] = 30.0
@@ -104,20 +106,30 @@ def load_ground_config(path: Path) -> GroundConfig:
 
 
 def configured(
-    path: Path | None, layout: str | None = None, aircraft: str | None = None, watch: bool = False
+    path: Path | None,
+    layout: str | None = None,
+    aircraft: str | None = None,
+    watch: bool = False,
+    model: Path | None = None,
 ) -> GroundConfig:
-    """The configuration of a file; without one the defaults, on the usual ports. layout, aircraft: instead of the configured;
-    watch: in any case.
+    """The configuration of a file; without one the defaults, on the usual ports. layout, aircraft, model: instead of the
+    configured; watch: in any case, as with a model.
 
-    Raises GroundConfigError naming file and key.
+    Raises GroundConfigError naming file and key, or the model where there is no such file.
     """
     if path is None:
         found = GroundConfig(link=LinkConfig(ports=usual_ports()))
     else:
         found = load_ground_config(path)
     changes: dict[str, object] = {} if aircraft is None else {"aircraft": aircraft}
-    changes |= {"watch": True} if watch else {}
+    changes |= {"watch": True} if watch or model is not None else {}
+    changes |= {} if model is None else {"model": str(model)}
     found = found.model_copy(update={"identification": found.identification.model_copy(update=changes)})
+    held = found.identification.model
+    if held and not Path(held).is_file():
+        raise GroundConfigError(
+            f"{held}: no such file; the model that the gap monitor is to hold against flight must be one"
+        )
     if layout is None:
         return found
     view = ViewConfig.model_validate({**found.view.model_dump(), "layout": layout})

@@ -16,7 +16,7 @@ from groundstation.identification.aircraft import AircraftSource, LiveAircraft
 from groundstation.identification.alignment import ScanAlignment
 from groundstation.identification.history import BELIEVED, final_json
 from groundstation.identification.session import LiveIdentification, LiveState
-from groundstation.identification.watching import alarm_line
+from groundstation.identification.watching import LiveWatch, alarm_line
 from groundstation.identification.words import NAMES, number, short_line
 from groundstation.live.aircraft_monitor import AircraftMonitor
 from groundstation.live.config import IdentificationConfig
@@ -66,7 +66,7 @@ class LiveIdentifications:
         self._runs: dict[Session, _Run] = {}
         self._forward = NamedValues(config.forward if self._source is not None else (), say)
         if self._source is not None and config.aircraft:
-            self._source(config.aircraft, None)  # a mistake is said at the start, not in the air
+            self._source(config.aircraft, None, config.model)  # a mistake is said at the start, not in the air
 
     def scan(self, session: Session, scan: Scan, monitor: AircraftMonitor) -> None:
         """A scan as received."""
@@ -110,7 +110,7 @@ class LiveIdentifications:
     def _begin(self, run: _Run, name: str, text: str | None) -> None:
         assert self._source is not None
         try:
-            aircraft: LiveAircraft = self._source(name, text)
+            aircraft: LiveAircraft = self._source(name, text, self._config.model)
         except UserError as error:
             run.given_up = True
             run.monitor.note("WARN", f"no live identification: {error}")
@@ -124,7 +124,8 @@ class LiveIdentifications:
             Stretches(*self._landing),
             watched=self._config.watch,
         )
-        run.monitor.note("INFO", f"live identification of {aircraft.name} begins")
+        held = f"; the gap monitor holds flight against {self._config.model}" if aircraft.modelled is not None else ""
+        run.monitor.note("INFO", f"live identification of {aircraft.name} begins{held}")
 
     def step(self) -> None:
         """Work on what has come, and tell what is new."""
@@ -191,9 +192,13 @@ class LiveIdentifications:
                 for n, b in state.aircraft.airframe.beliefs.items()
             },
             "final": final_json(e),
-            **({} if watch is None else {"watched_s": watch.watched, "alarms": [asdict(a) for a in watch.alarms]}),
+            **({} if watch is None else self._watched(watch)),
             "history": run.live.history.to_json(),
         }
+
+    def _watched(self, watch: LiveWatch) -> dict[str, Any]:
+        held = {"watched_model": self._config.model} if self._config.model else {}
+        return {"watched_s": watch.watched, **held, "alarms": [asdict(a) for a in watch.alarms]}
 
     def close(self) -> None:
         """Close what values are forwarded to."""

@@ -5,6 +5,9 @@ from pathlib import Path
 import pytest
 
 import sideslip
+from estimation.aircraft import load_aircraft
+from estimation.models import load_model
+from estimation.models.load import write_model
 
 
 def ended(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[object, str]:
@@ -52,4 +55,18 @@ def test_ports_that_cannot_be_are_named(
     code, said = ended(["ground", str(config), "--duration", "0.1", "--out", "o"], capsys)
     assert code == 2
     assert words in said
+    assert "\n" not in said
+
+
+def test_a_model_to_be_held_against_flight_is_looked_for_at_the_start(
+    config: Path, root: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recording = str(root / "recordings" / "cdfp_ld1_raw.mcap")
+    command = ["ground", str(config), "--replay", recording, "--speed", "max", "--model"]
+    code, said = ended([*command, "nowhere.toml"], capsys)
+    assert (code, "nowhere.toml: no such file" in said) == (2, True)
+    write_model(load_model("longitudinal", load_aircraft("cdfp")), Path("pitch.toml"))
+    code, said = ended([*command, "pitch.toml", "--aircraft", "cdfp"], capsys)
+    assert code == 2
+    assert "lateral" in said
     assert "\n" not in said

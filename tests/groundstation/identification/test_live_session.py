@@ -15,8 +15,10 @@ from daq.identification.airframe import SIGNALS, Belief, Sample
 from daq.identification.live import LiveEstimator
 from daq.identification.stretches import Stretches
 from estimation.aircraft import load_aircraft
+from estimation.errors import EstimationError
 from estimation.estimators.recursive import airframe_of, recursive, samples_of
 from estimation.models import load_model
+from estimation.models.load import write_model
 from groundstation.calibration.apply import Calibrator, calibrate
 from groundstation.calibration.recording import embedded_calibration
 from groundstation.flight import Flight
@@ -236,15 +238,15 @@ def test_samples_of_the_flight_are_used(recording: tuple[list[Scan], Calibrator,
     assert sum(s.credible for s in samples_of(flight, slice(None))) > 500
 
 
-@pytest.mark.parametrize(("factor", "heard"), [(1.0, False), (2.2, True)])
+@pytest.mark.parametrize(("with_model", "heard"), [(True, False), (False, True)])
 def test_the_monitor_beside_it_hears_of_an_aileron_that_does_less_than_believed(
-    factor: float,
+    with_model: bool,
     heard: bool,
     recording: tuple[list[Scan], Calibrator, Flight],
     in_order: InOrder,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Beliefs are what this flight shows, and sure; but for the aileron in one case."""
+    """A model is what this flight shows, and sure; what is believed is so too, but for the aileron."""
     from daq.identification.monitor import threshold
     from groundstation.identification import watching
 
@@ -253,9 +255,10 @@ def test_the_monitor_beside_it_hears_of_an_aileron_that_does_less_than_believed(
     monkeypatch.setattr(watching, "HOURS", 0.2)  # a batch; the aileron's score is far above any threshold
     scans, calibrator, _ = recording
     beliefs = {n: Belief(d.estimate, max(2.0 * d.std, 1e-4)) for n, d in in_order.final.estimates.derivatives.items()}
-    beliefs["Cl_da"] = Belief(factor * beliefs["Cl_da"].value, 0.002)
+    wrong = beliefs | {"Cl_da": Belief(2.2 * beliefs["Cl_da"].value, 0.002)}
     sure = live_aircraft("cdfp")
-    sure = replace(sure, airframe=replace(sure.airframe, beliefs=beliefs))
+    modelled = replace(sure.airframe, beliefs=beliefs) if with_model else None
+    sure = replace(sure, airframe=replace(sure.airframe, beliefs=wrong), modelled=modelled)
     again = ScanAlignment()
     live = LiveIdentification(sure, calibrator, 0.05, again, Stretches(9.0, 2.0), watched=True)
     fed(live, again, iter(scans))
@@ -268,3 +271,22 @@ def test_the_monitor_beside_it_hears_of_an_aileron_that_does_less_than_believed(
     if heard:
         assert alarms[0].equation == "Cl"
         assert "holds in Cl (shown by p" in watching.alarm_line(alarms[0])
+
+
+def test_a_model_is_held_against_flight_with_what_it_states_of_its_bounds(tmp_path: Path) -> None:
+    craft = load_aircraft("cdfp")
+    model = load_model("lateral", craft).with_starts({"Cl_p": -0.3})
+    write_model(model, tmp_path / "m.toml")
+    found = live_aircraft("cdfp", None, str(tmp_path / "m.toml"))
+    assert found.modelled is not None
+    believed, held = found.airframe.beliefs["Cl_p"], found.modelled.beliefs["Cl_p"]
+    assert (believed.value, held.value) == (-0.45, -0.3)
+    assert held.std == 0.0  # it was estimated, and says nothing of its bound: the monitor takes its own
+    assert found.modelled.beliefs["Cl_da"] == found.airframe.beliefs["Cl_da"]  # what nobody has estimated yet
+    assert live_aircraft("cdfp").modelled is None
+
+
+def test_a_model_of_the_other_plane_is_refused(tmp_path: Path) -> None:
+    write_model(load_model("longitudinal", load_aircraft("cdfp")), tmp_path / "m.toml")
+    with pytest.raises(EstimationError, match="lateral"):
+        live_aircraft("cdfp", None, str(tmp_path / "m.toml"))
