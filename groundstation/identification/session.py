@@ -155,7 +155,8 @@ class LiveIdentification:
         information = self._estimator.estimator.information()
         wanted = wanted_bounds(self.aircraft.airframe.beliefs, estimates.derivatives, self._share)
         to_go = self._pace.at(estimates, wanted)
-        if last.time >= self._advise_at:
+        # Without advice nothing was solved yet, or nothing is left to be done: either may be over by now, and is quickly seen.
+        if last.time >= self._advise_at or self._advice is None:
             self._advise_at = last.time + ADVISE_S
             values = {n: self._value(n, estimates) for n in DERIVATIVES}
             self._advice = next_manoeuvre(self.aircraft.airframe, values, information, wanted, last)

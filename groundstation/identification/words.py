@@ -83,8 +83,8 @@ def next_words(state: LiveState) -> str:
     if still:
         return f"{' and '.join(still)} doublet: {' and '.join(still)} {'has' if len(still) == 1 else 'have'} not moved"
     if state.advice is None:
-        solved = all(math.isfinite(state.estimates.derivatives[n].std) for n in NAMES)
-        return "every wanted bound is reached" if solved else FIRST
+        reached = all(state.estimates.derivatives[n].std <= bound for n, bound in state.wanted.items() if bound > 0.0)
+        return "every wanted bound is reached" if reached else FIRST
     return _advised(state.advice)
 
 

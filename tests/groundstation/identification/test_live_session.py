@@ -290,3 +290,12 @@ def test_a_model_of_the_other_plane_is_refused(tmp_path: Path) -> None:
     write_model(load_model("longitudinal", load_aircraft("cdfp")), tmp_path / "m.toml")
     with pytest.raises(EstimationError, match="lateral"):
         live_aircraft("cdfp", None, str(tmp_path / "m.toml"))
+
+
+def test_nothing_is_called_reached_that_is_not(in_order: InOrder) -> None:
+    for state in in_order.states:
+        bounds = {n: (state.estimates.derivatives[n].std, wanted) for n, wanted in state.wanted.items() if wanted > 0.0}
+        there = all(std <= wanted for std, wanted in bounds.values())
+        assert ("every wanted bound is reached" in short_line(state)) is there, f"{state.time}: {bounds}"
+        solved = all(math.isfinite(std) for std, _ in bounds.values())
+        assert (state.advice is not None) is (solved and not there)
