@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from daq.identification.monitor.monitor import Alarm
 from estimation.report.drawing.figures import Picture, picture, styled
 from estimation.report.markup.html import write_page
 from estimation.report.provenance import provenance_table
@@ -19,17 +18,6 @@ BEFORE_S, AFTER_S = 30.0, 20.0  # s about an alarm that are cut out for the gap 
 PAUSE_S = 2.0  # between two words of the monitor, beyond which no control moved and no line is drawn
 
 
-def alarm_words(a: Alarm) -> str:
-    """One alarm for a person."""
-    where = f"t = {a.time:.1f} s: the model no longer holds in {a.equation} (shown by {', '.join(a.channels)})"
-    how = f"score {a.score:.1f}, threshold {a.threshold:.1f}"
-    if not a.leading:
-        return f"{where}; {how}; errors have grown, and no effect of the list explains them"
-    names = "; ".join(f"{n.effect} ({n.title}) {significant(n.size, 2)} {n.unit}" for n in a.leading)
-    known = f" (by {a.named:.1f} s)" if a.named is not None and a.named > a.time else ""
-    return f"{where}, since about {a.since:.1f} s; {how}; leading{known}: {names}"
-
-
 def lines(found: Watched) -> Iterator[str]:
     """For a terminal."""
     c = found.calibration
@@ -40,7 +28,7 @@ def lines(found: Watched) -> Iterator[str]:
     if not found.alarms:
         yield f"no alarm; the largest score was {max((w.score for w in found.history), default=0.0):.0%} of its threshold"
     for a in found.alarms:
-        yield alarm_words(a)
+        yield f"t = {a.time:.1f} s: {a.text}"
 
 
 def stretch(found: Watched) -> Flight:

@@ -75,14 +75,3 @@ class LiveWatch:
             self._monitor = GapMonitor(self._airframe, values, effects, found)
         except (LinAlgError, ArithmeticError, ValueError) as error:  # an aircraft that does not fly by its beliefs
             self.trouble = f"no gap monitor: its thresholds cannot be simulated from these beliefs ({error})"
-
-
-def alarm_line(alarm: Alarm) -> str:
-    """One alarm in a line of the log."""
-    shown = ", ".join(alarm.channels)
-    names = "; ".join(f"{n.effect} ({n.title}) {n.size:+.2g} {n.unit}" for n in alarm.leading)
-    what = f"may be {names}" if names else "errors have grown, and no effect of the list explains them"
-    return (
-        f"gap monitor: the model no longer holds in {alarm.equation} (shown by {shown}), since about {alarm.since:.1f} s; "
-        f"score {alarm.score:.1f} of {alarm.threshold:.1f}; {what}"
-    )

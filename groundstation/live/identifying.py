@@ -16,7 +16,7 @@ from groundstation.identification.aircraft import AircraftSource, LiveAircraft
 from groundstation.identification.alignment import ScanAlignment
 from groundstation.identification.history import BELIEVED, final_json
 from groundstation.identification.session import LiveIdentification, LiveState
-from groundstation.identification.watching import LiveWatch, alarm_line
+from groundstation.identification.watching import LiveWatch
 from groundstation.identification.words import NAMES, number, short_line
 from groundstation.live.aircraft_monitor import AircraftMonitor
 from groundstation.live.config import IdentificationConfig
@@ -145,7 +145,7 @@ class LiveIdentifications:
         if watch is None:
             return
         for alarm in watch.step(finish=finish):
-            run.monitor.note("WARN", alarm_line(alarm))
+            run.monitor.note("WARN", f"gap monitor: {alarm.text}")
         if watch.trouble and not run.watch_told:
             run.watch_told = True
             run.monitor.note("WARN", watch.trouble)

@@ -140,13 +140,31 @@ def arms() -> Iterator[tuple[int, int]]:
         yield turn, 2
 
 
+def some_of(flights: Path, folder: Path, which: slice) -> Path:
+    """Copies of some of the flights in a folder of their own."""
+    folder.mkdir()
+    for path in sorted(flights.glob("*.csv"))[which]:
+        (folder / path.name).write_bytes(path.read_bytes())
+    return folder
+
+
+def wall_of(folders: Sequence[Path], out: Path) -> float:
+    """Wall of campaigns of one process each that know nothing of one another, begun together, until the last is over."""
+    begin = time.monotonic()
+    words = ["--aircraft", "cdfp", "--no-report", "--serial", "--method", "ml,ls"]
+    running = [start(str(folder), "--out", str(out / str(k)), *words) for k, folder in enumerate(folders)]
+    for process in running:
+        process.communicate()
+    return time.monotonic() - begin
+
+
 def test_gain_of_a_second_worker(flights: Path, tmp_path: Path) -> None:
-    """Walls without start and end: from the slope over flights."""
-    few = tmp_path / "few"
-    few.mkdir()
-    for path in sorted(flights.glob("*.csv"))[:WARM]:
-        (few / path.name).write_bytes(path.read_bytes())
+    """Walls without start and end: from the slope over flights. Beside it what the machine gives for two processes that share
+    nothing but its memory and caches: no engine gains more."""
+    few = some_of(flights, tmp_path / "few", slice(WARM))
+    halves = [some_of(flights, tmp_path / f"half {k}", slice(k, None, 2)) for k in (0, 1)]
     walls: dict[int, list[float]] = {1: [], 2: []}
+    machine = []
     for turn, workers in arms():
         words = ["--workers", str(workers), "--method", "ml,ls"]
         short = spent(words, few, tmp_path / f"short {turn} {workers}")
@@ -158,7 +176,13 @@ def test_gain_of_a_second_worker(flights: Path, tmp_path: Path) -> None:
             f"\n{workers} workers: {long[0]:.1f} s of processor ({short[0]:.1f} with {WARM} flights), {fits:.1f} in fits,"
             f" {long[1]:.1f} s wall ({short[1]:.1f}), largest worker {long[2]:.0f} MB, load {os.getloadavg()[0]:.1f}"
         )
+        if workers == 2:
+            alone = wall_of([flights], tmp_path / f"alone {turn}") - wall_of([few], tmp_path / f"alone few {turn}")
+            both = wall_of(halves, tmp_path / f"both {turn}") - wall_of([few, few], tmp_path / f"both few {turn}")
+            machine.append(alone / both)
+            print(f"\nno engine: {alone:.1f} s wall alone, {both:.1f} s as two processes side by side")
     print(f"gain: {' '.join(f'{a / b:.2f}' for a, b in zip(walls[1], walls[2], strict=True))}")
+    print(f"gain of two processes without an engine: {' '.join(f'{g:.2f}' for g in machine)}")
 
 
 def test_a_hundred_thousand_rows_are_asked(tmp_path: Path) -> None:

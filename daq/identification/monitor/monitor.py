@@ -51,6 +51,17 @@ class Alarm:
     leading: tuple[Name, ...]
     named: float | None = None
 
+    @property
+    def text(self) -> str:
+        """For a person, but for the time at which it was noticed."""
+        where = f"the model no longer holds in {self.equation} (shown by {', '.join(self.channels)})"
+        how = f"since about {self.since:.1f} s; score {self.score:.1f}, threshold {self.threshold:.1f}"
+        if not self.leading:
+            return f"{where}, {how}; errors have grown, and no effect of the list explains them"
+        names = "; ".join(f"{n.effect} ({n.title}) {n.size:.2g} {n.unit}" for n in self.leading)
+        known = f" (by {self.named:.1f} s)" if self.named is not None and self.named > self.time else ""
+        return f"{where}, {how}; leading{known}: {names}"
+
 
 @dataclass(frozen=True)
 class Watch:

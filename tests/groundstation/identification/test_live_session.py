@@ -270,7 +270,7 @@ def test_the_monitor_beside_it_hears_of_an_aileron_that_does_less_than_believed(
     assert bool(alarms) is heard
     if heard:
         assert alarms[0].equation == "Cl"
-        assert "holds in Cl (shown by p" in watching.alarm_line(alarms[0])
+        assert "holds in Cl (shown by p" in alarms[0].text
 
 
 def test_a_model_is_held_against_flight_with_what_it_states_of_its_bounds(tmp_path: Path) -> None:
