@@ -20,7 +20,12 @@ from tests.estimation.campaign.aerodynamics.test_envelope_curves import SLOPES, 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
 
-pytestmark = [pytest.mark.browser, pytest.mark.timeout(240), pytest.mark.filterwarnings("ignore::DeprecationWarning")]
+pytestmark = [
+    pytest.mark.long,
+    pytest.mark.browser,
+    pytest.mark.timeout(240),
+    pytest.mark.filterwarnings("ignore::DeprecationWarning"),
+]
 
 FLIGHTS = 44
 WIDTHS = (400, 1280)

@@ -10,6 +10,7 @@ from tests.browser.live_identification import recorded
 from tests.browser.screenshot import pixels, take
 
 pytestmark = [
+    pytest.mark.long,
     pytest.mark.browser,
     pytest.mark.timeout(300),
     pytest.mark.filterwarnings("ignore::DeprecationWarning"),

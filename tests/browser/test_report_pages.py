@@ -24,7 +24,12 @@ from tests.estimation.test_report import CRAFT, LATERAL, flight, kinematic_fligh
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
-pytestmark = [pytest.mark.browser, pytest.mark.timeout(240), pytest.mark.filterwarnings("ignore::DeprecationWarning")]
+pytestmark = [
+    pytest.mark.long,
+    pytest.mark.browser,
+    pytest.mark.timeout(240),
+    pytest.mark.filterwarnings("ignore::DeprecationWarning"),
+]
 
 PAGES = ("", "check", "estimate", "gap")
 WIDTHS = (400, 1280, 1920)

@@ -12,6 +12,7 @@ from groundstation.viewer.window import WebPage
 from tests.browser.screenshot import ARGUMENTS, COLOURFUL, chromium, picture, pixels, saturated, take
 
 pytestmark = [
+    pytest.mark.long,
     pytest.mark.browser,
     pytest.mark.timeout(240),
     pytest.mark.filterwarnings("ignore::DeprecationWarning"),

@@ -9,6 +9,8 @@ import pytest
 
 from sideslip.demo import DEMO_HIDDEN
 
+pytestmark = pytest.mark.long
+
 
 @pytest.mark.timeout(900)
 def test_demo(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-pytestmark = pytest.mark.timeout(900)  # the notebooks take some 40 s of an idle processor
+pytestmark = [pytest.mark.long, pytest.mark.timeout(900)]  # the notebooks take some 40 s of an idle processor
 ROOT = Path(__file__).resolve().parents[2]
 
 

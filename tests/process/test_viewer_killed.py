@@ -7,7 +7,7 @@ import pytest
 from tests.groundstation.viewer.vulkan import need_vulkan
 from tests.studies.link_endurance import Reception, Viewers
 
-pytestmark = [pytest.mark.viewer, pytest.mark.timeout(120)]
+pytestmark = [pytest.mark.long, pytest.mark.viewer, pytest.mark.timeout(120)]
 
 
 def shows(viewers: Viewers, time_s: float) -> bool:

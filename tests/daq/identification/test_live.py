@@ -301,6 +301,7 @@ def test_late_samples_end_in_the_same_numbers(airframe: Airframe, noisy: Flown) 
     assert ordered.estimates() != before
 
 
+@pytest.mark.long
 def test_late_samples_while_more_come_in(airframe: Airframe, noisy: Flown) -> None:
     """Over a minute, with a copy kept on the way: late ones and new ones in turn."""
     whole = [s._replace(time=s.time + 31.0 * i) for i, (c, _) in enumerate(noisy[:2]) for s in samples(c)]

@@ -6,7 +6,7 @@ import pytest
 
 from tests.studies.campaign_plants import fly, judged, told
 
-pytestmark = pytest.mark.timeout(600)  # forty flights are flown and estimated
+pytestmark = [pytest.mark.long, pytest.mark.timeout(600)]  # forty flights are flown and estimated
 
 FLIGHTS = 40
 

@@ -26,6 +26,8 @@ from groundstation.flight import Flight
 from tests.estimation.gap.test_rules_search import candidate
 from tests.studies import second_truth as truth
 
+pytestmark = pytest.mark.long
+
 PITCHING, LATERAL = load_model("longitudinal", "cdfp"), load_model("lateral", "cdfp")
 RNG = np.random.default_rng(5)
 

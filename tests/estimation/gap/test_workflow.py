@@ -19,6 +19,8 @@ from estimation.models.load import load_model, read_model
 from groundstation.flight import Flight, FlightError
 from tests.studies import second_truth as truth
 
+pytestmark = pytest.mark.long
+
 QUICK = Options(seed=3, nulls=30, most=2)
 # One of each kind and what is like a late rudder; all 45 are asked where adverse yaw is looked for, and by the benchmark.
 FEW = ("Cn_da", "Cl_da3", "Cl_betadot", "Ixz_error", "rudder_delay", "rudder_lag", "rudder_backlash", "aileron_lag", "beta_lag",

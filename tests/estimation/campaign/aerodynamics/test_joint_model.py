@@ -20,7 +20,10 @@ from estimation.models.expressions import evaluate
 from groundstation.flight import Flight
 from tests.studies.envelope_model import made_flights, misfit
 
-pytestmark = pytest.mark.timeout(600)  # two searches over twelve flights, on a machine that others use
+pytestmark = [
+    pytest.mark.long,
+    pytest.mark.timeout(600),
+]  # two searches over twelve flights, on a machine that others use
 
 REFERENCE = {"alpha_ref": 0.09, "V_ref": 16.0, "delta_e_ref": -0.02}
 
