@@ -2,8 +2,9 @@
 
 `python -m tests.studies.monitor_statistics [-n 40] [--hours 5] [20hz|link]`. Nulls and changed derivatives are flown by the
 monitor's own equations of motion, with other random numbers than its calibration; sudden failures by the project's simulator
-through its direct sensor model, which shares no code with it. Effects begin at 20 s of a minute; times are from there. The last
-result is kept in docs/live.md.
+through its direct sensor model, which shares no code with it. Effects begin at 20 s of a minute. Times are counted from the scan
+that is the first to differ from the same flight without the effect, same draws, by the noise of a channel: before that no
+input has shown it. The last result is kept in docs/live.md.
 """
 
 import argparse
@@ -16,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.identification.airframe import DERIVATIVES, SIGNALS, Airframe, Sample
-from daq.identification.monitor.bank import Effect, bank
+from daq.identification.monitor.bank import CHANNELS, Effect, bank
 from daq.identification.monitor.innovations import Scan
 from daq.identification.monitor.monitor import GapMonitor
 from daq.identification.monitor.nulls import Conditions, fly
@@ -109,16 +110,33 @@ def noticed(s: Set, name: str, size: float, n: int) -> str:
             done.append(True)
 
     conditions = replace(s.conditions, gust_spread=USUAL)
-    scans = fly(s.airframe, s.values, s.effects, conditions, np.random.default_rng([9, n]), n, FLIGHT_S, change)
+    scans, without = (
+        fly(s.airframe, s.values, s.effects, conditions, np.random.default_rng([9, n]), n, FLIGHT_S, c)
+        for c in (change, None)
+    )
+    shown = first_shown(
+        np.array([c.time for c in scans]),
+        np.array([a.measured - b.measured for a, b in zip(scans, without, strict=True)]),
+        s.conditions,
+    )
     table, names = alarms(s, scans)
     after = table[:, 0] > BEGINS
     first, what = [], []
     for flight in range(1, table.shape[1]):
         at = np.flatnonzero(after & (table[:, flight] > 0.5))
-        first.append(table[at[0], 0] - BEGINS if at.size else math.inf)
-        settled = np.flatnonzero(after & (table[:, flight] > 0.5) & (table[:, 0] > BEGINS + first[-1] + 2.0))
+        noticed_at = table[at[0], 0] if at.size else math.inf
+        first.append(noticed_at)
+        settled = np.flatnonzero(after & (table[:, flight] > 0.5) & (table[:, 0] > noticed_at + 2.0))
         what.append(names[settled[0]][flight - 1] if settled.size else "")
-    return row(name, f"{size:g}", first, what, lambda w: w == name)
+    return row(name, f"{size:g}", first, shown, what, lambda w: w == name)
+
+
+def first_shown(time: Array, changed: Array, c: Conditions) -> Array:
+    """(flights,) times of the first scan, of those at `time` (scans,), that an effect moves by the noise of a channel; inf where
+    none. changed: (scans, 5, flights) what it does to the measured channels."""
+    noise = np.array([c.beta, c.p, c.r, c.phi, c.ay])[:, None]
+    seen = (np.abs(changed) >= noise).any(axis=1)
+    return np.where(seen.any(axis=0), time[seen.argmax(axis=0)], math.inf)
 
 
 def sudden(s: Set, name: str, n: int, rate: str) -> str:
@@ -127,26 +145,34 @@ def sudden(s: Set, name: str, n: int, rate: str) -> str:
     truth = derivatives_of(scenario, 1)
     values = {k: truth[k] for k in DERIVATIVES}
     first, what = [], []
-    for seed, flown in enumerate(direct_flights([scenario] * n, list(range(1, n + 1)))):
+    shown: list[float] = []
+    seeds = list(range(1, n + 1))
+    sound = direct_flights([scenario.altered(hidden=[])] * n, seeds)
+    for seed, (flown, as_before) in enumerate(zip(direct_flights([scenario] * n, seeds), sound, strict=True)):
+        changed = np.stack([flown[c] - as_before[c] for c in CHANNELS], axis=1)[:, :, None]
+        shown += list(first_shown(flown["time"], changed, s.conditions))
         columns = through_link(flown, seed, 0.05) if rate == "link" else flown
         monitor = GapMonitor(s.airframe, values, s.effects, s.calibration)
         for sample in (Sample(*r) for r in np.stack([columns[c] for c in ("time", *SIGNALS)], axis=1).tolist()):
             monitor.add(sample)
         after = [a for a in monitor.alarms if a.time > columns["time"][0] + BEGINS]
-        first.append(after[0].time - columns["time"][0] - BEGINS if after else math.inf)
+        first.append(after[0].time if after else math.inf)
         what.append(after[0].leading[0].effect if after and after[0].leading else "")  # as last told
-    return row(name, "1", first, what, lambda w: w in HIDDEN[name])
+    return row(name, "1", first, np.array(shown), what, lambda w: w in HIDDEN[name])
 
 
-def row(name: str, size: str, first: Sequence[float], what: Sequence[str], right: Callable[[str], bool]) -> str:
-    times = np.array(first)
+def row(
+    name: str, size: str, first: Sequence[float], shown: Array, what: Sequence[str], right: Callable[[str], bool]
+) -> str:
+    """first: times of the first alarm; shown: of the first scan that shows the effect; what: the name that was given."""
+    times = np.array(first) - shown
     found = np.isfinite(times)
     named = [right(w) for w, f in zip(what, found, strict=True) if f]
     most = ", ".join(f"{w or 'none'} {c}" for w, c in Counter(what).most_common(3))
     share = 100 * float(np.mean(named)) if named else 0.0
     middle = float(np.median(times[found])) if found.any() else math.nan
     return (
-        f"| {name} | {size} | {len(times)} | {100 * found.mean():.0f} | {middle:.1f} "
+        f"| {name} | {size} | {len(times)} | {100 * found.mean():.0f} | {np.median(shown) - BEGINS:.1f} | {middle:.1f} "
         f"| {100 * np.mean(times <= 5.0):.0f} | {share:.0f} | {most} |"
     )
 
@@ -165,8 +191,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         print("| air | hours | alarms | an hour | % of flights of 90 s |\n|---|---|---|---|---|")
         for gust in (1.0, 3.0):
             print(false_alarms(s, given.hours, gust), flush=True)
-        print("| effect | size | flights | noticed % | median s | within 5 s % | right name % | first names |")
-        print("|---|---|---|---|---|---|---|---|")
+        print(
+            "| effect | size | flights | noticed % | shown after s | median s | within 5 s % | right name % | first names |"
+        )
+        print("|---|---|---|---|---|---|---|---|---|")
         for name, size in CHANGES.items():
             print(noticed(s, name, size, given.n), flush=True)
         for name in HIDDEN:
