@@ -83,8 +83,9 @@ def _to_jsbsim(file: Path, output: Path | None, out: Path | None, aircraft_from:
     click.echo(f"  added: {', '.join(done.exported.terms) or 'nothing'}")
     for what in done.exported.left_out:
         click.echo(f"  left out: {what}")
-    click.echo(f"  {'output':<8}{'rms':>11}{'allowed':>11}")
+    click.echo(f"  {'output':<8}{'rms':>11}{'allowed':>11}{'by steps':>11}")
     for name, rms in done.proof.rms.items():
-        click.echo(f"  {name:<8}{rms:>11.3g}{done.proof.allowed[name]:>11.3g}")
+        click.echo(f"  {name:<8}{rms:>11.3g}{done.proof.allowed[name]:>11.3g}{done.proof.steps[name]:>11.3g}")
     click.echo(done.sentence())
+    click.echo(done.of_the_steps())
     return 1 if done.proof.failed else 0

@@ -30,6 +30,7 @@ LEAST = 1e-9  # a slope smaller everywhere is rounding
 UNITS = {"V": "m/s", "alpha": "rad", "beta": "rad", "p": "rad/s", "q": "rad/s", "r": "rad/s", "thrust": "N"}
 WITHOUT_DRAWS = Preparation(draws=0)  # nobody asks what is left of the noise here
 STABILITY = ("CL", "CD")
+TOLD_RATE = "alpha_dot"  # rad/s: in a flight without noise, what a simulator says that its aerodynamics read
 
 
 @dataclass(frozen=True)
@@ -121,7 +122,9 @@ def motion(
             measured = _course(probe, data, s, segment.u, name)
             told = moved.get(name)
             values[name][s] = measured if told is None else np.where(np.isfinite(told[s]), told[s], measured)
-        values["alpha_dot"][s] = _alpha_rate(flight, s, segment.time, {n: v[s] for n, v in values.items()})
+        told = flight[TOLD_RATE][s] if not preparation.denoise and flight.measured(TOLD_RATE) else None
+        x = {n: v[s] for n, v in values.items()}
+        values["alpha_dot"][s] = _alpha_rate(flight, s, segment.time, x) if told is None else told
     if not (values["V"][usable] > 0.0).all():
         raise SimulationError(
             f"{flight.name}: V is not above zero everywhere; cut the flight to where it flies (--segments)"

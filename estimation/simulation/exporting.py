@@ -1,6 +1,7 @@
 """From a model file to a JSBSim aircraft that is proved to fly like it: what `sideslip export --to jsbsim` does."""
 
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -23,10 +24,11 @@ FASTEST = 2000.0  # Hz
 
 @dataclass(frozen=True)
 class ProvedExport:
-    """What was written, and how far it flies from the model."""
+    """What was written, and how far it flies from the model. rate: steps per second it was flown at."""
 
     exported: Exported
     proof: ExportProof
+    rate: float
 
     def sentence(self) -> str:
         """How the proof ended, in one sentence."""
@@ -34,11 +36,27 @@ class ProvedExport:
             return (
                 "proof: flown by JSBSim, the aircraft stays within a tenth of sensor noise of the model in every output"
             )
-        worst = max(self.proof.failed, key=lambda n: self.proof.rms[n] / self.proof.allowed[n])
+        worst = _worst(self.proof, self.proof.rms, self.proof.failed)
         return (
             f"proof failed: flown by JSBSim, {worst} differs from the model by {self.proof.rms[worst]:.3g} rms, allowed are"
             f" {self.proof.allowed[worst]:.3g}; do not use the aircraft, and look at what the model has that no aircraft can"
         )
+
+    def of_the_steps(self) -> str:
+        """What JSBSim's steps alone do at the rate, in one sentence."""
+        proof = self.proof
+        worst = _worst(proof, proof.steps, tuple(proof.steps))
+        off = f"its steps alone put {worst} off by {proof.steps[worst]:.2g} rms in the same flight"
+        if proof.steps[worst] <= proof.allowed[worst]:
+            return f"at {self.rate:g} Hz {off}, within what is allowed"
+        return (
+            f"at {self.rate:g} Hz {off}, {proof.steps[worst] / proof.allowed[worst]:.1f} times what is allowed of aerodynamics:"
+            " fly it at a higher rate where edges of surfaces matter"
+        )
+
+
+def _worst(proof: ExportProof, off: Mapping[str, float], among: tuple[str, ...]) -> str:
+    return max(among, key=lambda n: off[n] / proof.allowed[n])
 
 
 def export_to_jsbsim(path: Path, aircraft_from: str | None, out: Path, rate: float = RATE) -> ProvedExport:
@@ -61,11 +79,11 @@ def export_to_jsbsim(path: Path, aircraft_from: str | None, out: Path, rate: flo
     record |= {
         "terms": list(exported.terms),
         "left_out": list(exported.left_out),
-        "proof": {n: {"rms": v, "allowed": proof.allowed[n]} for n, v in proof.rms.items()},
+        "proof": {n: {"rms": v, "allowed": proof.allowed[n], "steps": proof.steps[n]} for n, v in proof.rms.items()},
         "proved": not proof.failed,
     }
     write_json(record, exported.file.parent / "sideslip.json")
-    return ProvedExport(exported, proof)
+    return ProvedExport(exported, proof, rate)
 
 
 def lineage_of(model: Model, path: Path, spec: str, rate: float) -> dict[str, Any]:

@@ -1,5 +1,9 @@
 """Proof of an export: the written aircraft is flown by JSBSim, the model it was written from moves by its own equations
-with the same surfaces, and the two are compared in units of what sensors could see."""
+with the same surfaces, and the two are compared in units of what sensors could see.
+
+The model takes the steps that JSBSim takes: what is left is a difference of forces, moments, inertia and actuators, whatever the
+rate. What these steps are off by, the same model moved exactly says beside it.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -7,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from estimation.engine.data import Preparation
+from estimation.engine.data import Preparation, prepare
 from estimation.engine.simulate import simulate
 from estimation.models.base import Model
 from estimation.simulation.along_flight import along
@@ -16,6 +20,7 @@ from estimation.simulation.jsbsim.export import Written
 from estimation.simulation.jsbsim.flying import flown
 from estimation.simulation.jsbsim.increments import Increments
 from estimation.simulation.oracle import Array, Simulation
+from estimation.simulation.stepped import stepped
 from groundstation.flight import Flight
 
 DEG = float(np.pi / 180.0)
@@ -30,10 +35,12 @@ AS_IT_IS = Preparation(denoise=False, draws=0, keep_held=True)  # a flight witho
 
 @dataclass(frozen=True)
 class ExportProof:
-    """rms: output -> root mean square of JSBSim less our model [SI]; allowed: a tenth of a sensor's noise. flight: as flown."""
+    """rms: output -> root mean square of JSBSim less our model in JSBSim's steps [SI]; allowed: a tenth of a sensor's noise.
+    steps: that of the model in these steps less the same model moved exactly. flight: as flown."""
 
     rms: Mapping[str, float]
     allowed: Mapping[str, float]
+    steps: Mapping[str, float]
     flight: Flight
 
     @property
@@ -46,19 +53,33 @@ def proof_of(source: Path, simulation: Simulation, made: Written, found: Increme
     values = found.physical.starts()
     plays = {t.input: abs(values[t.parameters[0]]) for t in found.transforms if t.kind == "backlash"}
     flight = flown(source, made.root, any(t.startswith("fcs/") for t in made.terms), rate, plays)
-    shown = moved(simulation, found.physical, flight)
+    both = moved(simulation, found.physical, flight, found.states)
     names = [n for n in found.physical.output_names if n in NOISE]
-    off = {n: shown[:, found.physical.output_names.index(n)] - flight[n] for n in names}
-    return ExportProof(
-        {n: float(np.sqrt(np.mean(v**2))) for n, v in off.items()}, {n: SHARE * NOISE[n] for n in names}, flight
-    )
+    column = {n: found.physical.output_names.index(n) for n in names}
+    rms = {n: _rms(both.stepped[:, c] - flight[n]) for n, c in column.items()}
+    steps = {n: _rms(both.stepped[:, c] - both.exact[:, c]) for n, c in column.items()}
+    return ExportProof(rms, {n: SHARE * NOISE[n] for n in names}, steps, flight)
 
 
-def moved(simulation: Simulation, model: Model, flight: Flight) -> Array:
-    """(N, ny) what a model on a simulation shows over a flight without noise, from its first state on."""
+@dataclass(frozen=True)
+class Moved:
+    """(N, ny) what a model shows, moved by JSBSim's steps and exactly (on inputs straight between samples)."""
+
+    stepped: Array
+    exact: Array
+
+
+def moved(simulation: Simulation, model: Model, flight: Flight, filters: tuple[str, ...] = ()) -> Moved:
+    """A model on a simulation over a flight without noise, from its first state on. filters: its states that are lag filters in
+    JSBSim."""
     told = along(simulation, without_simulation(model), [flight], preparation=AS_IT_IS, names=computed(model))
     (carried,) = carrying([flight], told)
-    return simulate(model, carried, x0=_start(model, flight), substeps=1, preparation=AS_IT_IS)
+    data, x0 = prepare(model, carried, AS_IT_IS), _start(model, flight)
+    return Moved(stepped(model, data, x0, filters), simulate(model, data, x0=x0, substeps=1))
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
 
 
 def _start(model: Model, flight: Flight) -> Array:

@@ -1,7 +1,7 @@
 """An aircraft of JSBSim flown by JSBSim: a glide, steps of its surfaces, what instruments at the centre of gravity would show.
 
-Rotation by Adams-Bashforth: JSBSim's own Euler steps err by tenths of a degree per second. No engine runs. The earth neither
-turns nor curves: over 20 s its rotation alone is .02 m/s, which our equations of motion do not have.
+By Adams-Bashforth of second order: JSBSim's own Euler steps err by tenths of a degree per second. No engine runs. The earth
+neither turns nor curves: over 20 s its rotation alone is .02 m/s, which our equations of motion do not have.
 """
 
 import math
@@ -27,7 +27,7 @@ STEP = 0.8  # s
 CENTRING = 3  # frames
 FEEDBACK = {"delta_e": (0.15, 0.1), "delta_a": (0.08, 0.02)}  # on pitch and bank [rad per rad], their rates [s]
 INJECTED = f"{OURS}/injected/"
-ADAMS_BASHFORTH = 3.0
+ADAMS_BASHFORTH = 3.0  # JSBSim's number for that of second order; `estimation.simulation.stepped` takes the same steps
 TRIMMED = 1e-4  # g and rad/s2
 LIFTS = (0.4, 0.3, 0.5, 0.6, 0.8, 0.2)  # lift coefficients at which a glide is tried
 

@@ -12,6 +12,7 @@ from click.testing import CliRunner
 
 pytest.importorskip("jsbsim", reason="the package jsbsim is not installed")
 
+from estimation.engine.data import prepare
 from estimation.engine.trace import CASADI_FUNCTIONS
 from estimation.gap.effects import catalogue
 from estimation.models import load_model, write_model
@@ -27,8 +28,9 @@ from estimation.simulation.jsbsim.functions import Translator
 from estimation.simulation.jsbsim.increments import increments_of
 from estimation.simulation.jsbsim.library import aircraft_file, loaded
 from estimation.simulation.oracle import COEFFICIENTS, VARIABLES, Array, Oracle, Simulation, SimulationError, States
-from estimation.simulation.proof import proof_of
+from estimation.simulation.proof import AS_IT_IS, proof_of
 from estimation.simulation.spec import simulation_of
+from estimation.simulation.stepped import stepped
 from groundstation.flight import Flight
 from sideslip.cli import cli
 
@@ -175,6 +177,60 @@ def test_an_exported_aircraft_can_be_asked_again(attached: Attached, tmp_path: P
     ]
     np.testing.assert_allclose(per_rudder[1], 1.1 * per_rudder[0], atol=1e-7)  # k_Cn
     assert "without the actuator" in " ".join(again.notes)
+
+
+@pytest.mark.timeout(300)
+def test_at_60_hz_the_proof_holds_and_says_what_the_steps_alone_are_off_by(
+    attached: Attached, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Edges of the aileron come half a frame late in JSBSim's steps: more than is allowed of aerodynamics."""
+    monkeypatch.setattr(flying, "DURATION", 5.0)  # s: that of the ailerons
+    write_model(attached.model.with_starts(Cl_p=-0.6), tmp_path / "child.toml")
+    words = ["export", str(tmp_path / "child.toml"), "--to", "jsbsim", "--out", str(tmp_path / "out")]
+    steps = {}
+    for rate in (60.0, 120.0):
+        done = CliRunner().invoke(cli, [*words, "--rate", str(rate)], standalone_mode=False)
+        assert done.return_value == 0, done.output
+        assert "within a tenth of sensor noise" in done.output
+        assert f"at {rate:g} Hz its steps alone put p off by" in done.output
+        record = json.loads((tmp_path / "out" / "c172p-sideslip" / "sideslip.json").read_text(encoding="utf-8"))
+        steps[rate] = record["proof"]["p"]["steps"] / record["proof"]["p"]["allowed"]
+        assert record["proof"]["p"]["rms"] < 0.2 * record["proof"]["p"]["allowed"]
+    assert steps[60.0] > 1.0 > steps[120.0]
+    assert steps[60.0] / steps[120.0] == pytest.approx(4.6, rel=0.15)  # second order, and a servo that frames chop
+
+
+def test_a_wrong_derivative_fails_the_proof_however_coarse_the_steps(
+    attached: Attached, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A hundredth of the roll damping, at a rate whose steps are off by ten times more."""
+    monkeypatch.setattr(flying, "DURATION", 5.0)
+    model = attached.model.with_starts(Cl_p=attached.model.parameter("Cl_p").start * 1.2)
+    _, made, found = export_aircraft(model, CESSNA, tmp_path, "", 30.0)
+    wrong = replace(found, physical=found.physical.with_starts(Cl_p=found.physical.parameter("Cl_p").start * 1.01))
+    assert not proof_of(CESSNA, attached.simulation, made, found, 30.0).failed
+    assert "p" in proof_of(CESSNA, attached.simulation, made, wrong, 30.0).failed
+
+
+TWO_STATES = {
+    "name": "two", "states": ["x", "z"], "inputs": ["u"], "outputs": ["x", "z"], "parameters": [],
+    "constants": {"L": 5.0, "tau": 0.1}, "equations": ["x_dot = L*u", "z_dot = (u - z)/tau"],
+}  # fmt: skip
+
+
+def test_steps_are_those_that_jsbsim_takes() -> None:
+    """Closed form: of p_dot = L u the rule is late by h/2 times the last change of L u; a filter is trapezoidal."""
+    model = Model.from_dict(TWO_STATES)
+    time = np.linspace(0.0, 0.78, 40)
+    u = np.where(time > 0.3, 1.0 - np.exp(-(time - 0.3) / 0.05), 0.0)
+    flight = Flight.build("f", time, {"x": u, "z": u, "u": u})
+    data = prepare(model, flight, AS_IT_IS)
+    x, z = stepped(model, data, np.zeros(2), ("z",)).T
+    straight = np.append(0.0, np.cumsum(0.01 * 5.0 * (u[1:] + u[:-1])))
+    np.testing.assert_allclose(x, straight - 0.01 * 5.0 * np.diff(u, prepend=0.0), atol=1e-12)
+    share = 0.01 / 0.1
+    for k in range(39):
+        assert z[k + 1] == pytest.approx(((1 - share) * z[k] + share * (u[k] + u[k + 1])) / (1 + share), abs=1e-12)
 
 
 def test_what_is_no_aircraft_s_is_left_out_and_said(attached: Attached, tmp_path: Path) -> None:
