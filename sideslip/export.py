@@ -7,6 +7,7 @@ import click
 from daq.contract.outputs import tried_file, tried_folder
 
 _MODELS = (".toml", ".json")
+_JSBSIM = "jsbsim:"
 
 
 @click.command(epilog="Example: sideslip export ld4.mcap -o ld4.parquet")
@@ -21,14 +22,17 @@ _MODELS = (".toml", ".json")
 @click.option(
     "--to",
     "target",
-    type=click.Choice(["jsbsim"]),
-    help="Write a model found on a JSBSim aircraft back into the aircraft, and prove it by flying both.",
+    type=click.Choice(["jsbsim", "model"]),
+    help="jsbsim: write a model found on a JSBSim aircraft back into the aircraft, and prove it by flying both. model: write a"
+    " JSBSim aircraft as MODEL.toml (FILE is jsbsim:NAME or jsbsim:FOLDER, for which this is the default).",
 )
 @click.option(
-    "--out", type=click.Path(path_type=Path), callback=tried_folder, help="Of --to: the folder to write into."
+    "--out", type=click.Path(path_type=Path), callback=tried_folder, help="Of --to jsbsim: the folder to write into."
 )
-@click.option("--aircraft-from", help="Of --to: jsbsim:NAME or jsbsim:FOLDER  [default: what the model was found on].")
-@click.option("--rate", default=120.0, show_default=True, help="Of --to: JSBSim's steps per second.")
+@click.option(
+    "--aircraft-from", help="Of --to jsbsim: jsbsim:NAME or jsbsim:FOLDER  [default: what the model was found on]."
+)
+@click.option("--rate", default=120.0, show_default=True, help="Of --to jsbsim: JSBSim's steps per second.")
 @click.option("--units-row", is_flag=True, help="CSV: a second line with the units.")
 @click.option("--raw", is_flag=True, help="Of a raw recording: counts as recorded, not calibrated columns.")
 @click.option(
@@ -49,8 +53,11 @@ def export(
 
     A flight or recording: .csv .parquet .mat .kml .gpx .rrd .mcap (the last draws in Foxglove). A model .toml or what
     estimate --json wrote: .json .tex .csv. Units travel along. A model
-    found with --simulation jsbsim:NAME: --to jsbsim --out DIR.
+    found with --simulation jsbsim:NAME: --to jsbsim --out DIR. The other way, a JSBSim aircraft as a model in our own
+    text, where that is exact: jsbsim:NAME -o MODEL.toml.
     """
+    if target == "model" or (target is None and str(file).startswith(_JSBSIM)):
+        return _from_jsbsim(str(file), output, out)
     if target is not None:
         return _to_jsbsim(file, output, out, aircraft_from, rate)
     if out is not None or aircraft_from is not None:
@@ -89,3 +96,19 @@ def _to_jsbsim(file: Path, output: Path | None, out: Path | None, aircraft_from:
     click.echo(done.sentence())
     click.echo(done.of_the_steps())
     return 1 if done.proof.failed else 0
+
+
+def _from_jsbsim(spec: str, output: Path | None, out: Path | None) -> int:
+    """Write an aircraft of JSBSim as a model file."""
+    from estimation.simulation.importing import import_from_jsbsim
+
+    if not spec.startswith(_JSBSIM):
+        raise click.UsageError("--to model takes a JSBSim aircraft: jsbsim:NAME or jsbsim:FOLDER for FILE")
+    if out is not None or output is None or output.suffix.lower() != ".toml":
+        raise click.UsageError("a JSBSim aircraft becomes one file: give -o MODEL.toml")
+    done = import_from_jsbsim(spec, output)
+    click.echo(f"{output}: written")
+    for line in (*done.imported.sentences(), *done.notes):
+        click.echo(f"  {line}")
+    click.echo(done.sentence())
+    return 0

@@ -28,7 +28,8 @@ class TextOracle:
     model: Model
 
     def coefficients(self, states: States) -> Array:
-        symbols: dict[str, Any] = {**self.model.constants, **self.model.starts(), **states.values, "rho": states.rho}
+        symbols: dict[str, Any] = {**self.model.constants, **self.model.starts(), **states.values, "rho": states.rho,
+                                   "alpha_dot": states.alpha_dot}  # fmt: skip
         result = np.full((len(states), len(COEFFICIENTS)), np.nan)
         for i, name in enumerate(COEFFICIENTS):
             if name in self.model.definitions:

@@ -20,6 +20,8 @@ from estimation.simulation.oracle import COEFFICIENTS, SURFACES, Array, Simulati
 ATTITUDES = (0.0, 1.0)  # rad of pitch: gravity across the flow differs by 0.46 g, and alphadot by that over V
 GROUND = -30_000.0  # ft: far below, so that nothing flies in ground effect or stands on its wheels
 LARGEST = math.radians(85.0)  # of alpha and beta
+HELD = "held as JSBSim starts"
+SETTLES = 10  # times `run_ic`: what forces take from the last step, and it from them, then stays to the last digit
 AGREES = 1e-6  # rad and relative: by which JSBSim's own alpha, beta, V may differ from what was set
 SWITCHED_OFF = tuple(f"simulation/models/{name}/enabled" for name in ("FGFCS", "FGPropulsion"))
 FORCES = tuple(f"forces/fb{axis}-aero-lbs" for axis in "xyz")
@@ -43,13 +45,21 @@ class JsbsimOracle:
     surfaces: Surfaces
 
     def coefficients(self, states: States) -> Array:
-        area, span, chord = (self.fdm[f"metrics/{n}"] for n in ("Sw-sqft", "bw-ft", "cbarw-ft"))
-        lengths = np.array([1.0, 1.0, 1.0, span, chord, span])
         result = np.empty((len(states), len(COEFFICIENTS)))
         for i in range(len(states)):
             result[i] = self._at({n: float(v[i]) for n, v in states.values.items()}, float(states.rho[i]),
-                                 float(states.alpha_dot[i])) / (area * lengths)  # fmt: skip
+                                 float(states.alpha_dot[i])) / self._sizes()  # fmt: skip
         return result
+
+    def at_its_own_rate(self, state: dict[str, float], rho: float, attitude: float) -> tuple[Array, float]:
+        """(6,) coefficients of one state and the rate of alpha that JSBSim has there by itself, at an attitude [rad of pitch]."""
+        forces, rate = self._asked(state, rho, attitude, SETTLES)
+        return forces / self._sizes(), rate
+
+    def _sizes(self) -> Array:
+        """Area, times a length for moments."""
+        area, span, chord = (self.fdm[f"metrics/{n}"] for n in ("Sw-sqft", "bw-ft", "cbarw-ft"))
+        return np.asarray(area * np.array([1.0, 1.0, 1.0, span, chord, span]))
 
     def _at(self, state: dict[str, float], rho: float, alpha_dot: float) -> Array:
         """Forces and moments over dynamic pressure [ft2, ft3] of one state."""
@@ -65,7 +75,7 @@ class JsbsimOracle:
         second, fast = self._asked(state, rho, ATTITUDES[1])
         return np.asarray(first + (second - first) * (alpha_dot - slow) / (fast - slow))
 
-    def _asked(self, state: dict[str, float], rho: float, attitude: float) -> tuple[Array, float]:
+    def _asked(self, state: dict[str, float], rho: float, attitude: float, least: int = 1) -> tuple[Array, float]:
         fdm = self.fdm
         fdm["ic/h-sl-ft"] = density_altitude(rho) / FOOT
         fdm["ic/vt-fps"] = state["V"] / FOOT
@@ -74,7 +84,7 @@ class JsbsimOracle:
             fdm[setting] = state[name]
         for name, (column, follows) in self.surfaces.writes.items():
             fdm[name] = follows(state[column])
-        for _ in range(2 if self.surfaces.lift_squared else 1):
+        for _ in range(max(least, 2 if self.surfaces.lift_squared else 1)):
             fdm.run_ic()
         self._check(state)
         pressure = fdm["aero/qbar-psf"]
@@ -122,7 +132,7 @@ def jsbsim_simulation(which: str) -> Simulation:
             f"the aerodynamics of {path.stem} reads no position that is known as {', '.join(unread)}: without effect there"
         )
     if surfaces.held:
-        notes.append(f"the aerodynamics of {path.stem} also reads {', '.join(surfaces.held)}: held as JSBSim starts")
+        notes.append(f"the aerodynamics of {path.stem} also reads {', '.join(surfaces.held)}: {HELD}")
     behind = [n for n in surfaces.writes if n.startswith(f"fcs/{EXPORTED}")]
     if behind:
         notes.append(f"{', '.join(behind)}: given as measured, without the actuator that was exported before it")

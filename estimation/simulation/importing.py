@@ -1,0 +1,142 @@
+"""From a JSBSim aircraft to a model file in our own text: what `sideslip export jsbsim:NAME -o MODEL.toml` does.
+
+Written where every function has an exact form, and proved on the spot: at random states the text has JSBSim's own coefficients.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from estimation.models.load import write_model
+from estimation.simulation.jsbsim.aircraft import ATTITUDES, HELD, JsbsimOracle, jsbsim_simulation
+from estimation.simulation.jsbsim.as_text import SUTHERLAND, Air, Imported, Source, arm_of, imported
+from estimation.simulation.jsbsim.library import FOOT, SLUG, aircraft_file, known
+from estimation.simulation.jsbsim.surfaces import aerodynamics_of
+from estimation.simulation.oracle import COEFFICIENTS, VARIABLES, Array, Simulation, SimulationError, States
+from estimation.simulation.text_model import TextOracle
+
+PREFIX = "jsbsim:"
+SAME = 1e-9  # of the largest of a coefficient: text and JSBSim differ by rounding only
+STATES = 200
+SIZES = {"beta": 0.2, "p": 0.4, "q": 0.3, "r": 0.3, "delta_e": 0.3, "delta_a": 0.3, "delta_r": 0.3}  # rad, rad/s
+ALPHAS = (-0.1, 0.3)  # rad, where it remembers nothing of a stall
+DENSITIES = (0.6, 1.2)  # kg/m3: the troposphere
+CRUISE = 0.4  # lift coefficient in whose speed, at sea level, states are taken
+SPEEDS = (0.7, 1.8)  # of that
+
+
+@dataclass(frozen=True)
+class ProvedImport:
+    """What was written, and how far its coefficients are from JSBSim's: of each the largest difference over the largest value.
+    notes: what of the aircraft is not asked."""
+
+    imported: Imported
+    off: dict[str, float]
+    notes: tuple[str, ...]
+
+    @property
+    def worst(self) -> str:
+        return max(self.off, key=lambda c: self.off[c])
+
+    def sentence(self) -> str:
+        """The proof, in one sentence."""
+        return (
+            f"proof: at {STATES} random states all six coefficients are JSBSim's own, {self.worst} to"
+            f" {self.off[self.worst]:.1g} of its largest value"
+        )
+
+
+def import_from_jsbsim(spec: str, path: Path) -> ProvedImport:
+    """Write the aircraft `spec` (jsbsim:NAME or jsbsim:FOLDER) as the model file `path`.
+
+    Raises SimulationError, before anything is written, where a function has no exact form in our text or the proof fails.
+    """
+    done = imported_exactly(spec)
+    write_model(done.imported.model, path)
+    return done
+
+
+def imported_exactly(spec: str) -> ProvedImport:
+    """The model of an aircraft, proved. Raises SimulationError."""
+    simulation = jsbsim_simulation(spec.removeprefix(PREFIX))
+    oracle, craft = simulation.oracle, simulation.aircraft
+    assert isinstance(oracle, JsbsimOracle)
+    assert craft is not None
+    states = random_states(simulation)
+    fdm = oracle.fdm
+    source = Source(
+        simulation.name, simulation.spec, craft, aerodynamics_of(aircraft_file(spec.removeprefix(PREFIX))),
+        oracle.surfaces.writes, arm_of(lambda name: float(fdm[name])), _air(oracle, states), _asking(oracle, states),
+    )  # fmt: skip
+    found = imported(source)
+    text, own = compared(oracle, TextOracle(found.model), states)
+    size = np.maximum(np.abs(own).max(axis=0), 1e-300)
+    off = dict(zip(COEFFICIENTS, (np.abs(text - own).max(axis=0) / size).tolist(), strict=True))
+    worst = max(off, key=lambda c: off[c])
+    if not off[worst] <= SAME:
+        raise SimulationError(
+            f"{spec}: its text has another {worst} than JSBSim, by {off[worst]:.2g} of its largest value, so it is not written;"
+            f" run it as it is with --simulation {spec}"
+        )
+    return ProvedImport(found, off, tuple(n for n in simulation.notes if not n.endswith(HELD)))
+
+
+def compared(oracle: JsbsimOracle, text: TextOracle, states: States) -> tuple[Array, Array]:
+    """(N, 6) coefficients of a text and of JSBSim, each at the state that JSBSim has after it was set: density is given by
+    height, and rounded; the rate of alpha is its own, at two attitudes in turn."""
+    fdm, own, rows = oracle.fdm, [], []
+    for i in range(len(states)):
+        state = {n: float(v[i]) for n, v in states.values.items()}
+        coefficients, rate = oracle.at_its_own_rate(state, float(states.rho[i]), ATTITUDES[i % 2])
+        own.append(coefficients)
+        rows.append({
+            "V": fdm["velocities/vt-fps"] * FOOT, "alpha": fdm["aero/alpha-rad"], "beta": fdm["aero/beta-rad"],
+            "rho": fdm["atmosphere/rho-slugs_ft3"] * SLUG / FOOT**3, "alpha_dot": rate,
+        })  # fmt: skip
+    table = {n: np.array([row[n] for row in rows]) for n in rows[0]}
+    exact = States({**states.values, **{n: table[n] for n in ("V", "alpha", "beta")}}, table["rho"], table["alpha_dot"])
+    return text.coefficients(exact), np.array(own)
+
+
+def random_states(simulation: Simulation, count: int = STATES) -> States:
+    """States in which the aircraft may fly, the same at every call."""
+    craft = simulation.aircraft
+    assert craft is not None
+    rng = np.random.default_rng(20261123)
+    cruise = math.sqrt(2.0 * craft.mass * 9.81 / (1.225 * craft.area * CRUISE))
+    values = {n: rng.uniform(-SIZES.get(n, 0.0), SIZES.get(n, 0.0), count) for n in VARIABLES}
+    values["V"], values["alpha"] = cruise * rng.uniform(*SPEEDS, count), rng.uniform(*ALPHAS, count)
+    return States(values, rng.uniform(*DENSITIES, count), np.zeros(count))
+
+
+def _asking(oracle: JsbsimOracle, states: States) -> Callable[[str], list[float] | None]:
+    """What a property is at several states; None where JSBSim does not know it."""
+
+    def asked(name: str) -> list[float] | None:
+        if not known(oracle.fdm, name):
+            return None
+        values = []
+        for i in range(4):
+            oracle.coefficients(states.part(slice(i, i + 1)))
+            values.append(float(oracle.fdm[name]))
+        return values
+
+    return asked
+
+
+def _air(oracle: JsbsimOracle, states: States) -> Air:
+    """The air that JSBSim has, by two states far apart in height: temperature and density are powers of one another."""
+    fdm, seen = oracle.fdm, []
+    order = np.argsort(states.rho)
+    for i in (int(order[0]), int(order[-1])):
+        oracle.coefficients(states.part(slice(i, i + 1)))
+        seen.append((fdm["atmosphere/a-fps"] * FOOT, fdm["atmosphere/rho-slugs_ft3"] * SLUG / FOOT**3))
+    (other, thin), (sound, rho) = seen
+    kelvin = fdm["atmosphere/T-R"] / 1.8
+    speed, chord = fdm["velocities/vt-fps"] * FOOT, fdm["metrics/cbarw-ft"] * FOOT
+    reynolds = fdm["aero/Re"] or 1.0
+    viscosity = rho * speed * chord / reynolds * (kelvin + SUTHERLAND) / kelvin**1.5
+    return Air(sound, kelvin, rho, math.log(other / sound) / math.log(thin / rho), viscosity)

@@ -1,0 +1,151 @@
+"""Functions of a JSBSim aircraft as terms of coefficients: each divided by what makes it a coefficient, and named.
+
+A number times one regressor becomes a parameter under the field's name where that is free, else under JSBSim's; anything longer a
+line under JSBSim's name.
+"""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from xml.etree import ElementTree as ET
+
+from estimation.models.base import Parameter
+from estimation.models.expressions import FUNCTIONS
+from estimation.models.parts import usual_role
+from estimation.simulation.jsbsim.library import FOOT, SLUG
+from estimation.simulation.jsbsim.reading import LIFT, NotExact, Reader
+from estimation.simulation.jsbsim.terms import Product, Sum, collected, factor, number_text, text_of
+
+AXES = {"LIFT": "CL", "DRAG": "CD", "SIDE": "CY", "ROLL": "Cl", "PITCH": "Cm", "YAW": "Cn"}
+OVER = {"CL": (), "CD": (), "CY": (), "Cl": ("span",), "Cm": ("chord",), "Cn": ("span",)}
+REGRESSORS: Mapping[frozenset[tuple[str, int]], tuple[str, str, str]] = {
+    frozenset(factors.items()): (ending, text, unit)
+    for factors, ending, text, unit in (
+        ({}, "0", "", "1"), ({"alpha": 1}, "alpha", "alpha", "1/rad"), ({"beta": 1}, "beta", "beta", "1/rad"),
+        ({"p": 1, "spans": 1}, "p", "p_hat", "1/rad"), ({"q": 1, "chords": 1}, "q", "q_hat", "1/rad"),
+        ({"r": 1, "spans": 1}, "r", "r_hat", "1/rad"), ({"delta_e": 1}, "de", "delta_e", "1/rad"),
+        ({"delta_a": 1}, "da", "delta_a", "1/rad"), ({"delta_r": 1}, "dr", "delta_r", "1/rad"),
+        ({"alpha_dot": 1, "chords": 1}, "alphadot", "alpha_dot*c/(2*V)", "1/rad"),
+        ({"alpha": 2}, "alpha2", "alpha^2", "1/rad2"), ({"beta": 2}, "beta2", "beta^2", "1/rad2"),
+    )
+}  # fmt: skip
+"""Factors of a term -> ending of the field's name, regressor in our text, unit."""
+WHOLE = {
+    "spans": "(b/(2*V))",
+    "chords": "(c/(2*V))",
+    "span": f"(b/{FOOT})",
+    "chord": f"(c/{FOOT})",
+    "area": f"(S/{FOOT**2!r})",
+}
+RATE = "alpha_dot"
+PRESSURE = Product(0.5 * FOOT / SLUG, {"rho": 1, "V": 2})  # lbs/ft2
+
+
+@dataclass
+class Text:
+    """Lines and parameters as they are found."""
+
+    lines: dict[str, str] = field(default_factory=dict)
+    parameters: dict[str, Parameter] = field(default_factory=dict)
+    taken: set[str] = field(default_factory=set)
+
+    def name(self, wanted: str) -> str:
+        """A name that is free, made of `wanted`."""
+        base = re.sub(r"\W", "_", wanted.rpartition("/")[2]) or "term"
+        base = f"f_{base}" if base[0].isdigit() or base in FUNCTIONS else base
+        found, count = base, 1
+        while found in self.taken:
+            count += 1
+            found = f"{base}_{count}"
+        self.taken.add(found)
+        return found
+
+    def line(self, wanted: str, terms: Sum) -> Sum:
+        """A sum as a line; its symbol."""
+        name = self.name(wanted)
+        self.lines[name] = written(terms)
+        return factor(name)
+
+
+def coefficients_of(section: ET.Element, reader: Reader) -> tuple[dict[str, dict[str, Sum]], dict[str, str]]:
+    """Axis -> function -> coefficient, and function -> why it has no exact form."""
+    parts: dict[str, dict[str, Sum]] = {axis: {} for axis in AXES}
+    why: dict[str, str] = {}
+    for shift in section.iter("aero_ref_pt_shift_x"):
+        why[shift.tag] = "moves the point that forces act at"
+    for axis in section.findall("axis"):
+        name = axis.get("name", "").upper()
+        if name not in AXES:
+            why[f"axis {name}"] = "is none of wind axes and moments"
+            continue
+        whole = Sum((Product(1.0, {"pressure": 1, "area": 1} | dict.fromkeys(OVER[AXES[name]], 1)),)).inverse()
+        for function in axis.findall("function"):
+            called = function.get("name", "") or f"a function of {name}"
+            try:
+                value = _without_pressure(reader.function(function).times(whole))
+            except NotExact as reason:
+                why[called] = str(reason)
+                continue
+            parts[name][called] = parts[name].get(called, Sum()).plus(value)
+    return parts, why
+
+
+def _without_pressure(value: Sum) -> Sum:
+    """The same with what is left of dynamic pressure written as density and speed, which may cancel."""
+    return collected(
+        p.times(Product(1.0, {"pressure": -p.factors.get("pressure", 0)})).times(
+            PRESSURE.to_power(p.factors.get("pressure", 0))
+        )
+        for p in value.products
+    )
+
+
+def solved_lift(lift: Mapping[str, Sum]) -> tuple[dict[str, Sum], Sum, dict[str, str]]:
+    """Lift without what goes with the rate of alpha; that, over the rate; and what of lift goes with it in another way."""
+    still, rate, why = {}, Sum(), {}
+    for name, value in lift.items():
+        moving = [p for p in value.products if p.factors.get(RATE) == 1]
+        still[name] = Sum(tuple(p for p in value.products if p not in moving))
+        one_less = Sum(tuple(moving)).times(factor(RATE).inverse())
+        rate = rate.plus(one_less)
+        if re.search(rf"\b({RATE}|{LIFT})\b", f"{text_of(still[name])} {text_of(one_less)}"):
+            why[name] = "is a lift that goes with the rate of alpha, or with lift, in another way than by a factor"
+    return still, rate, why
+
+
+def named_terms(coefficient: str, functions: Mapping[str, Sum], text: Text, spec: str) -> list[str]:
+    """The terms of one coefficient; parameters and lines that they need enter `text`."""
+    made = []
+    for called, value in functions.items():
+        one = value.single
+        if one is None:
+            made += [text_of(text.line(called, value))] if value.products else []
+            continue
+        ending, regressor, unit = REGRESSORS.get(one.key, ("", written(Sum((replace(one, number=1.0),))), ""))
+        if text.lines.keys() & one.factors.keys():  # a table's line, whose size stands in it
+            made.append(written(value))
+            continue
+        standard = f"{coefficient}_{ending}"
+        name = standard if ending and standard not in text.taken else text.name(called)
+        text.taken.add(name)
+        size = float(number_text(one.number))
+        text.parameters[name] = Parameter(name, unit, size, reference=size, reference_source=f"{spec}, {called}",
+                                          role=usual_role(name))  # fmt: skip
+        made.append(f"{name}*{regressor}" if regressor else name)
+    return made
+
+
+def written(terms: Sum) -> str:
+    """Text with what stayed whole written out."""
+    text = text_of(collected(_hatted(p) for p in terms.products))
+    for name, meaning in WHOLE.items():
+        text = re.sub(rf"\b{name}\b", meaning, text)
+    return text
+
+
+def _hatted(p: Product) -> Product:
+    """Rates times lengths over twice the airspeed by their usual names."""
+    for rate, over in (("p", "spans"), ("q", "chords"), ("r", "spans")):
+        if p.factors.get(rate, 0) > 0 and p.factors.get(over, 0) > 0:
+            p = p.times(Product(1.0, {rate: -1, over: -1, f"{rate}_hat": 1}))
+    return p

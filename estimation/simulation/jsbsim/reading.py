@@ -1,0 +1,215 @@
+"""Functions of a JSBSim aircraft as sums of products in our symbols, exactly or not at all."""
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from itertools import pairwise
+from xml.etree import ElementTree as ET
+
+from estimation.simulation.jsbsim.library import FOOT, SLUG
+from estimation.simulation.jsbsim.surfaces import Follows
+from estimation.simulation.jsbsim.tables import TableError, looked_up, table_of
+from estimation.simulation.jsbsim.terms import Product, Sum, collected, constant, factor, text_of
+
+DEGREE = 180.0 / math.pi
+LENGTHS = {"metrics/Sw-sqft": "area", "metrics/bw-ft": "span", "metrics/cbarw-ft": "chord"}
+LIFT = "lift"
+STALL = "aero/stall-hyst-norm"
+UNTOLD = ("metrics/", "inertia/")  # constants of any aircraft
+FAR = ("aero/h_b-mac-ft", "aero/h_b-cg-ft")  # heights in spans
+LEAST = 1e-300  # what JSBSim leaves in a switch that never ran
+NEVER = 1e3  # spans above ground: where JSBSim is asked, far above
+
+
+def _symbols() -> dict[str, Sum]:
+    v = {"u": {"cos(alpha)": 1, "cos(beta)": 1}, "v": {"sin(beta)": 1}, "w": {"sin(alpha)": 1, "cos(beta)": 1}}
+    made = {f"velocities/{n}{mid}-fps": Sum((Product(1.0 / FOOT, {"V": 1, **turned}),))
+            for n, turned in v.items() for mid in ("", "-aero")}  # fmt: skip
+    made |= {f"velocities/{n}{mid}-rad_sec": factor(n) for n in "pqr" for mid in ("", "-aero")}
+    for n in ("alpha", "beta"):
+        made |= {f"aero/{n}-rad": factor(n), f"aero/{n}-deg": factor(n, DEGREE),
+                 f"aero/mag-{n}-rad": factor(f"abs({n})"), f"aero/mag-{n}-deg": factor(f"abs({n})", DEGREE)}  # fmt: skip
+    made |= {name: factor(text) for name, text in LENGTHS.items()}
+    return made | {
+        "velocities/vt-fps": factor("V", 1.0 / FOOT), "velocities/mach": factor("mach"), "aero/Re": factor("Re"),
+        "atmosphere/rho-slugs_ft3": factor("rho", FOOT**3 / SLUG), "aero/qbar-psf": factor("pressure"),
+        "aero/qbar-area": Sum((Product(1.0, {"pressure": 1, "area": 1}),)),
+        "aero/bi2vel": factor("spans"), "aero/ci2vel": factor("chords"), "aero/cl-squared": Sum((Product(1.0, {LIFT: 2}),)),
+        "aero/alphadot-rad_sec": factor("alpha_dot"), "aero/alphadot-deg_sec": factor("alpha_dot", DEGREE),
+        STALL: Sum(), **dict.fromkeys(FAR, constant(NEVER)),
+    }  # fmt: skip
+
+
+SYMBOLS: Mapping[str, Sum] = _symbols()
+"""Property -> itself in our symbols. `area`, `span`, `chord` [ft2, ft], `pressure` [lbs/ft2], `spans` and `chords` (b/2V, c/2V)
+stay whole until the end, so that they cancel."""
+CALLS: Mapping[str, tuple[str, Callable[..., float]]] = {
+    "abs": ("abs", abs), "sin": ("sin", math.sin), "cos": ("cos", math.cos), "tan": ("tan", math.tan), "exp": ("exp", math.exp),
+    "asin": ("asin", math.asin), "acos": ("acos", math.acos), "atan": ("atan", math.atan), "ln": ("log", math.log),
+    "sqrt": ("sqrt", math.sqrt), "atan2": ("atan2", math.atan2), "min": ("min", min), "max": ("max", max),
+}  # fmt: skip
+OPERATIONS = ("sum", "difference", "product", "quotient", "pow", *CALLS)
+WORDS = ("description", "documentation")
+
+
+class NotExact(Exception):
+    """What has no exact form in our text: the reason, in words."""
+
+
+@dataclass
+class Reader:
+    """Reads functions of one aircraft.
+
+    section: its aerodynamics. surfaces: property -> (our column, its value from ours). asked: values of a property at several
+    states (None where there is none), by which one that never changes is a number. line: writes a sum as a line named after what
+    is being read.
+    """
+
+    section: ET.Element
+    surfaces: Mapping[str, tuple[str, Follows]]
+    asked: Callable[[str], list[float] | None]
+    line: Callable[[str, Sum], Sum]
+    held: dict[str, float] = field(default_factory=dict)
+    """Properties taken as numbers, which nothing else tells."""
+    _done: dict[str, Sum] = field(default_factory=dict)
+    _path: tuple[str, ...] = ()
+
+    def function(self, element: ET.Element) -> Sum:
+        """The value of a <function>. Raises NotExact."""
+        name = element.get("name", "")
+        if name in self._done:
+            return self._done[name]
+        if name in self._path:
+            raise NotExact("builds on itself")
+        before, self._path = self._path, (*self._path, name) if name else self._path
+        try:
+            parts = [e for e in element if e.tag not in WORDS]
+            if len(parts) != 1:
+                raise NotExact("is not made of one operation")
+            value = self.of(parts[0])
+        finally:
+            self._path = before
+        if name:
+            self._done[name] = value
+        return value
+
+    def of(self, element: ET.Element) -> Sum:
+        """The value of any operation. Raises NotExact."""
+        text = (element.text or "").strip()
+        match element.tag:
+            case "value" | "v":
+                return constant(_number(text))
+            case "property" | "p":
+                return self.property(text)
+            case "table":
+                return self._table(element)
+            case "function":
+                return self.function(element)
+        if element.tag not in OPERATIONS:
+            raise NotExact(f"has <{element.tag}>, which our text has no form for")
+        parts = [self.of(e) for e in element if e.tag not in WORDS]
+        if not parts:
+            raise NotExact(f"has <{element.tag}> with nothing in it")
+        return _operated(element.tag, parts)
+
+    def property(self, text: str) -> Sum:
+        """A property, with its sign. Raises NotExact."""
+        name = text.lstrip("-").strip()
+        sign = -1.0 if text.startswith("-") else 1.0
+        return self._property(name).scaled(sign)
+
+    def _property(self, name: str) -> Sum:
+        if name in self.surfaces:
+            return _surface(*self.surfaces[name])
+        if name in SYMBOLS:
+            if name in (STALL, *FAR):
+                self.held[name] = 0.0 if name == STALL else math.inf
+            return SYMBOLS[name]
+        for function in self.section.iter("function"):
+            if function.get("name") == name:
+                return self.function(function)
+        values = self.asked(name)
+        if values is None:
+            raise NotExact(f"reads {name}, which JSBSim does not know")
+        if any(a != b for a, b in pairwise(values)) or not math.isfinite(values[0]):
+            raise NotExact(f"reads {name}, which airspeed, flow angles, rates, surfaces and density do not say")
+        value = values[0] if abs(values[0]) > LEAST else 0.0
+        if not name.startswith(UNTOLD):
+            self.held[name] = value
+        return constant(value)
+
+    def _table(self, element: ET.Element) -> Sum:
+        try:
+            table, names = table_of(element)
+            at = [self.property(n) for n in names]
+            return looked_up(table, at, lambda terms: self.line(self._path[-1] if self._path else "table", terms))
+        except TableError as error:
+            raise NotExact(f"has {error}") from error
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError as error:
+        raise NotExact(f"has {text!r} for a number") from error
+
+
+def _surface(column: str, follows: Follows) -> Sum:
+    """A position from our column: the one times a number, its size, or two slopes that meet at zero."""
+    up, down = follows(1.0), follows(-1.0)
+    if up == -down:
+        return factor(column, up)
+    if up == down:
+        return factor(f"abs({column})", up)
+    return factor(f"max(0, {column})", up).plus(factor(f"min(0, {column})", -down))
+
+
+def _operated(tag: str, parts: list[Sum]) -> Sum:
+    numbers = [p.number for p in parts]
+    first, *rest = parts
+    match tag:
+        case "sum":
+            return first.plus(*rest)
+        case "difference":
+            return first.plus(*(p.scaled(-1.0) for p in rest))
+        case "product":
+            for p in rest:
+                first = first.times(p)
+            return first
+        case "quotient" if len(parts) == 2:
+            try:
+                return first.times(rest[0].inverse())
+            except ZeroDivisionError:
+                raise NotExact("divides by nothing") from None
+        case "pow" if len(parts) == 2:
+            return _power(first, rest[0])
+    if tag not in CALLS:
+        raise NotExact(f"has <{tag}> of {len(parts)}")
+    word, calculate = CALLS[tag]
+    if all(n is not None for n in numbers):
+        try:
+            return constant(calculate(*numbers))
+        except (TypeError, ValueError, OverflowError) as error:
+            raise NotExact(f"has <{tag}> of a number that has none") from error
+    texts = [text_of(p) for p in parts]
+    if tag in ("min", "max"):
+        while len(texts) > 2:
+            texts[-2:] = [f"{word}({texts[-2]}, {texts[-1]})"]
+    return factor(f"{word}({', '.join(texts)})")
+
+
+def _power(base: Sum, exponent: Sum) -> Sum:
+    power, number, one = exponent.number, base.number, base.single
+    if power is not None and number is not None:
+        try:
+            value = number**power
+        except (ZeroDivisionError, OverflowError) as error:
+            raise NotExact("has <pow> of a number that has none") from error
+        if isinstance(value, complex):
+            raise NotExact("has <pow> of a number that has none")
+        return constant(value)
+    if power is not None and power == int(power):
+        if one is not None and base.products:
+            return Sum((one.to_power(int(power)),)) if power else constant(1.0)
+        return collected([Product(1.0, {f"({text_of(base)})": int(power)})])
+    return factor(f"(({text_of(base)})^({text_of(exponent)}))")
