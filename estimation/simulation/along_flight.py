@@ -21,7 +21,7 @@ from groundstation.flight import Flight
 
 STEPS: Mapping[str, float] = {
     "alpha": 0.005, "beta": 0.005, "delta_e": 0.005, "delta_a": 0.005, "delta_r": 0.005,
-    "p": 0.05, "q": 0.05, "r": 0.05,
+    "p": 0.05, "q": 0.05, "r": 0.05, "alpha_dot": 0.05,
 }  # fmt: skip
 """Of the central differences [rad, rad/s]: a third of a degree, narrow beside the cells of a wind tunnel's table, and still a
 thousand times what rounding leaves. Of airspeed and thrust `SHARE` of their mean."""
@@ -30,7 +30,10 @@ LEAST = 1e-9  # a slope smaller everywhere is rounding
 UNITS = {"V": "m/s", "alpha": "rad", "beta": "rad", "p": "rad/s", "q": "rad/s", "r": "rad/s", "thrust": "N"}
 WITHOUT_DRAWS = Preparation(draws=0)  # nobody asks what is left of the noise here
 STABILITY = ("CL", "CD")
-TOLD_RATE = "alpha_dot"  # rad/s: in a flight without noise, what a simulator says that its aerodynamics read
+ALPHA_RATE = (
+    "alpha_dot"  # rad/s; as a column of a flight without noise: what a simulator says that its aerodynamics read
+)
+MOMENTS = ("Cl", "Cm", "Cn")
 
 
 @dataclass(frozen=True)
@@ -65,8 +68,7 @@ def along(
     coefficient of the model, DataError or MissingColumnError for a flight that cannot feed it.
     """
     wanted = coefficients_in(plain)
-    known = {*plain.state_names, *plain.input_names}
-    by = [v for v in VARIABLES if v in known]
+    by = variables_of(plain)
     slopes: list[dict[str, Array]] = []
     asked, absent = [], set(VARIABLES)
     for i, flight in enumerate(flights):
@@ -82,12 +84,26 @@ def along(
     for (states, usable, at), own in zip(asked, slopes, strict=True):
         table = {n: _placed(own[n], usable) for n in names if n in own}
         for k, c in enumerate(wanted):
-            inside = [own[column_name(c, v)] * states.values[v] for v in by if column_name(c, v) in table]
+            inside = [own[column_name(c, v)] * _of_states(states, v) for v in by if column_name(c, v) in table]
             table[column_name(c)] = _placed(at[:, k] - sum(inside, np.zeros(len(states))), usable)
         columns.append(table)
-    means = {(c, v): float(np.mean([np.mean(s[column_name(c, v)]) for s in slopes])) for c in wanted for v in by}
+    means = {
+        (c, v): float(np.mean([np.mean(s[column_name(c, v)]) for s in slopes]))
+        for c in wanted for v in by if column_name(c, v) in slopes[0]
+    }  # fmt: skip
     speed = float(np.mean([np.mean(states.values["V"]) for states, _, _ in asked]))
     return Along(tuple(columns), tuple(names), means, speed, tuple(v for v in VARIABLES if v in absent))
+
+
+def variables_of(model: Model) -> list[str]:
+    """What coefficients are differentiated by under a model: what it knows of VARIABLES, and the rate of alpha
+    where it has a line for that."""
+    known = {*model.state_names, *model.input_names}
+    return [v for v in VARIABLES if v in known] + ([ALPHA_RATE] if ALPHA_RATE in model.definitions else [])
+
+
+def _of_states(states: States, variable: str) -> Array:
+    return states.alpha_dot if variable == ALPHA_RATE else states.values[variable]
 
 
 def column_name(coefficient: str, variable: str = "0") -> str:
@@ -122,7 +138,7 @@ def motion(
             measured = _course(probe, data, s, segment.u, name)
             told = moved.get(name)
             values[name][s] = measured if told is None else np.where(np.isfinite(told[s]), told[s], measured)
-        told = flight[TOLD_RATE][s] if not preparation.denoise and flight.measured(TOLD_RATE) else None
+        told = flight[ALPHA_RATE][s] if not preparation.denoise and flight.measured(ALPHA_RATE) else None
         x = {n: v[s] for n, v in values.items()}
         values["alpha_dot"][s] = _alpha_rate(flight, s, segment.time, x) if told is None else told
     if not (values["V"][usable] > 0.0).all():
@@ -158,13 +174,14 @@ def _asked(
     simulation: Simulation, states: States, wanted: Sequence[str], by: Sequence[str]
 ) -> tuple[Array, dict[str, Array]]:
     """(N, wanted) coefficients of one flight; column -> (N,) slopes."""
-    steps = {v: STEPS.get(v) or SHARE * max(float(np.mean(np.abs(states.values[v]))), 1.0) for v in by}
+    steps = {v: STEPS.get(v) or SHARE * max(float(np.mean(np.abs(_of_states(states, v)))), 1.0) for v in by}
     asked = [states, *(states.moved(v, sign * steps[v]) for v in by for sign in (1.0, -1.0))]
     at, *moved = np.split(_of(simulation, States.joined(asked), wanted), len(asked))
     slopes = {
         column_name(c, v): (moved[2 * j][:, k] - moved[2 * j + 1][:, k]) / (2.0 * steps[v])
         for k, c in enumerate(wanted)
         for j, v in enumerate(by)
+        if v != ALPHA_RATE or c in MOMENTS
     }
     return at, slopes
 

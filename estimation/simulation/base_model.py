@@ -16,8 +16,8 @@ from estimation.aircraft import Aircraft
 from estimation.models.base import Model, Parameter, Signal
 from estimation.models.load import load_model
 from estimation.models.parts import usual_role
-from estimation.simulation.along_flight import Along, coefficients_in, column_name
-from estimation.simulation.oracle import VARIABLES, Simulation
+from estimation.simulation.along_flight import Along, coefficients_in, column_name, variables_of
+from estimation.simulation.oracle import Simulation
 
 REGRESSORS = {
     "alpha": ("alpha", "alpha"), "beta": ("beta", "beta"), "p": ("p_hat", "p"), "q": ("q_hat", "q"), "r": ("r_hat", "r"),
@@ -40,7 +40,7 @@ def base_model(simulation: Simulation, which: str, aircraft: Aircraft, told: Alo
     """The built-in model `which` with the coefficients of a simulation as it was evaluated along the flights."""
     plain = load_model(which, aircraft)
     wanted = coefficients_in(plain)
-    kept = {*plain.state_names, *plain.input_names}
+    variables = variables_of(plain)
     lines, parameters, constants = dict(plain.definitions), [], dict(plain.constants)
     for c in wanted:
         zero = f"{c}_0"
@@ -58,7 +58,7 @@ def base_model(simulation: Simulation, which: str, aircraft: Aircraft, told: Alo
             terms.append(f"({name} - mean_{name})*{regressor}")
             parameters.append(Parameter(name, "1/rad", mean, fixed=free is not Free.DERIVATIVES, reference=mean,
                                         reference_source=f"simulation {simulation.name}"))  # fmt: skip
-        slopes = [f"{column_name(c, v)}*{v}" for v in VARIABLES if v in kept and column_name(c, v) in told.names]
+        slopes = [f"{column_name(c, v)}*{v}" for v in variables if column_name(c, v) in told.names]
         offset = [column_name(c)] if column_name(c) in told.names else []
         lines[f"{c}_sim"] = " + ".join([*offset, *slopes]) or "0"
         lines[c] = " + ".join(terms)

@@ -38,7 +38,9 @@ class States:
         return int(self.rho.size)
 
     def moved(self, name: str, step: Array | float) -> "States":
-        """The same states with one variable changed by `step`."""
+        """The same states with one variable, or the rate of alpha, changed by `step`."""
+        if name == "alpha_dot":
+            return replace(self, alpha_dot=self.alpha_dot + step)
         return replace(self, values={**self.values, name: self.values[name] + step})
 
     def part(self, keep: "NDArray[np.bool_] | slice") -> "States":

@@ -1,8 +1,8 @@
 """Proof of an export: the written aircraft is flown by JSBSim, the model it was written from moves by its own equations
 with the same surfaces, and the two are compared in units of what sensors could see.
 
-The model takes the steps that JSBSim takes: what is left is a difference of forces, moments, inertia and actuators, whatever the
-rate. What these steps are off by, the same model moved exactly says beside it.
+The model takes the steps that JSBSim takes, and the rate of alpha that it reads, of its step before: what is left is a difference
+of forces, moments, inertia and actuators, whatever the rate of steps. What that is off by, the same model moved exactly says.
 """
 
 from collections.abc import Mapping
@@ -14,7 +14,7 @@ import numpy as np
 from estimation.engine.data import Preparation, prepare
 from estimation.engine.simulate import simulate
 from estimation.models.base import Model
-from estimation.simulation.along_flight import along
+from estimation.simulation.along_flight import ALPHA_RATE, MOMENTS, along, column_name
 from estimation.simulation.attach import carrying, computed, without_simulation
 from estimation.simulation.jsbsim.export import Written
 from estimation.simulation.jsbsim.flying import flown
@@ -74,8 +74,21 @@ def moved(simulation: Simulation, model: Model, flight: Flight, filters: tuple[s
     JSBSim."""
     told = along(simulation, without_simulation(model), [flight], preparation=AS_IT_IS, names=computed(model))
     (carried,) = carrying([flight], told)
-    data, x0 = prepare(model, carried, AS_IT_IS), _start(model, flight)
-    return Moved(stepped(model, data, x0, filters), simulate(model, data, x0=x0, substeps=1))
+    x0 = _start(model, flight)
+    as_read = prepare(model, _with_the_rate_told(carried), AS_IT_IS)
+    exact = simulate(model, prepare(model, carried, AS_IT_IS), x0=x0, substeps=1)
+    return Moved(stepped(model, as_read, x0, filters), exact)
+
+
+def _with_the_rate_told(flight: Flight) -> Flight:
+    """The same with moments at the rate of alpha that JSBSim's functions read, of its last step, in place of the model's own."""
+    columns = {}
+    for c in MOMENTS:
+        slope = column_name(c, ALPHA_RATE)
+        if slope in flight.columns and flight.measured(ALPHA_RATE):
+            columns[column_name(c)] = flight[column_name(c)] + flight[slope] * flight[ALPHA_RATE]
+            columns[slope] = np.zeros(len(flight.time))
+    return flight.with_columns(**columns)
 
 
 def _rms(values: Array) -> float:

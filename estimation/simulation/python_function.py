@@ -2,10 +2,12 @@
 
 V m/s, angles rad, rates rad/s, thrust N, rho kg/m3, surfaces a mapping with delta_e, delta_a, delta_r [rad]; body axes,
 moments about the centre of gravity. The function may take arrays (N,) and give six arrays, or numbers and give six numbers:
-it is tried with arrays and, where it cannot take them, asked state by state. A coefficient it does not have is None. The module
-may have an AIRCRAFT: an `estimation.aircraft.Aircraft`, or the path of an aircraft file beside it.
+it is tried with arrays and, where it cannot take them, asked state by state. A coefficient it does not have is None. Where it has
+a parameter alpha_dot, the rate of alpha [rad/s] is given, too. The module may have an AIRCRAFT: an
+`estimation.aircraft.Aircraft`, or the path of an aircraft file beside it.
 """
 
+import inspect
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -19,15 +21,17 @@ from estimation.own_code import MISTAKES, named, said
 from estimation.simulation.oracle import COEFFICIENTS, SURFACES, Array, Simulation, SimulationError, States
 
 EXAMPLE = "module:function, like my_aircraft:base"
+RATE = "alpha_dot"  # rad/s: given to a function that has a parameter of this name
 SAME = 1e-9  # by which one state asked alone and among many may differ, relative
 
 
 @dataclass(frozen=True)
 class FunctionOracle:
-    """See `estimation.simulation.oracle.Oracle`. spec: how messages name it."""
+    """See `estimation.simulation.oracle.Oracle`. spec: how messages name it. takes_rate: it asks for the rate of alpha."""
 
     spec: str
     function: Callable[..., Any]
+    takes_rate: bool = False
 
     def coefficients(self, states: States) -> Array:
         alone = self._asked(states.part(slice(0, 1)))
@@ -51,7 +55,9 @@ class FunctionOracle:
     def _called(self, states: States, arrays: bool) -> Any:
         values = {n: v if arrays else float(v[0]) for n, v in {**states.values, "rho": states.rho}.items()}
         motion = [values[n] for n in ("V", "alpha", "beta", "p", "q", "r")]
-        return self.function(*motion, {n: values[n] for n in SURFACES}, values["thrust"], values["rho"])
+        rate = states.alpha_dot if arrays else float(states.alpha_dot[0])
+        more = {RATE: rate} if self.takes_rate else {}
+        return self.function(*motion, {n: values[n] for n in SURFACES}, values["thrust"], values["rho"], **more)
 
     def _columns(self, answer: Any, count: int) -> Array:
         if not hasattr(answer, "__len__") or len(answer) != len(COEFFICIENTS):
@@ -81,4 +87,11 @@ def function_simulation(spec: str) -> Simulation:
         raise SimulationError(
             f"simulation {spec!r}: AIRCRAFT is {type(told).__name__}; make it an Aircraft or the path of its file"
         )
-    return Simulation(spec, spec.rpartition(":")[2], FunctionOracle(spec, function), told)
+    return Simulation(spec, spec.rpartition(":")[2], FunctionOracle(spec, function, _takes_rate(function)), told)
+
+
+def _takes_rate(function: Callable[..., Any]) -> bool:
+    try:
+        return RATE in inspect.signature(function).parameters
+    except (TypeError, ValueError):  # of a compiled function, which does not say
+        return False

@@ -10,6 +10,7 @@ from estimation.errors import AircraftError, EstimationError
 from estimation.estimators.output_error import output_error
 from estimation.models import load_model, read_model, write_model
 from estimation.session.proof_of_match import predict
+from estimation.simulation import along_flight
 from estimation.simulation.attach import Free, attach, estimated_about_its_motion, renewed, settled
 from estimation.simulation.oracle import VARIABLES, SimulationError, States
 from estimation.simulation.spec import simulation_of
@@ -27,6 +28,12 @@ def many(V, alpha, beta, p, q, r, surfaces, thrust, rho):
 def one(V, alpha, beta, p, q, r, surfaces, thrust, rho):
     slope = 0.02 if beta < 10 else 0.0     # a branch: numbers only
     return -0.02, -0.12*beta, -3.0*alpha, -0.09*beta - 0.1*surfaces["delta_a"], None, slope*beta + 0.1*beta**3
+
+def rated(V, alpha, beta, p, q, r, surfaces, thrust, rho, alpha_dot):
+    return None, None, -3.0*alpha, None, -0.5*alpha - 7.0*alpha_dot*0.3/(2*V), None
+
+def rated_alone(V, alpha, beta, p, q, r, surfaces, thrust, rho, *, alpha_dot=0.0):
+    return None, None, -3.0*alpha, None, (-0.5*alpha if beta < 9 else 0) - 7.0*alpha_dot*0.3/(2*V), None
 
 def wrong(V, alpha, beta, p, q, r, surfaces, thrust, rho):
     return 1.0, surfaces["aileron"]
@@ -59,6 +66,14 @@ class TestFunction:
         np.testing.assert_allclose(many, one)
         np.testing.assert_allclose(many[:, 5], 0.02 * x.values["beta"] + 0.1 * x.values["beta"] ** 3)
         assert np.isnan(many[:, 4]).all()
+
+    def test_one_that_asks_for_the_rate_of_alpha_is_given_it(self, functions: str) -> None:
+        """Without it, pitch damping would be found to be off by what goes with that rate."""
+        x = replace(states(), alpha_dot=np.array([0.3, -0.2, 0.0, 0.1, 0.5]))
+        for name in ("rated", "rated_alone"):
+            found = simulation_of(f"{functions}:{name}").oracle.coefficients(x)[:, 4]
+            by_hand = -0.5 * x.values["alpha"] - 7.0 * x.alpha_dot * 0.3 / (2 * x.values["V"])
+            np.testing.assert_allclose(found, by_hand, rtol=1e-12)
 
     def test_mistakes_are_told(self, functions: str) -> None:
         for name, told in (("wrong", "KeyError"), ("short", "six coefficients")):
@@ -95,6 +110,23 @@ def test_a_linear_simulation_moves_as_the_model_it_is(which: str, short: Flight,
     assert told.model.parameter("k_Cl" if which != "longitudinal" else "k_Cm").start == 1.0
     name = "Cl_p" if which != "longitudinal" else "Cm_q"
     assert told.model.parameter(name).start == pytest.approx(plain.parameter(name).start, rel=2e-3)  # by mean airspeed
+
+
+def test_a_moment_by_the_rate_of_alpha_follows_the_model_not_the_measured_rate(
+    short: Flight, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The measured rate, free of noise, has no edges left: nothing hidden, and yet something that moves like that rate."""
+    plain = load_model("longitudinal", "cdfp").with_starts(CD_k=0.0)
+    damped = plain.plus(terms={"Cm": "-6*alpha_dot*c/(2*V)"})
+    write_model(damped, tmp_path / "own.toml")
+    exact = predict(damped, short).predicted
+    off = []
+    for rate in ("alpha_dot", "no such"):
+        monkeypatch.setattr(along_flight, "ALPHA_RATE", rate)
+        told = attach(str(tmp_path / "own.toml"), "longitudinal", [short], free=Free.NOTHING)
+        assert ("sim_Cm_alpha_dot" in told.model.input_names) == (rate == "alpha_dot")
+        off.append(np.nanstd(predict(told.model, told.flights[0]).predicted - exact, axis=0)[2:4])  # theta, q
+    assert (off[0] < 0.2 * off[1]).all()
 
 
 def test_derivatives_are_estimated_as_of_the_plain_model(tmp_path: Path) -> None:
