@@ -1,1 +1,1 @@
-"""Aircraft of JSBSim: asked for their coefficients, and written back with what was found in them."""
+"""Aircraft of JSBSim: asked for their coefficients, written as models in our own text, and back with what was found in them."""
