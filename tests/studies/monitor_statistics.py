@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from daq.identification.airframe import DERIVATIVES, SIGNALS, Airframe, Sample
 from daq.identification.monitor.bank import CHANNELS, Effect, bank
 from daq.identification.monitor.innovations import Scan
-from daq.identification.monitor.monitor import GapMonitor
+from daq.identification.monitor.monitor import NAMED_WITHIN_S, GapMonitor
 from daq.identification.monitor.nulls import Conditions, fly
 from daq.identification.monitor.threshold import BEGIN_S, Calibration, calibrated, scores
 from firmware_sim.physics.effects.sudden import BEGINS_S
@@ -69,19 +69,19 @@ def made(rate: str, hours: float) -> Set:
     return Set(airframe, values, effects, conditions, found)
 
 
-def alarms(s: Set, scans: Sequence[Scan]) -> tuple[Array, list[list[str]]]:
-    """(times, flights) whether either statistic is beyond its threshold from when on; names of the leading at each time."""
-    above, names, times = [], [], []
+def alarms(s: Set, scans: Sequence[Scan]) -> tuple[Array, Array]:
+    """(times, 1 + flights) times, and whether either statistic is beyond its threshold; (times, flights, effects) what the
+    longest window says of each effect, from which names come."""
+    above, known, times = [], [], []
     for time, score in scores(s.airframe, s.values, s.effects, s.calibration.whitening, scans):
         if time < BEGIN_S:
             continue
         z = np.abs(s.calibration.effects.of(score.z))
         u = np.nan_to_num(s.calibration.channels.of(np.log(score.unnamed)), nan=-9.0)
-        above.append((z.max(axis=1) > s.calibration.named) | (u.max(axis=1) > s.calibration.unnamed))
-        best = np.where(z.max(axis=1) > s.calibration.named, z.argmax(axis=1), -1)
-        names.append(["energy" if b < 0 else s.effects[b].name for b in best])
+        above.append((z.max(axis=(1, 2)) > s.calibration.named) | (u.max(axis=1) > s.calibration.unnamed))
+        known.append(z[:, -1])
         times.append(time)
-    return np.column_stack([times, np.array(above)]), names
+    return np.column_stack([times, np.array(above)]), np.array(known)
 
 
 def false_alarms(s: Set, hours: float, gust: float) -> str:
@@ -119,15 +119,16 @@ def noticed(s: Set, name: str, size: float, n: int) -> str:
         np.array([a.measured - b.measured for a, b in zip(scans, without, strict=True)]),
         s.conditions,
     )
-    table, names = alarms(s, scans)
+    table, known = alarms(s, scans)
     after = table[:, 0] > BEGINS
     first, what = [], []
     for flight in range(1, table.shape[1]):
         at = np.flatnonzero(after & (table[:, flight] > 0.5))
         noticed_at = table[at[0], 0] if at.size else math.inf
         first.append(noticed_at)
-        settled = np.flatnonzero(after & (table[:, flight] > 0.5) & (table[:, 0] > noticed_at + 2.0))
-        what.append(names[settled[0]][flight - 1] if settled.size else "")
+        telling = known[(table[:, 0] >= noticed_at) & (table[:, 0] <= noticed_at + NAMED_WITHIN_S), flight - 1]
+        sure = telling.size > 0 and telling.max() > s.calibration.named
+        what.append(s.effects[int(telling.max(axis=0).argmax())].name if sure else "")
     return row(name, f"{size:g}", first, shown, what, lambda w: w == name)
 
 

@@ -1,8 +1,11 @@
 """What the last seconds say for each effect, with what the model itself may be wrong by taken out.
 
-Whitened innovations are w = sum over effects of size * signature + noise. Sums over a sliding window: b = signatures' w,
+Whitened innovations are w = sum over effects of size * signature + noise. Sums over sliding windows: b = signatures' w,
 C = signatures' signatures, energy w'w. Sizes of what the model has (derivatives, constants) have priors: a model is never
 exact, and a change is what goes beyond that.
+
+With t seconds behind a change, a window of w seconds gives sqrt(t / w) of the score of one of t seconds: a long one is late to
+notice, a short one sees large effects only. So several are looked at.
 """
 
 from collections import deque
@@ -17,7 +20,11 @@ from daq.identification.monitor.bank import CHANNELS, Effect
 Array = NDArray[np.float64]
 
 PIECE_S = 0.5  # s of scans summed before they enter the window: how finely its edges, and an onset, are known
-WINDOW_S = 10.0  # s of watched flight
+WINDOWS_S = (
+    2.0,
+    4.5,
+    10.0,
+)  # s of watched flight, a little more than twice the one before: at most a third of a score is lost
 ENERGY_S = 5.0  # s over which a channel's energy is looked at
 SETTLED_S = 15.0  # s of watched flight before those, which tell what the energy usually is
 TELLING = 0.2  # share of the evidence from which a channel is named
@@ -39,7 +46,7 @@ class Piece:
 
 @dataclass(frozen=True)
 class Score:
-    """(flights, effects) z: how far each effect is from nothing, in standard deviations.
+    """(flights, windows, effects) z: how far each effect is from nothing, in standard deviations, by each of `WINDOWS_S`.
     unnamed: (flights, 5) energy of each channel against what it was before; NaN before that is known."""
 
     z: Array
@@ -75,7 +82,7 @@ class Evidence:
             return False
         self._pieces.append(p)
         self._open = None
-        if len(self._pieces) > round(WINDOW_S / PIECE_S):
+        if len(self._pieces) > round(WINDOWS_S[-1] / PIECE_S):
             old = self._pieces.popleft()
             self._usual = old.energy if self._usual is None else self._usual + old.energy
             self._usual_scans += old.scans
@@ -92,14 +99,19 @@ class Evidence:
         self._open = None
 
     def score(self) -> Score:
-        """Of the window as it is."""
-        b = np.sum([p.b for p in self._pieces], axis=0)
-        C = np.sum([p.C for p in self._pieces], axis=0)
-        total = np.sum([p.energy for p in self._pieces], axis=(0, 2))
-        scans = sum(p.scans for p in self._pieces)
+        """Of the windows as they are: as long as what has been watched, while that is less."""
+        pieces = list(self._pieces)
+        return Score(np.stack([self._seen(pieces[-round(w / PIECE_S) :]) for w in WINDOWS_S], axis=1), self._energies())
+
+    def _seen(self, pieces: Sequence[Piece]) -> Array:
+        """(flights, effects) scores by some of the pieces."""
+        b = np.sum([p.b for p in pieces], axis=0)
+        C = np.sum([p.C for p in pieces], axis=0)
+        total = np.sum([p.energy for p in pieces], axis=(0, 2))
+        scans = sum(p.scans for p in pieces)
         z, explained = self._scores(b, C)
         left = np.maximum(total - explained, 0.0) / (5.0 * max(scans, 1))
-        return Score(z / np.sqrt(np.maximum(left, 1.0))[:, None], self._energies())
+        return np.asarray(z / np.sqrt(np.maximum(left, 1.0))[:, None])
 
     def _scores(self, b: Array, C: Array) -> tuple[Array, Array]:
         """z of each effect, and the energy that the best of them explains with the model's own errors."""

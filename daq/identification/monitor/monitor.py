@@ -12,7 +12,7 @@ from daq.identification.monitor.bank import CHANNELS, EQUATION_OF_CHANNEL, Effec
 from daq.identification.monitor.evidence import Evidence
 from daq.identification.monitor.innovations import PredictorBank, Scan
 from daq.identification.monitor.motion import Inputs
-from daq.identification.monitor.threshold import BEGIN_S, Calibration
+from daq.identification.monitor.threshold import BEGIN_S, Calibration, strongest
 
 LEADING = 0.8  # of the largest score: effects that are named beside the first
 MOST_NAMED = 4
@@ -57,7 +57,7 @@ class Alarm:
         where = f"the model no longer holds in {self.equation} (shown by {', '.join(self.channels)})"
         how = f"since about {self.since:.1f} s; score {self.score:.1f}, threshold {self.threshold:.1f}"
         if not self.leading:
-            return f"{where}, {how}; errors have grown, and no effect of the list explains them"
+            return f"{where}, {how}; errors have grown, and no effect of the list explains them so far"
         names = "; ".join(f"{n.effect} ({n.title}) {n.size:.2g} {n.unit}" for n in self.leading)
         known = f" (by {self.named:.1f} s)" if self.named is not None and self.named > self.time else ""
         return f"{where}, {how}; leading{known}: {names}"
@@ -118,17 +118,17 @@ class GapMonitor:
         if self.watched < BEGIN_S:
             return Watch(time, self.watched, 0.0, None)
         score, c = self._evidence.score(), self._calibration
-        named = c.effects.of(score.z)[0]
+        by_window = c.effects.of(score.z)[0]
         with np.errstate(invalid="ignore"):
             energy = np.nan_to_num(c.channels.of(np.log(score.unnamed))[0], nan=-math.inf)
-        level = max(float(np.abs(named).max()) / c.named, float(energy.max()) / c.unnamed)
+        level = max(float(np.abs(by_window).max()) / c.named, float(energy.max()) / c.unnamed)
         if level < 1.0:
             self._quiet += 0.5
             if self._quiet >= QUIET_S:
                 self._standing = None
             return Watch(time, self.watched, level, self._standing)
         self._quiet = 0.0
-        alarm = self._alarm(time, named, energy)
+        alarm = self._alarm(time, by_window, energy)
         if self._standing is None:
             self.alarms.append(alarm)
         elif _clearer(alarm, self.alarms[-1]):
@@ -136,8 +136,12 @@ class GapMonitor:
         self._standing = alarm
         return Watch(time, self.watched, level, alarm)
 
-    def _alarm(self, time: float, named: np.ndarray, energy: np.ndarray) -> Alarm:
+    def _alarm(self, time: float, by_window: np.ndarray, energy: np.ndarray) -> Alarm:
+        """by_window: (windows, effects). Any window notices; names come from the longest, for in two seconds a vane that has
+        slipped looks like one that lags."""
         c = self._calibration
+        known = bool(np.abs(by_window[-1]).max() >= c.named)
+        named = by_window[-1] if known else strongest(by_window)
         order = np.argsort(-np.abs(named))
         best = int(order[0])
         if abs(named[best]) < c.named:
@@ -146,7 +150,7 @@ class GapMonitor:
         leading = tuple(
             self._name(int(k), float(named[k]))
             for k in order[:MOST_NAMED]
-            if abs(named[k]) >= LEADING * abs(named[best])
+            if known and abs(named[k]) >= LEADING * abs(named[best])
         )
         return Alarm(
             time,
@@ -156,7 +160,7 @@ class GapMonitor:
             float(abs(named[best])),
             c.named,
             leading,
-            time,
+            time if known else None,
         )
 
     def _name(self, k: int, standardised: float) -> Name:

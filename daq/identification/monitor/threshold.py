@@ -38,8 +38,8 @@ class Scale:
 
 @dataclass(frozen=True)
 class Calibration:
-    """What the monitor needs. effects, channels: what is usual of each; named, unnamed: thresholds of the largest of either;
-    rate: false alarms an hour of both together that they were set for; hours: of simulated manoeuvring behind them."""
+    """What the monitor needs. effects (by window), channels: what is usual of each; named, unnamed: thresholds of the largest of
+    either; rate: false alarms an hour of both together that they were set for; hours: of simulated manoeuvring behind them."""
 
     whitening: Whitening
     effects: Scale
@@ -70,13 +70,13 @@ def calibrated(
     )
     seen, loud = _usual(z), _usual(energy)
     seconds = FLIGHT_S - BEGIN_S
-    named = exceeded(np.abs(seen.of(z)).max(axis=(0, 2)), seconds, rate / 2.0)
+    named = exceeded(np.abs(seen.of(z)).max(axis=(0, 2, 3)), seconds, rate / 2.0)
     unnamed = exceeded(np.nanmax(loud.of(energy), axis=(0, 2)), seconds, rate / 2.0)
     return Calibration(whitening, seen, loud, named, unnamed, rate, z.shape[1] * seconds / HOUR_S)
 
 
 def _usual(values: Array) -> Scale:
-    """values: (times, flights, kinds)."""
+    """values: (times, flights, ...)."""
     mean = np.nanmean(values, axis=(0, 1))
     far = np.nanquantile(np.abs(values - mean), FAR, axis=(0, 1))
     return Scale(mean, far / FAR_NORMAL)
@@ -89,7 +89,7 @@ def _histories(
     whitening: Whitening,
     scans: Sequence[Scan],
 ) -> tuple[Array, Array]:
-    """(times, flights, effects) and (times, flights, 5) of both statistics, once the window has filled."""
+    """(times, flights, windows, effects) and (times, flights, 5) of both statistics, once there is something in the windows."""
     found = [s for t, s in scores(airframe, values, effects, whitening, scans) if t - scans[0].time >= BEGIN_S]
     return np.stack([s.z for s in found]), np.stack([np.log(s.unnamed) for s in found])
 
@@ -120,6 +120,12 @@ def scores(
             white, signatures = (whitening.applied(*(f[i] for f in reversed(past))) for i in (0, 1))
             if evidence.add(scan.time, white, signatures):
                 yield scan.time, evidence.score()
+
+
+def strongest(standardised: Array) -> Array:
+    """(..., windows, effects) -> (..., effects): of each effect what the window says in which it stands out most."""
+    at = np.abs(standardised).argmax(axis=-2)
+    return np.take_along_axis(standardised, at[..., None, :], axis=-2)[..., 0, :]
 
 
 def exceeded(largest: Array, seconds: float, per_hour: float) -> float:

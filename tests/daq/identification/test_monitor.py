@@ -136,11 +136,11 @@ def test_scores_are_those_of_a_regression_with_priors() -> None:
     cov = np.eye(w.size) + g[:, :2] @ np.diag(prior**2) @ g[:, :2].T
     inverse = np.linalg.inv(cov)
     c = g[:, 2]
-    assert score.z[0, 2] * scale == pytest.approx(c @ inverse @ w / math.sqrt(c @ inverse @ c))
+    assert score.z[0, -1, 2] * scale == pytest.approx(c @ inverse @ w / math.sqrt(c @ inverse @ c))
     for k in (0, 1):  # the posterior mean in units of its own spread, were the prior all there is
         mean = prior[k] ** 2 * g[:, k] @ inverse @ w
         spread = math.sqrt(prior[k] ** 4 * g[:, k] @ inverse @ g[:, k])
-        assert score.z[0, k] * scale == pytest.approx(mean / spread)
+        assert score.z[0, -1, k] * scale == pytest.approx(mean / spread)
 
 
 def _explained(w: Array, g: Array, prior: Array) -> float:
