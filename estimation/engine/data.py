@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from estimation.engine.conditioned import Conditioned, conditioned
 from estimation.engine.derived import DERIVED, bridged, derived, way_to
+from estimation.engine.followed import keep_what_follows
 from estimation.engine.kernel import Array
 from estimation.engine.needs import require_columns
 from estimation.engine.plausible import refuse_impossible
@@ -79,11 +80,13 @@ class FlightData:
 class Preparation:
     """How measured signals are prepared. denoise: take noise off the measured inputs (edge-preserving). draws: of what is
     left of it (all of it where none is taken off), for the corrected bound (0: inputs are taken for truth there too).
-    keep_held: take the repeated values of slow and stuck sensors for measurements."""
+    keep_held: take the repeated values of slow and stuck sensors for measurements. feedback: controls of a model that
+    pitches keep what follows the motion, and their measured values by steps."""
 
     denoise: bool = True
     draws: int = DRAWS
     keep_held: bool = False
+    feedback: bool = True
 
 
 AS_USUAL = Preparation()
@@ -111,6 +114,8 @@ def prepare(model: Model, flight: Flight, preparation: Preparation = AS_USUAL) -
     u, errors = _inputs(model, told, pieces, preparation, noise, notes)
     z, absent = _outputs(model, told, pieces, notes)
     states = _states(model, told, pieces)
+    if preparation.denoise and preparation.feedback and errors is not None:
+        keep_what_follows(model, told, pieces, u, errors, states, noise)
     segments = tuple(
         Segment(a, flight.time[a:b], np.ascontiguousarray(u[a:b]), np.ascontiguousarray(z[a:b]), x0)
         for a, b in pieces

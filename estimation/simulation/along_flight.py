@@ -28,7 +28,7 @@ thousand times what rounding leaves. Of airspeed and thrust `SHARE` of their mea
 SHARE = 0.01
 LEAST = 1e-9  # a slope smaller everywhere is rounding
 UNITS = {"V": "m/s", "alpha": "rad", "beta": "rad", "p": "rad/s", "q": "rad/s", "r": "rad/s", "thrust": "N"}
-WITHOUT_DRAWS = Preparation(draws=0)  # nobody asks what is left of the noise here
+WITHOUT_DRAWS = Preparation(draws=0, feedback=False)  # nobody asks what is left of the noise here
 STABILITY = ("CL", "CD")
 ALPHA_RATE = (
     "alpha_dot"  # rad/s; as a column of a flight without noise: what a simulator says that its aerodynamics read

@@ -10,15 +10,19 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from estimation.engine.data import prepare
+from estimation.engine.data import Preparation, prepare
 from estimation.engine.kernel import Array
 from estimation.engine.simulate import Segment
 from estimation.gap.criteria import Criteria
 from estimation.gap.effects.base import Effect, Form
-from estimation.gap.records.raw_steps import with_raw_steps
 from estimation.models.base import Model, Signal
 from estimation.signals.preprocess import noise_level
+from estimation.signals.raw_steps import with_raw_steps
 from groundstation.flight import Flight
+
+SMOOTH = Preparation(
+    feedback=False
+)  # steps are put in here; what was measured of names and thresholds was without feedback
 
 
 @dataclass(frozen=True)
@@ -113,7 +117,7 @@ def prepare_flights(
     records: list[Record] = []
     notes: list[str] = []
     for index, flight in enumerate(flights):
-        data = prepare(probe, flight)
+        data = prepare(probe, flight, SMOOTH)
         notes += [f"{flight.name}: {note}" for note in data.notes]
         noise = {name: level for name, (level, _) in data.noise.items()}
         for segment in data.segments:

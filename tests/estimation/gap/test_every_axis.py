@@ -13,7 +13,6 @@ from estimation.gap.likelihood.channel_noise import pitch_error
 from estimation.gap.likelihood.whitening import force_states, linear_motion
 from estimation.gap.records.flight_records import Record, prepare_flights
 from estimation.gap.records.nuisance import with_nuisance
-from estimation.gap.records.raw_steps import near_steps, with_raw_steps
 from estimation.gap.records.steady import steady_outputs, steady_state
 from estimation.gap.search.select import material
 from estimation.gap.tests_of_fit.kinematic_check import KinematicCheck, clearest, kinematic_check
@@ -22,6 +21,7 @@ from estimation.gap.tests_of_fit.pitch_kinematics import pitch_kinematic_model
 from estimation.gap.workflow import Options, run_gap
 from estimation.models.base import Signal
 from estimation.models.load import load_model
+from estimation.signals.raw_steps import near_steps, with_raw_steps
 from groundstation.flight import Flight
 from tests.estimation.gap.test_rules_search import candidate
 from tests.studies import second_truth as truth

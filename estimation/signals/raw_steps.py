@@ -10,8 +10,7 @@ six behind it the measured value is taken; everywhere would be too much: the noi
 import numpy as np
 from numpy.typing import NDArray
 
-from estimation.engine.kernel import Array
-
+Array = NDArray[np.float64]
 AROUND = range(
     -3, 7
 )  # samples, from the one before a step: its rounded corner, and the tail of a servo of 35 ms at 20 Hz
