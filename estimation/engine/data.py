@@ -90,6 +90,7 @@ class Preparation:
 
 
 AS_USUAL = Preparation()
+FOR_REGRESSION = Preparation(feedback=False)  # noise in a regressor biases it, more than what is lost of the feedback
 
 
 def draws_for(samples: int) -> int:

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from estimation.engine.data import FlightData
+from estimation.engine.data import FOR_REGRESSION, FlightData
 from estimation.engine.kernel import Array
 from estimation.engine.prepared import compared, prepared
 from estimation.engine.simulate import Simulator, simulate
@@ -88,7 +88,7 @@ def equation_error(
     the model is not measured.
     """
     chosen = load_model(model)
-    chosen, data = compared(chosen, prepared(chosen, flights))
+    chosen, data = compared(chosen, prepared(chosen, flights, FOR_REGRESSION))
     if not states_measured(data):
         raise DataError(f"model {chosen.name}: equation error needs every state measured; use method ml")
     simulator = Simulator.build(chosen)

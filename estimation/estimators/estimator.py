@@ -75,9 +75,19 @@ class Task:
         """The flights; where they are to be prepared in another than the usual way, already prepared so."""
         if not (self.extras.raw_inputs or self.extras.keep_held):
             return self.flights
+        return self._prepared(feedback=True)
+
+    @property
+    def smooth(self) -> "Sequence[Flight | FlightData]":
+        """The same for a regression, which takes controls without any noise."""
+        if not (self.extras.raw_inputs or self.extras.keep_held):
+            return self.flights
+        return self._prepared(feedback=False)
+
+    def _prepared(self, feedback: bool) -> "list[Flight | FlightData]":
         from estimation.engine.data import Preparation, prepare
 
-        way = Preparation(denoise=not self.extras.raw_inputs, keep_held=self.extras.keep_held)
+        way = Preparation(denoise=not self.extras.raw_inputs, keep_held=self.extras.keep_held, feedback=feedback)
         return [prepare(self.model, f, way) for f in self.flights]
 
     @property

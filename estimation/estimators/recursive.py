@@ -14,7 +14,7 @@ from daq.identification.airframe import COLUMNS, DERIVATIVES, SIGNALS, Airframe,
 from daq.identification.live import GAP, LiveDerivative, LiveEstimates, LiveEstimator
 from daq.identification.solve import Solution
 from estimation.aircraft import Aircraft
-from estimation.engine.data import FlightData
+from estimation.engine.data import FOR_REGRESSION, FlightData
 from estimation.engine.derived import with_derived
 from estimation.engine.prepared import compared, prepared
 from estimation.errors import EstimationError
@@ -50,7 +50,7 @@ def recursive(model: Model, flights: Sequence[Flight], aircraft: Aircraft) -> Re
     airframe = airframe_of(model, aircraft)
     for flight in flights:
         flight.require([s for s in SIGNALS if s != "rho"], "method live")
-    chosen, data = compared(model, prepared(model, flights))
+    chosen, data = compared(model, prepared(model, flights, FOR_REGRESSION))
     run = _fed(airframe, [with_derived(f, ["rho"]) for f in flights])
     return _result(chosen, data, run)
 

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 def _fit(task: Task) -> "Result":
     from estimation.estimators.equation_error import equation_error
 
-    return equation_error(task.model, task.data, stepwise=task.extras.stepwise)
+    return equation_error(task.model, task.smooth, stepwise=task.extras.stepwise)
 
 
 ESTIMATORS = (
