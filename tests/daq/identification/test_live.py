@@ -163,7 +163,9 @@ def test_the_simulated_motion_is_that_of_the_other_simulator(airframe: Airframe,
 # --------------------------------------------------------------------------------------------- what is estimated
 
 
-@pytest.mark.parametrize(("sent", "limit"), [(False, 0.012), (True, 0.04)])
+@pytest.mark.parametrize(
+    ("sent", "limit"), [pytest.param(False, 0.012), pytest.param(True, 0.04, marks=pytest.mark.long)]
+)
 def test_without_noise_nothing_is_off(airframe: Airframe, exact: Flown, sent: bool, limit: float) -> None:
     """What is left is between scans: 2 to 12 % where surfaces are drawn through their samples (see the study)."""
     found = []
