@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from estimation.signals.preprocess import denoise_many
+from estimation.signals.raw_steps import near_steps
 
 Array = NDArray[np.float64]
 
@@ -88,10 +89,7 @@ def following(piece: Piece, found: Gains, noise: float, draws: int, rng: np.rand
 
 def _stretches(piece: Piece, noise: float) -> Iterator[tuple[Array, Array]]:
     """Control (n,) and regressors (n, 2 motions) of each stretch between steps, less their straight lines."""
-    near = np.zeros(piece.smooth.size + 2, dtype=bool)
-    near[[0, -1]] = True
-    for move in np.flatnonzero(np.abs(np.diff(piece.smooth)) > STEP * noise):
-        near[[1 + move + k for k in AROUND if 0 <= move + k < piece.smooth.size]] = True
+    near = np.concatenate([[True], near_steps(piece.smooth, noise, STEP, AROUND), [True]])
     x = piece.regressors()
     edges = np.flatnonzero(np.diff(near.astype(int)))
     for a, b in zip(edges[::2], edges[1::2], strict=True):

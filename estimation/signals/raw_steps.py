@@ -11,16 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-AROUND = range(
-    -3, 7
-)  # samples, from the one before a step: its rounded corner, and the tail of a servo of 35 ms at 20 Hz
+AROUND = range(-3, 7)
+"""Samples, from the one before a step: its rounded corner, and the tail of a servo of 35 ms at 20 Hz."""
 
 
-def near_steps(values: Array, noise: float, step: float) -> NDArray[np.bool_]:
-    """(N,) whether a sample of a de-noised control (N,) lies by a change of more than `step` times its noise."""
+def near_steps(values: Array, noise: float, step: float, around: range = AROUND) -> NDArray[np.bool_]:
+    """(N,) whether a sample of a de-noised control (N,) lies by a change of more than `step` times its noise: `around` the one
+    before it."""
     moves = np.flatnonzero(np.abs(np.diff(values)) > step * noise)
     near = np.zeros(values.size, dtype=bool)
-    for shift in AROUND:
+    for shift in around:
         near[np.clip(moves + shift, 0, values.size - 1)] = True
     return near
 

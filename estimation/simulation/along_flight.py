@@ -16,12 +16,12 @@ from estimation.engine.data import FlightData, Preparation, prepare
 from estimation.engine.derived import bridged
 from estimation.models.base import Model, Signal
 from estimation.signals.preprocess import denoise
-from estimation.simulation.oracle import COEFFICIENTS, VARIABLES, Array, Simulation, SimulationError, States
+from estimation.simulation.oracle import ALPHA_RATE, COEFFICIENTS, VARIABLES, Array, Simulation, SimulationError, States
 from groundstation.flight import Flight
 
 STEPS: Mapping[str, float] = {
     "alpha": 0.005, "beta": 0.005, "delta_e": 0.005, "delta_a": 0.005, "delta_r": 0.005,
-    "p": 0.05, "q": 0.05, "r": 0.05, "alpha_dot": 0.05,
+    "p": 0.05, "q": 0.05, "r": 0.05, ALPHA_RATE: 0.05,
 }  # fmt: skip
 """Of the central differences [rad, rad/s]: a third of a degree, narrow beside the cells of a wind tunnel's table, and still a
 thousand times what rounding leaves. Of airspeed and thrust `SHARE` of their mean."""
@@ -30,9 +30,6 @@ LEAST = 1e-9  # a slope smaller everywhere is rounding
 UNITS = {"V": "m/s", "alpha": "rad", "beta": "rad", "p": "rad/s", "q": "rad/s", "r": "rad/s", "thrust": "N"}
 WITHOUT_DRAWS = Preparation(draws=0, feedback=False)  # nobody asks what is left of the noise here
 STABILITY = ("CL", "CD")
-ALPHA_RATE = (
-    "alpha_dot"  # rad/s; as a column of a flight without noise: what a simulator says that its aerodynamics read
-)
 MOMENTS = ("Cl", "Cm", "Cn")
 
 
@@ -130,7 +127,7 @@ def motion(
     probe = model.plus(inputs=[*more, *([Signal("rho", "kg/m3")] if "rho" not in own else [])])
     data = prepare(probe, flight, preparation)
     usable = np.zeros(data.samples, bool)
-    values = {name: np.zeros(data.samples) for name in (*VARIABLES, "rho", "alpha_dot")}
+    values = {name: np.zeros(data.samples) for name in (*VARIABLES, "rho", ALPHA_RATE)}
     for segment in data.segments:
         s = slice(segment.first, segment.first + len(segment))
         usable[s] = True
@@ -140,14 +137,14 @@ def motion(
             values[name][s] = measured if told is None else np.where(np.isfinite(told[s]), told[s], measured)
         told = flight[ALPHA_RATE][s] if not preparation.denoise and flight.measured(ALPHA_RATE) else None
         x = {n: v[s] for n, v in values.items()}
-        values["alpha_dot"][s] = _alpha_rate(flight, s, segment.time, x) if told is None else told
+        values[ALPHA_RATE][s] = _alpha_rate(flight, s, segment.time, x) if told is None else told
     if not (values["V"][usable] > 0.0).all():
         raise SimulationError(
             f"{flight.name}: V is not above zero everywhere; cut the flight to where it flies (--segments)"
         )
     lacking = {v for v in VARIABLES if not flight.measured(v)}
     kept = {n: values[n][usable] for n in VARIABLES}
-    return States(kept, values["rho"][usable], values["alpha_dot"][usable]), usable, lacking
+    return States(kept, values["rho"][usable], values[ALPHA_RATE][usable]), usable, lacking
 
 
 def _alpha_rate(flight: Flight, s: slice, time: Array, x: Mapping[str, Array]) -> Array:

@@ -13,11 +13,10 @@ from estimation.models.load import read_model
 from estimation.simulation.jsbsim.aircraft import jsbsim_simulation
 from estimation.simulation.jsbsim.export import Exported, export_aircraft
 from estimation.simulation.jsbsim.increments import simulation_named
-from estimation.simulation.jsbsim.library import aircraft_file
+from estimation.simulation.jsbsim.library import PREFIX, aircraft_file
 from estimation.simulation.oracle import SimulationError
 from estimation.simulation.proof import ExportProof, proof_of
 
-PREFIX = "jsbsim:"
 RATE = 120.0  # Hz: JSBSim's own
 FASTEST = 2000.0  # Hz
 

@@ -13,12 +13,11 @@ import numpy as np
 from estimation.models.load import write_model
 from estimation.simulation.jsbsim.aircraft import ATTITUDES, HELD, JsbsimOracle, jsbsim_simulation
 from estimation.simulation.jsbsim.as_text import SUTHERLAND, Air, Imported, Source, arm_of, imported
-from estimation.simulation.jsbsim.library import FOOT, SLUG, aircraft_file, known
+from estimation.simulation.jsbsim.library import FOOT, PREFIX, SLUG, aircraft_file, known
 from estimation.simulation.jsbsim.surfaces import aerodynamics_of
 from estimation.simulation.oracle import COEFFICIENTS, VARIABLES, Array, Simulation, SimulationError, States
 from estimation.simulation.text_model import TextOracle
 
-PREFIX = "jsbsim:"
 SAME = 1e-9  # of the largest of a coefficient: text and JSBSim differ by rounding only
 STATES = 200
 SIZES = {"beta": 0.2, "p": 0.4, "q": 0.3, "r": 0.3, "delta_e": 0.3, "delta_a": 0.3, "delta_r": 0.3}  # rad, rad/s
@@ -75,13 +74,13 @@ def imported_exactly(spec: str) -> ProvedImport:
     text, own = compared(oracle, TextOracle(found.model), states)
     size = np.maximum(np.abs(own).max(axis=0), 1e-300)
     off = dict(zip(COEFFICIENTS, (np.abs(text - own).max(axis=0) / size).tolist(), strict=True))
-    worst = max(off, key=lambda c: off[c])
-    if not off[worst] <= SAME:
+    proved = ProvedImport(found, off, tuple(n for n in simulation.notes if not n.endswith(HELD)))
+    if not off[proved.worst] <= SAME:
         raise SimulationError(
-            f"{spec}: its text has another {worst} than JSBSim, by {off[worst]:.2g} of its largest value, so it is not written;"
-            f" run it as it is with --simulation {spec}"
+            f"{spec}: its text has another {proved.worst} than JSBSim, by {off[proved.worst]:.2g} of its largest value, so it"
+            f" is not written; run it as it is with --simulation {spec}"
         )
-    return ProvedImport(found, off, tuple(n for n in simulation.notes if not n.endswith(HELD)))
+    return proved
 
 
 def compared(oracle: JsbsimOracle, text: TextOracle, states: States) -> tuple[Array, Array]:

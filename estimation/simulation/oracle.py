@@ -20,6 +20,9 @@ COEFFICIENTS = ("CX", "CY", "CZ", "Cl", "Cm", "Cn")
 SURFACES = ("delta_e", "delta_a", "delta_r")
 VARIABLES = ("V", "alpha", "beta", "p", "q", "r", *SURFACES, "thrust")
 """What coefficients are differentiated by."""
+ALPHA_RATE = "alpha_dot"
+"""Rate of alpha [rad/s], which moments may go with: its name in states, models and functions, and as a column of a flight
+without noise (what a simulator says that its aerodynamics read)."""
 
 
 class SimulationError(EstimationError):
@@ -39,7 +42,7 @@ class States:
 
     def moved(self, name: str, step: Array | float) -> "States":
         """The same states with one variable, or the rate of alpha, changed by `step`."""
-        if name == "alpha_dot":
+        if name == ALPHA_RATE:
             return replace(self, alpha_dot=self.alpha_dot + step)
         return replace(self, values={**self.values, name: self.values[name] + step})
 

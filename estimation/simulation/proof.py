@@ -14,12 +14,12 @@ import numpy as np
 from estimation.engine.data import Preparation, prepare
 from estimation.engine.simulate import simulate
 from estimation.models.base import Model
-from estimation.simulation.along_flight import ALPHA_RATE, MOMENTS, along, column_name
+from estimation.simulation.along_flight import MOMENTS, along, column_name
 from estimation.simulation.attach import carrying, computed, without_simulation
 from estimation.simulation.jsbsim.export import Written
 from estimation.simulation.jsbsim.flying import flown
 from estimation.simulation.jsbsim.increments import Increments
-from estimation.simulation.oracle import Array, Simulation
+from estimation.simulation.oracle import ALPHA_RATE, Array, Simulation
 from estimation.simulation.stepped import stepped
 from groundstation.flight import Flight
 

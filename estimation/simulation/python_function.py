@@ -18,10 +18,9 @@ import numpy as np
 
 from estimation.aircraft import Aircraft, load_aircraft
 from estimation.own_code import MISTAKES, named, said
-from estimation.simulation.oracle import COEFFICIENTS, SURFACES, Array, Simulation, SimulationError, States
+from estimation.simulation.oracle import ALPHA_RATE, COEFFICIENTS, SURFACES, Array, Simulation, SimulationError, States
 
 EXAMPLE = "module:function, like my_aircraft:base"
-RATE = "alpha_dot"  # rad/s: given to a function that has a parameter of this name
 SAME = 1e-9  # by which one state asked alone and among many may differ, relative
 
 
@@ -56,7 +55,7 @@ class FunctionOracle:
         values = {n: v if arrays else float(v[0]) for n, v in {**states.values, "rho": states.rho}.items()}
         motion = [values[n] for n in ("V", "alpha", "beta", "p", "q", "r")]
         rate = states.alpha_dot if arrays else float(states.alpha_dot[0])
-        more = {RATE: rate} if self.takes_rate else {}
+        more = {ALPHA_RATE: rate} if self.takes_rate else {}
         return self.function(*motion, {n: values[n] for n in SURFACES}, values["thrust"], values["rho"], **more)
 
     def _columns(self, answer: Any, count: int) -> Array:
@@ -92,6 +91,6 @@ def function_simulation(spec: str) -> Simulation:
 
 def _takes_rate(function: Callable[..., Any]) -> bool:
     try:
-        return RATE in inspect.signature(function).parameters
+        return ALPHA_RATE in inspect.signature(function).parameters
     except (TypeError, ValueError):  # of a compiled function, which does not say
         return False

@@ -1,6 +1,7 @@
 """From the text after `--simulation` to a simulation: `jsbsim:AIRCRAFT`, `module:function` or `MODEL.toml`."""
 
 from estimation.simulation.jsbsim.aircraft import jsbsim_simulation
+from estimation.simulation.jsbsim.library import PREFIX
 from estimation.simulation.oracle import Simulation, SimulationError
 from estimation.simulation.python_function import function_simulation
 from estimation.simulation.text_model import text_simulation
@@ -8,8 +9,8 @@ from estimation.simulation.text_model import text_simulation
 
 def simulation_of(spec: str) -> Simulation:
     """The simulation that `spec` names. Raises SimulationError (one sentence) where there is none."""
-    if spec.startswith("jsbsim:"):
-        return jsbsim_simulation(spec.removeprefix("jsbsim:"))
+    if spec.startswith(PREFIX):
+        return jsbsim_simulation(spec.removeprefix(PREFIX))
     if spec.endswith(".toml"):
         return text_simulation(spec)
     if ":" in spec:

@@ -12,7 +12,7 @@ from estimation.aircraft import Aircraft
 from estimation.models.base import Model
 from estimation.models.expressions import evaluate, names_in
 from estimation.models.load import read_model
-from estimation.simulation.oracle import COEFFICIENTS, Array, Simulation, SimulationError, States
+from estimation.simulation.oracle import ALPHA_RATE, COEFFICIENTS, Array, Simulation, SimulationError, States
 
 FUNCTIONS: Mapping[str, Any] = {
     "sin": np.sin, "cos": np.cos, "tan": np.tan, "asin": np.arcsin, "acos": np.arccos, "atan": np.arctan,
@@ -29,7 +29,7 @@ class TextOracle:
 
     def coefficients(self, states: States) -> Array:
         symbols: dict[str, Any] = {**self.model.constants, **self.model.starts(), **states.values, "rho": states.rho,
-                                   "alpha_dot": states.alpha_dot}  # fmt: skip
+                                   ALPHA_RATE: states.alpha_dot}  # fmt: skip
         result = np.full((len(states), len(COEFFICIENTS)), np.nan)
         for i, name in enumerate(COEFFICIENTS):
             if name in self.model.definitions:

@@ -20,9 +20,8 @@ from estimation.signals.preprocess import noise_level
 from estimation.signals.raw_steps import with_raw_steps
 from groundstation.flight import Flight
 
-SMOOTH = Preparation(
-    feedback=False
-)  # steps are put in here; what was measured of names and thresholds was without feedback
+SMOOTH = Preparation(feedback=False)
+"""Steps are put in here; what was measured of names and thresholds was without feedback."""
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,6 @@ from estimation.models.expressions import names_in
 from estimation.models.library import six_dof
 from estimation.simulation.jsbsim.coefficients import (
     AXES,
-    RATE,
     WHOLE,
     Text,
     coefficients_of,
@@ -29,7 +28,7 @@ from estimation.simulation.jsbsim.library import INCH
 from estimation.simulation.jsbsim.reading import LIFT, Reader
 from estimation.simulation.jsbsim.surfaces import Follows
 from estimation.simulation.jsbsim.terms import constant, number_text
-from estimation.simulation.oracle import SimulationError
+from estimation.simulation.oracle import ALPHA_RATE, SimulationError
 
 SUTHERLAND = 110.4  # K
 MADE_OF = ("LIFT", "DRAG", "SIDE")
@@ -108,7 +107,7 @@ def imported(source: Source) -> Imported:
     sums = {axis: named_terms(AXES[axis], functions, text, source.spec) for axis, functions in parts.items()}
     still = [t for axis in MADE_OF for t in sums.get(axis, [])]
     needed = _used(text.lines, [*still, *(n for t in still for n in names_in(t))])
-    moving = rate.products or any(RATE in t for t in (*still, *(text.lines[n] for n in needed)))
+    moving = rate.products or any(ALPHA_RATE in t for t in (*still, *(text.lines[n] for n in needed)))
     model = _model(skeleton, text, sums, written(rate) if moving else "", source)
     standard = tuple(n for n in text.parameters if n.partition("_")[0] in AXES.values())
     lines = [n for n in model.definitions if n in text.lines and not re.fullmatch(r".*_\d+", n)]
@@ -132,8 +131,8 @@ def _model(skeleton: Model, text: Text, sums: Mapping[str, list[str]], rate: str
     made = dict(text.lines)
     made["CL"] = total.pop("CL", "0")
     if rate:
-        made |= {"CL_rate": rate, "CL_all": f"CL + CL_rate*{RATE}"}
-        lines[f"{RATE}"] = SOLVED
+        made |= {"CL_rate": rate, "CL_all": f"CL + CL_rate*{ALPHA_RATE}"}
+        lines[f"{ALPHA_RATE}"] = SOLVED
     made |= {LIFT: lift, "drag": total.pop("CD", "0"), "side": total.pop("CY", "0")}
     made |= {"CD": "drag*cos(beta) + side*sin(beta)", "CY": "side*cos(beta) - drag*sin(beta)"}
     made |= {"CX": f"{lift}*sin(alpha) - CD*cos(alpha)", "CZ": f"-{lift}*cos(alpha) - CD*sin(alpha)"}

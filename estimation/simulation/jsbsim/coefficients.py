@@ -15,6 +15,7 @@ from estimation.models.parts import usual_role
 from estimation.simulation.jsbsim.library import FOOT, SLUG
 from estimation.simulation.jsbsim.reading import LIFT, NotExact, Reader
 from estimation.simulation.jsbsim.terms import Product, Sum, collected, factor, number_text, text_of
+from estimation.simulation.oracle import ALPHA_RATE
 
 AXES = {"LIFT": "CL", "DRAG": "CD", "SIDE": "CY", "ROLL": "Cl", "PITCH": "Cm", "YAW": "Cn"}
 OVER = {"CL": (), "CD": (), "CY": (), "Cl": ("span",), "Cm": ("chord",), "Cn": ("span",)}
@@ -37,7 +38,6 @@ WHOLE = {
     "chord": f"(c/{FOOT})",
     "area": f"(S/{FOOT**2!r})",
 }
-RATE = "alpha_dot"
 PRESSURE = Product(0.5 * FOOT / SLUG, {"rho": 1, "V": 2})  # lbs/ft2
 
 
@@ -104,11 +104,11 @@ def solved_lift(lift: Mapping[str, Sum]) -> tuple[dict[str, Sum], Sum, dict[str,
     """Lift without what goes with the rate of alpha; that, over the rate; and what of lift goes with it in another way."""
     still, rate, why = {}, Sum(), {}
     for name, value in lift.items():
-        moving = [p for p in value.products if p.factors.get(RATE) == 1]
+        moving = [p for p in value.products if p.factors.get(ALPHA_RATE) == 1]
         still[name] = Sum(tuple(p for p in value.products if p not in moving))
-        one_less = Sum(tuple(moving)).times(factor(RATE).inverse())
+        one_less = Sum(tuple(moving)).times(factor(ALPHA_RATE).inverse())
         rate = rate.plus(one_less)
-        if re.search(rf"\b({RATE}|{LIFT})\b", f"{text_of(still[name])} {text_of(one_less)}"):
+        if re.search(rf"\b({ALPHA_RATE}|{LIFT})\b", f"{text_of(still[name])} {text_of(one_less)}"):
             why[name] = "is a lift that goes with the rate of alpha, or with lift, in another way than by a factor"
     return still, rate, why
 

@@ -17,6 +17,7 @@ RADIUS = 6.4e8  # m: a hundred earths, so that 20 s of flight do not see the cur
 STILL_EARTH = f"""<planet name="still"><semimajor_axis unit="M">{RADIUS}</semimajor_axis>
 <semiminor_axis unit="M">{RADIUS}</semiminor_axis><rotation_rate unit="RAD/SEC">0.0</rotation_rate>
 <GM unit="M3/SEC2">{GRAVITY * RADIUS**2}</GM><J2>0.0</J2></planet>"""
+PREFIX = "jsbsim:"  # of a simulation or an aircraft that is JSBSim's
 LARGEST = 10_000_000  # bytes of an aircraft file that is read
 
 
