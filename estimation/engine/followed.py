@@ -21,6 +21,11 @@ PITCHES = "q"  # the column of a state: pitch rate
 SEED = 22
 
 
+def pitches(model: Model) -> bool:
+    """Whether a model has a state of its own for pitch rate."""
+    return any(s.source == PITCHES for s in model.states)
+
+
 def keep_what_follows(
     model: Model,
     told: Conditioned,
@@ -35,7 +40,7 @@ def keep_what_follows(
     states: (samples, nx) without noise, NaN where not measured. noise: of each input, as found. A piece in which a control was
     not measured at every sample stays as it is.
     """
-    if all(s.source != PITCHES for s in model.states):
+    if not pitches(model):
         return
     for i, signal in enumerate(model.inputs):
         level = noise.get(signal.name, (0.0, 0.0))[0]

@@ -24,11 +24,11 @@ from estimation.gap.random_streams import Stream
 from estimation.gap.records.candidate_model import with_dormant
 from estimation.gap.records.flight_records import FlightRecords, prepare_flights
 from estimation.gap.records.nuisance import with_nuisance
-from estimation.gap.records.sample_faults import sample_notes
+from estimation.gap.records.sample_faults import sample_notes, stale_channels
 from estimation.gap.search.rounds import run_rounds
 from estimation.gap.search.search_state import AS_USUAL, LOOK, Options, Setting
 from estimation.gap.tests_of_fit.kinematic_check import kinematic_check
-from estimation.gap.tests_of_fit.nulls import input_errors
+from estimation.gap.tests_of_fit.nulls import input_errors, with_errors
 from estimation.gap.verdict.conclusion import concluded
 from estimation.models.base import Model
 from estimation.models.driven import force_states
@@ -54,7 +54,8 @@ def run_gap(
     tell("preparing the flights", 0.0)
     prepared = prepare_flights(model, chosen, training, holdout, options.criteria)
     told = sample_notes([*training, *holdout], [s.source for s in (*model.outputs, *model.inputs)], options.criteria)
-    setting = _setting(replace(prepared, notes=(*prepared.notes, *told)), chosen, options, tell)
+    stale = stale_channels(training, [s.source for s in model.outputs], options.criteria)
+    setting = _setting(replace(prepared, notes=(*prepared.notes, *told), stale=stale), chosen, options, tell)
     tell("fitting the baseline", 0.05)
     search = run_rounds(setting, fit_baseline(setting.working, setting.clean, setting.prepared, setting.scatter))
     tell("kinematic check", 0.9)
@@ -74,4 +75,5 @@ def _setting(prepared: FlightRecords, effects: tuple[Effect, ...], options: Opti
     working = with_dormant(clean, effects, prepared.available, force_states(base))
     streams = (Stream.INPUT_ERRORS.generator(options.seed, i) for i in range(len(prepared.records)))
     errors = tuple(input_errors(r, clean, rng) for r, rng in zip(prepared.records, streams, strict=True))
+    prepared = replace(prepared, records=with_errors(prepared.records, clean, errors))
     return Setting(base, clean, working, prepared, effects, errors, scatter, options, tell)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+FEWEST = 100  # differences that tell a level to a tenth
 AROUND = range(-3, 7)
 """Samples, from the one before a step: its rounded corner, and the tail of a servo of 35 ms at 20 Hz."""
 
@@ -23,6 +24,14 @@ def near_steps(values: Array, noise: float, step: float, around: range = AROUND)
     for shift in around:
         near[np.clip(moves + shift, 0, values.size - 1)] = True
     return near
+
+
+def noise_between_steps(values: Array, near: NDArray[np.bool_], found: float) -> float:
+    """Standard deviation of the noise of a control (N,) away from its steps, by its third differences; `found`, by all of them,
+    where that leaves too few. Steps and servo make up to a third of all of them large, and their median a fifth too large."""
+    third = np.diff(values, 3)
+    calm = ~(near[:-3] | near[1:-2] | near[2:-1] | near[3:]) & np.isfinite(third)
+    return float(np.sqrt(np.mean(third[calm] ** 2) / 20.0)) if np.count_nonzero(calm) >= FEWEST else found
 
 
 def with_raw_steps(smooth: Array, measured: Array, noise: float, step: float) -> tuple[Array, NDArray[np.bool_]]:

@@ -111,8 +111,10 @@ def conclude(
     tied: Sequence[Effect],
     holdout: bool,
     odd: Sequence[str] = (),
+    stale: Sequence[str] = (),
 ) -> str:
-    """The paragraph of the verdict. odd: training flights that do not repeat the others."""
+    """The paragraph of the verdict. odd: training flights that do not repeat the others. stale: outputs that repeat their last
+    value in many samples."""
     parts = []
     if verdict is Verdict.NO_GAP:
         parts.append(
@@ -136,6 +138,11 @@ def conclude(
         parts.append(
             f"{' and '.join(odd)} {'does' if len(odd) == 1 else 'do'} not repeat the other training flights even with this "
             "model: look at that flight (weather, instruments, configuration) before relying on the joint fit."
+        )
+    if stale:
+        parts.append(
+            f"{' and '.join(stale)} repeat{'s' if len(stale) == 1 else ''} the last value in many samples (a stale, slow or "
+            "coarsely rounded sensor): that is the instrument's, and no term of the model is asked to explain it."
         )
     if cannot:
         names = ", ".join(e.name for e in cannot[:NAMES]) + (

@@ -69,7 +69,7 @@ def whiteners_for(
     segments = [r.segment(problem_model, base) for r in records]
     linear = [linear_motion(problem_model, simulator, s, values) for s in segments]
     shapes = [
-        replace(shapes_of(problem_model, m, len(s), criteria, force_states(base)), louder=r.louder)
+        replace(shapes_of(problem_model, m, len(s), criteria, force_states(base), r.left), louder=r.louder)
         for m, s, r in zip(linear, segments, records, strict=True)
     ]
     steps = [find_surface_steps(problem_model, m, s, criteria) for m, s in zip(linear, segments, strict=True)]

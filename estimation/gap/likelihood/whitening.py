@@ -6,10 +6,11 @@ Their spectral matrix is written as a sum of parts of known shape and unknown st
     S(f) = R + sum_j v_j g_j(f) g_j(f)^H,
 
 R diagonal (sensor noise), g_j the linearised response of all outputs to process noise on one force equation or to sample
-noise on one control. Where an attitude is itself the output of a filter, two more: gyro noise, which the rate shows and
-the attitude integrates, and the slow wandering of the attitude alone. All strengths are estimated by maximum likelihood in
-the frequency domain (Whittle 1953); nothing is assumed of the sensors or the weather. Multiplying by S(f)^(-1/2) makes
-residuals white and keeps them aligned in time and channel.
+noise on one control. What taking the noise off a control leaves wrong has a known size and colour: its strength is not free,
+else process noise stands for it and the nulls, which have both, scatter twice too far. Where an attitude is itself the output
+of a filter, two more: gyro noise, which the rate shows and the attitude integrates, and the slow wandering of the attitude
+alone. All other strengths are estimated by maximum likelihood in the frequency domain (Whittle 1953); nothing is assumed of the
+sensors or the weather. Multiplying by S(f)^(-1/2) makes residuals white and keeps them aligned in time and channel.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -45,6 +46,7 @@ class Source(Enum):
 
     RATE = "rate of a state"  # white, or with a memory: the derivative of coloured noise, as gusts have it
     CONTROL = "control"  # of one sample
+    PREPARED = "control as prepared"  # what taking its noise off left wrong, of known strength
     WANDERING = (
         "error of an attitude filter"  # white noise on the rate of an error that is forgotten in `filter_memory`
     )
@@ -252,9 +254,15 @@ def linear_motion(model: Model, simulator: Simulator, segment: Segment, values: 
 
 
 def shapes_of(
-    model: Model, linear: Linear, count: int, criteria: Criteria, states: Sequence[str] | None = None
+    model: Model,
+    linear: Linear,
+    count: int,
+    criteria: Criteria,
+    states: Sequence[str] | None = None,
+    left: Mapping[str, Array] = MappingProxyType({}),
 ) -> Shapes:
-    """Responses of a record of `count` samples to noise. states: where process noise may enter."""
+    """Responses of a record of `count` samples to noise. states: where process noise may enter. left: control -> (frequencies,)
+    variance per sample of what its preparation left wrong."""
     nx, ny = len(model.states), len(model.outputs)
     s = 2j * np.pi * np.fft.rfftfreq(count, linear.dt)
     s[0] = 2j * np.pi * LOWEST / (count * linear.dt)
@@ -267,7 +275,11 @@ def shapes_of(
         tau = criteria.gust_memory
         parts[NoisePart(Source.RATE, name, tau)] = reply[:, :, i] * (s / (s + 1 / tau))[:, None]
     for j, name in enumerate(linear.controls):
-        parts[NoisePart(Source.CONTROL, name)] = np.asarray(reply @ linear.B[:, j] + linear.D[:, j], complex)
+        moved = np.asarray(reply @ linear.B[:, j] + linear.D[:, j], complex)
+        parts[NoisePart(Source.CONTROL, name)] = moved
+        if left:
+            size = left.get(name, np.zeros(s.size))
+            parts[NoisePart(Source.PREPARED, name)] = moved * np.sqrt(size)[:, None]
     for i, name in enumerate(model.output_names):
         if name in RATE_OF:
             before = np.exp(-s * linear.dt)  # one sample ago: a filter adds up sampled rates by straight lines
@@ -333,6 +345,8 @@ def estimate_noise(
     names, power = [n for n, p in zip(names, power, strict=True) if p > 0.0], power[power > 0.0]
     R, v, turns = start.copy(), BEGIN / power, ITERATIONS
     v = np.array([known.get(n, x) for n, x in zip(names, v, strict=True)])
+    free = np.array([n.source is not Source.PREPARED for n in names], dtype=bool)
+    v[~free] = 1.0
     if begin is not None and all(n in begin.process for n in names):
         R, v, turns = begin.measurement.copy(), np.array([begin.process[n] for n in names]), FOLLOWING
     blocks = [_stacked(sh, names, ny) for sh in shapes]
@@ -355,5 +369,5 @@ def estimate_noise(
             up += w @ (shown.real**2 + shown.imag**2)
             down += w @ np.sum(g_turned.transpose(0, 2, 1) * through[:, :, 1:], axis=1).real
         R = np.maximum(R * np.sqrt(up_R / down_R), floor)
-        v = np.maximum(v * np.sqrt(up / down), FLOOR / power)
+        v[free] = np.maximum(v * np.sqrt(up / down), FLOOR / power)[free]
     return NoiseModel(R, dict(zip(names, (float(x) for x in v), strict=True)))

@@ -10,18 +10,16 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from estimation.engine.data import Preparation, prepare
+from estimation.engine.data import FlightData, prepare
+from estimation.engine.followed import pitches
 from estimation.engine.kernel import Array
 from estimation.engine.simulate import Segment
 from estimation.gap.criteria import Criteria
 from estimation.gap.effects.base import Effect, Form
 from estimation.models.base import Model, Signal
 from estimation.signals.preprocess import noise_level
-from estimation.signals.raw_steps import with_raw_steps
+from estimation.signals.raw_steps import noise_between_steps, with_raw_steps
 from groundstation.flight import Flight
-
-SMOOTH = Preparation(feedback=False)
-"""Steps are put in here; what was measured of names and thresholds was without feedback."""
 
 
 @dataclass(frozen=True)
@@ -32,6 +30,8 @@ class Record:
     measured outputs, NaN where not measured; x0: (nx,) guess of the initial state; both in the base model's order.
     input_noise: name -> standard deviation of the noise found on an input. louder: (ny,) variance of the outputs' white
     noise over the usual one, where this flight's is larger. raw: control -> (N,) where its measured value is used as it is.
+    wrong: control -> (draws, N) of what its preparation may have left wrong, where that keeps what follows the motion. left:
+    control -> (frequencies,) variance per sample of what is wrong with it, once that is known.
     """
 
     flight: int
@@ -43,6 +43,8 @@ class Record:
     input_noise: Mapping[str, float]
     louder: Array | None = None
     raw: Mapping[str, NDArray[np.bool_]] = field(default_factory=dict)
+    wrong: Mapping[str, NDArray[np.float32]] = field(default_factory=dict)
+    left: Mapping[str, Array] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return int(self.time.size)
@@ -76,7 +78,7 @@ def started(model: Model, known: Mapping[str, float]) -> Array:
 @dataclass(frozen=True)
 class FlightRecords:
     """Records of the flights given, for one base model. names: of the flights; training, holdout: flight indices;
-    criteria: by which everything made of them is decided."""
+    criteria: by which everything made of them is decided; stale: outputs that repeat their last value in many samples."""
 
     base: Model
     names: tuple[str, ...]
@@ -86,6 +88,7 @@ class FlightRecords:
     available: frozenset[str]
     notes: tuple[str, ...]
     criteria: Criteria
+    stale: tuple[str, ...] = ()
 
     def of(self, flights: Iterable[int]) -> tuple[Record, ...]:
         """Records of the named flights."""
@@ -116,13 +119,27 @@ def prepare_flights(
     records: list[Record] = []
     notes: list[str] = []
     for index, flight in enumerate(flights):
-        data = prepare(probe, flight, SMOOTH)
+        data = prepare(probe, flight)
         notes += [f"{flight.name}: {note}" for note in data.notes]
         noise = {name: level for name, (level, _) in data.noise.items()}
         for segment in data.segments:
             inputs = {n: np.ascontiguousarray(segment.u[:, i]) for i, n in enumerate(probe.input_names)}
-            raw = _raw_steps(base, flight, segment.first, inputs, noise, criteria)
-            records.append(Record(index, segment.first, segment.time, inputs, segment.z, segment.x0, noise, raw=raw))
+            wrong = _draws(probe, data, segment) if pitches(base) else {}
+            raw, own = _raw_steps(base, flight, segment.first, inputs, noise, criteria)
+            wrong = {n: w * np.float32(own.get(n, noise.get(n, 0.0)) / (noise.get(n) or 1.0)) for n, w in wrong.items()}
+            records.append(
+                Record(
+                    index,
+                    segment.first,
+                    segment.time,
+                    inputs,
+                    segment.z,
+                    segment.x0,
+                    {**noise, **own},
+                    raw=raw,
+                    wrong=wrong,
+                )
+            )
     return FlightRecords(
         base=base,
         names=tuple(f.name for f in flights),
@@ -137,17 +154,27 @@ def prepare_flights(
 
 def _raw_steps(
     base: Model, flight: Flight, first: int, inputs: dict[str, Array], noise: Mapping[str, float], criteria: Criteria
-) -> dict[str, NDArray[np.bool_]]:
-    """Put the measured values of the controls by their steps into `inputs`, where the model pitches; where that was."""
-    taken = {}
-    for signal in base.inputs if "Cm" in base.definitions else ():
+) -> tuple[dict[str, NDArray[np.bool_]], dict[str, float]]:
+    """Put the measured values of the controls by their steps into `inputs`, where the model pitches; where that was, and
+    the noise that is left there."""
+    taken, levels = {}, {}
+    for signal in base.inputs if pitches(base) else ():
         level = noise.get(signal.name, 0.0)
         if signal.control and level > 0.0 and flight.measured(signal.source):
             measured = flight.columns[signal.source][first : first + inputs[signal.name].size]
             inputs[signal.name], taken[signal.name] = with_raw_steps(
                 inputs[signal.name], measured, level, criteria.surface_step
             )
-    return taken
+            levels[signal.name] = noise_between_steps(measured, taken[signal.name], level)
+    return taken, levels
+
+
+def _draws(model: Model, data: FlightData, segment: Segment) -> dict[str, NDArray[np.float32]]:
+    """What may be wrong with each control of a segment, (draws, N)."""
+    if data.errors is None:
+        return {}
+    own = data.errors[segment.first : segment.first + len(segment)]
+    return {s.name: own[:, i].T for i, s in enumerate(model.inputs) if s.control}
 
 
 def with_own_noise(records: Sequence[Record], training: int, criteria: Criteria) -> tuple[Record, ...]:

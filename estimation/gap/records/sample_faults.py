@@ -20,6 +20,21 @@ def sample_notes(flights: Sequence[Flight], columns: Sequence[str], criteria: Cr
     return said
 
 
+def stale_channels(flights: Sequence[Flight], columns: Sequence[str], criteria: Criteria) -> tuple[str, ...]:
+    """Channels that repeat their last value in many samples of some flight."""
+    return tuple(
+        n for n in columns if any(f.measured(n) and _repeats(f.columns[n]) > criteria.stale_share for f in flights)
+    )
+
+
+def _repeats(values: Array) -> float:
+    """Share of the samples that repeat the one before, its ends apart: a clipped channel rests there."""
+    seen = values[np.isfinite(values)]
+    if seen.size < 2:
+        return 0.0
+    return float(np.mean((np.diff(seen) == 0.0) & (seen[1:] < seen.max()) & (seen[1:] > seen.min())))
+
+
 def _channel(name: str, values: Array, criteria: Criteria) -> list[str]:
     seen = values[np.isfinite(values)]
     said = []
@@ -28,9 +43,9 @@ def _channel(name: str, values: Array, criteria: Criteria) -> list[str]:
     if seen.size < criteria.fewest_samples or float(np.ptp(seen)) == 0.0:
         return said
     ends = (float(seen.max()), float(seen.min()))
-    stuck = (np.diff(seen) == 0.0) & (seen[1:] < ends[0]) & (seen[1:] > ends[1])
-    if float(stuck.mean()) > criteria.stale_share:
-        said.append(f"{name} repeats its last value in {stuck.mean():.0%} of the samples: stale or coarsely rounded")
+    stuck = _repeats(seen)
+    if stuck > criteria.stale_share:
+        said.append(f"{name} repeats its last value in {stuck:.0%} of the samples: stale or coarsely rounded")
         return said
     for end, word in zip(ends, ("upper", "lower"), strict=True):
         run = _longest((seen == end).astype(int))

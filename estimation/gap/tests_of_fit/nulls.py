@@ -23,7 +23,9 @@ from estimation.gap.records.nuisance import RATE_OF
 from estimation.models.base import Model
 from estimation.signals.preprocess import denoise_many
 
-BANK = 6  # de-noised realisations kept per input; a null draws one of them and its sign: 12 courses of each
+SMOOTHED = 0.25  # of a frequency, to either side of it: the spectrum of errors falls slowly
+BANK = 6  # realisations made of an input that was de-noised by itself; a null draws one of them and its sign: 12 courses of each
+NONE = np.zeros((BANK, 0))
 
 
 @dataclass(frozen=True)
@@ -36,10 +38,30 @@ class InputErrors:
         """(count, names) errors: every input from its own realisation, with its own sign."""
         errors = np.zeros((count, len(names)))
         for j, name in enumerate(names):
-            which, sign = rng.integers(BANK), 2.0 * rng.integers(2) - 1.0
-            if name in self.bank:
-                errors[:, j] = sign * self.bank[name][which]
+            bank = self.bank.get(name, NONE)
+            which, sign = rng.integers(len(bank)), 2.0 * rng.integers(2) - 1.0
+            if bank is not NONE:
+                errors[:, j] = sign * bank[which]
         return errors
+
+
+def with_errors(records: Sequence[Record], model: Model, errors: Sequence[InputErrors]) -> tuple[Record, ...]:
+    """The records with the spectra of what is wrong with their controls, as the nulls have it."""
+    controls = [s.name for s in model.inputs if s.control]
+    return tuple(
+        replace(r, left={n: spectrum(e.bank[n]) for n in controls if n in e.bank})
+        for r, e in zip(records, errors, strict=True)
+    )
+
+
+def spectrum(courses: Array) -> Array:
+    """(frequencies,) variance per sample of random courses (many, N), smoothed over a share of the frequency to either side."""
+    power = np.mean(np.abs(np.fft.rfft(courses, axis=1)) ** 2, axis=0) / courses.shape[1]
+    at = np.arange(power.size)
+    reach = np.maximum(1, np.round(SMOOTHED * at)).astype(int)
+    total = np.concatenate([[0.0], np.cumsum(power)])
+    low, high = np.maximum(at - reach, 0), np.minimum(at + reach + 1, power.size)
+    return np.asarray((total[high] - total[low]) / (high - low))
 
 
 def input_errors(record: Record, model: Model, rng: np.random.Generator) -> InputErrors:
@@ -50,6 +72,12 @@ def input_errors(record: Record, model: Model, rng: np.random.Generator) -> Inpu
         if sigma <= 0.0 or signal.name not in record.inputs:
             continue
         clean = record.inputs[signal.name]
+        if signal.name in record.wrong:
+            bank[signal.name] = np.asarray(record.wrong[signal.name], float)
+            if signal.name in record.raw:
+                own = sigma * rng.standard_normal(bank[signal.name].shape)
+                bank[signal.name] = np.where(record.raw[signal.name], own, bank[signal.name])
+            continue
         noisy = [clean + sigma * rng.standard_normal(clean.size) for _ in range(BANK)]
         done = denoise_many(noisy, order=1 if signal.control else 2, noise=sigma)
         bank[signal.name] = np.stack([d.values - clean for d in done])

@@ -68,7 +68,7 @@ def concluded(setting: Setting, search: SearchState, check: KinematicCheck) -> G
     before_model, after_model = models(setting.base, first.baseline, kept, found.shape)
     return GapResult(
         verdict=decision.verdict,
-        text=conclude(decision.verdict, steps, detectable, cannot, tied, bool(prepared.holdout), odd),
+        text=conclude(decision.verdict, steps, detectable, cannot, tied, bool(prepared.holdout), odd, prepared.stale),
         minimum_detectable=detectable,
         steps=steps,
         scores=effect_scores(first),

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from estimation.engine.kernel import Array
 from estimation.engine.simulate import Segment, Simulator
@@ -16,11 +17,12 @@ from estimation.gap.records.nuisance import with_nuisance
 from estimation.gap.records.steady import steady_outputs, steady_state
 from estimation.gap.search.select import material
 from estimation.gap.tests_of_fit.kinematic_check import KinematicCheck, clearest, kinematic_check
-from estimation.gap.tests_of_fit.nulls import input_errors
+from estimation.gap.tests_of_fit.nulls import input_errors, spectrum, with_errors
 from estimation.gap.tests_of_fit.pitch_kinematics import pitch_kinematic_model
 from estimation.gap.workflow import Options, run_gap
 from estimation.models.base import Signal
 from estimation.models.load import load_model
+from estimation.signals.preprocess import noise_level
 from estimation.signals.raw_steps import near_steps, with_raw_steps
 from groundstation.flight import Flight
 from tests.estimation.gap.test_rules_search import candidate
@@ -121,8 +123,31 @@ def test_records_keep_the_elevator_as_measured_by_its_steps_and_nulls_its_noise(
     errors = input_errors(record, PITCHING, np.random.default_rng(1)).bank["delta_e"]
     assert np.std(errors[:, raw]) == pytest.approx(record.input_noise["delta_e"], rel=0.15)
     assert np.std(errors[:, ~raw]) < 0.7 * record.input_noise["delta_e"]
+    (known,) = with_errors([record], PITCHING, [input_errors(record, PITCHING, np.random.default_rng(1))])
+    assert known.left["delta_e"].mean() == pytest.approx(np.mean(errors**2), rel=0.3)
+    assert known.left["delta_e"].size == len(record) // 2 + 1
     (sideways,) = prepare_flights(LATERAL, (), [flight], (), AS_SET).records
     assert not sideways.raw
+
+
+def test_the_spectrum_of_random_courses_is_smooth_and_keeps_their_colour() -> None:
+    rng = np.random.default_rng(8)
+    courses = lfilter([1.0], [1.0, -0.9], rng.standard_normal((6, 4000)), axis=1)[:, 2000:]
+    found = spectrum(courses)
+    expected = 1.0 / np.abs(1.0 - 0.9 * np.exp(-2j * np.pi * np.fft.rfftfreq(2000))) ** 2
+    assert found[20:] == pytest.approx(expected[20:], rel=0.45)
+    assert np.mean(found[20:] / expected[20:]) == pytest.approx(1.0, abs=0.1)
+
+
+def test_the_noise_of_a_control_is_told_between_its_steps(flown: dict[str, list[Flight]]) -> None:
+    """0.07 deg in the second truth; by all third differences, a third of them of steps and servo, a tenth more and above."""
+    levels = []
+    for flight in flown["none"]:
+        (record,) = prepare_flights(PITCHING, (), [flight], (), AS_SET).records
+        levels.append((record.input_noise["delta_e"], noise_level(flight.columns["delta_e"])))
+    own, rough = np.mean(levels, axis=0)
+    assert own == pytest.approx(np.radians(0.07), rel=0.06)
+    assert rough > 1.1 * np.radians(0.07)
 
 
 def filtered(theta_error: float, gain: float = 1.0) -> list[Record]:

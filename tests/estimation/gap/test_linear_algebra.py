@@ -90,6 +90,17 @@ def test_noise_strengths_are_recovered() -> None:
     assert found.process[A] == pytest.approx(20.0, rel=0.25)
 
 
+def test_what_is_known_of_a_control_is_not_estimated_and_what_else_there_is_is_not_booked_on_it() -> None:
+    """Two parts of the same shape, one of which has a known strength: the free one gets what is beyond it."""
+    rng = np.random.default_rng(4)
+    known, shape = NoisePart(Source.PREPARED, "u"), low_pass_shape(600, 0.05, 0.5)
+    truth = NoiseModel(np.array([1.0, 2.0]), {A: 20.0, known: 1.0})
+    shapes = [Shapes({A: shape, known: np.sqrt(30.0) * shape}, 600, 0.05)] * 6
+    found = estimate_noise([draw(truth, s, rng) for s in shapes], shapes, np.array([3.0, 3.0]), np.array([0.1, 0.1]))
+    assert found.process[known] == 1.0
+    assert found.process[A] == pytest.approx(20.0, rel=0.4)
+
+
 def screen_of(rows: list[np.ndarray], n: int, k: int, flights: tuple[int, ...]) -> Screen:  # type: ignore[type-arg]
     columns = tuple(Column(i, None) for i in range(k))  # type: ignore[arg-type]
     reduced = tuple(Reduced(r.T @ r) for r in rows)
