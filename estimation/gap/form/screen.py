@@ -18,11 +18,13 @@ NOTHING = 1e-300
 @dataclass(frozen=True)
 class Ranked:
     """Places by what a spline gains there. gains: (places,) twice the log-likelihood with the penalty counted; scores: (places,)
-    root of the gain over its median on the nulls; threshold: family-wise, from the largest score of every null."""
+    root of the gain over its median on the nulls; usual: (places,) that median; threshold: family-wise, from the largest score
+    of every null."""
 
     places: tuple[Place, ...]
     gains: Array
     scores: Array
+    usual: Array
     threshold: float
 
     @property
@@ -32,8 +34,9 @@ class Ranked:
 
     @property
     def best_gain(self) -> float:
-        """Largest gain of a place that passes the threshold; 0 where none does."""
-        return float(self.gains[self.order[0]]) if self.order else 0.0
+        """Largest gain of a place that passes the threshold, less what so many unknowns gain there with nothing hidden; 0 where
+        none passes."""
+        return float((self.gains - self.usual)[self.order].max()) if self.order else 0.0
 
 
 def rank(flown: Flown, round_: Round, places: Sequence[Place]) -> Ranked:
@@ -74,8 +77,8 @@ def penalised(projected: Projected, span: Sequence[int], weight: Array) -> Array
 def ranked(places: Sequence[Place], gains: Array, criteria: Criteria) -> Ranked:
     """gains: (places, 1 + nulls). The threshold is raised like that of a name."""
     if not places:
-        return Ranked((), np.zeros(0), np.zeros(0), 0.0)
+        return Ranked((), np.zeros(0), np.zeros(0), np.zeros(0), 0.0)
     usual = np.maximum(np.median(gains[:, 1:], axis=1), NOTHING)  # a mean is made by the few nulls that run away
     scores = np.sqrt(gains / usual[:, None])
     limit = criteria.null_margin * upper_quantile(scores[:, 1:].max(axis=0), criteria.null_level)
-    return Ranked(tuple(places), gains[:, 0], scores[:, 0], limit)
+    return Ranked(tuple(places), gains[:, 0], scores[:, 0], usual, limit)

@@ -14,7 +14,7 @@ import numpy as np
 from estimation.engine.kernel import Array
 from estimation.gap.criteria import Criteria
 from estimation.gap.effects.base import EffectParameter
-from estimation.gap.likelihood.fitting import Fit, Problem, fit
+from estimation.gap.likelihood.fitting import Fit, Problem, fit, prior_cost
 from estimation.gap.records.candidate_model import awakened
 from estimation.gap.tests_of_fit.hypotheses import Hypothesis, extended, one_sided
 from estimation.gap.tests_of_fit.screen import Screen, equivalent_z
@@ -88,8 +88,10 @@ def assess(
     """
     criteria = problem.criteria
     gain = 2.0 * (base_fit.cost - found.cost) if not found.diverged else 0.0
+    freed = freed_by(problem, base_fit, found) if not found.diverged else 0.0
     std = found.std() if not found.diverged else {}
-    evidence = 0.5 * gain / inflation - float(np.log(len(hypothesis.effect.forms)))  # forms share their effect's prior
+    evidence = 0.5 * deflated(gain, freed, inflation)
+    evidence -= float(np.log(len(hypothesis.effect.forms)))  # forms share their effect's prior
     estimates: dict[str, tuple[float, float]] = {}
     why_not, size = "the fit diverges" if found.diverged else "", 0.0
     for p in hypothesis.form.parameters:
@@ -99,8 +101,19 @@ def assess(
         size = max(size, abs(value - none) / p.typical)
         evidence -= price(value - none, bound, criteria.prior_width * p.typical)
         why_not = why_not or impossible(p, value, none)
-    score = equivalent_z(gain / (inflation if own is None else own), len(hypothesis.form.parameters))
+    score = equivalent_z(deflated(gain, freed, inflation if own is None else own), len(hypothesis.form.parameters))
     return Candidate(hypothesis, found, gain, score, evidence, estimates, size, why_not)
+
+
+def freed_by(problem: Problem, base_fit: Fit, found: Fit) -> float:
+    """What a fit gains (twice a log-likelihood) as what is only nuisance, surfaces moved in time, need not bend as far for it."""
+    names = [n for n in problem.free if problem.nuisance(n)]
+    return 2.0 * (prior_cost(problem, names, base_fit.values) - prior_cost(problem, names, found.values))
+
+
+def deflated(gain: float, freed: float, inflation: float) -> float:
+    """A gain over its inflation on the nulls. That is of residuals: the part that comes from priors is not scattered by them."""
+    return (gain - freed) / inflation + freed
 
 
 def price(distance: float, bound: float, width: float) -> float:

@@ -82,13 +82,19 @@ def comparable(round_: Round) -> dict[tuple[str, str], float]:
     """Inflation by which the gains of the hypotheses are divided when they are weighed against each other.
 
     Rivals with nearly the same signature must be divided by the same number, or its chance differences decide between
-    them: that of the leading hypothesis, unless a hypothesis' own is more than twice as large. Delays, lags and plays
-    always take the common one: their scatter on the nulls is that of a small step, not of the full fit they are judged by.
+    them: that of the leading hypothesis, unless a hypothesis' own is more than twice as large and its signature another.
+    Delays, lags and plays always take the common one: their scatter on the nulls is that of a small step, not of the full
+    fit they are judged by.
     """
-    common = float(round_.inflation[int(np.argmax(round_.gains / round_.inflation))])
+    screen, first = round_.screen, int(np.argmax(round_.gains / round_.inflation))
+    common = float(round_.inflation[first])
+    cosines = np.abs(screen.projected().cosines())[screen.span(first)]
+    alike = [cosines[:, screen.span(h)].max() > round_.criteria.tie for h in range(len(screen.hypotheses))]
     return {
-        h.key: float(own) if own > round_.criteria.common_inflation * common and not h.form.nonlinear else common
-        for h, own in zip(round_.screen.hypotheses, round_.inflation, strict=True)
+        h.key: float(own)
+        if own > round_.criteria.common_inflation * common and not h.form.nonlinear and not same
+        else common
+        for h, own, same in zip(screen.hypotheses, round_.inflation, alike, strict=True)
     }
 
 

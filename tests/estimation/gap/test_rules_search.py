@@ -17,7 +17,7 @@ from estimation.gap.search import backward_check as checking
 from estimation.gap.search import rounds as searching
 from estimation.gap.search.accept import accept, by_timing, explains, follows, holds, is_strong, repeats
 from estimation.gap.search.backward_check import best_rival, idle, questioners
-from estimation.gap.search.confirm import Candidate, assess, impossible, leading, price
+from estimation.gap.search.confirm import Candidate, assess, deflated, freed_by, impossible, leading, price
 from estimation.gap.search.rounds import run_rounds
 from estimation.gap.search.search_state import Finding, Options
 from estimation.gap.search.select import Choice, comparable, credible_set, material, promise, worth_comparing
@@ -109,6 +109,24 @@ def test_rivals_share_one_inflation_unless_theirs_is_twice_as_large(own: float, 
     assert found[("late", "late")] == 1.0, "what is judged by a full fit takes the common one"
 
 
+@pytest.mark.parametrize(("cosine", "used"), [(0.88, 9.0), (0.92, 1.0)])
+def test_rivals_of_nearly_one_signature_share_one_inflation_whatever_their_own(cosine: float, used: float) -> None:
+    gram = np.eye(3)
+    gram[0, 1] = gram[1, 0] = cosine
+    one = screen([hypothesis("best"), hypothesis("x")], gram)
+    round_ = stub(screen=one, gains=np.array([100.0, 99.0]), inflation=np.array([1.0, 9.0]), criteria=AS_SET)
+    assert comparable(round_)[("x", "x")] == used
+
+
+def test_inflation_divides_what_residuals_gain_and_not_what_priors_do() -> None:
+    """A base without the delay moves a surface by 5 prior widths: 25 of a gain of 33, and all else is inflated fourfold."""
+    assert deflated(33.0, 25.0, 4.0) == pytest.approx(25.0 + 8.0 / 4.0)
+    believed = {"late": (0.0, 0.005), "a": (0.0, 1e-3)}
+    problem = stub(free=("late", "a"), nuisance=lambda n: n == "late", prior=believed.get)
+    before, after = stub(values={"late": 0.025, "a": 1.0}), stub(values={"late": 0.0, "a": 0.0})
+    assert freed_by(problem, before, after) == pytest.approx(25.0), "what is believed of a derivative is not nuisance"
+
+
 def test_the_price_of_an_estimate_is_its_distance_and_the_width_of_the_prior() -> None:
     assert price(3.0, 0.3, 3.0) == pytest.approx(0.5 + np.log(10.0))
     assert price(0.0, 30.0, 3.0) == 0.0
@@ -117,7 +135,8 @@ def test_the_price_of_an_estimate_is_its_distance_and_the_width_of_the_prior() -
 
 def assessed(value: float, forms: int = 1) -> Candidate:
     fitted = stub(values={"x": value}, cost=40.0, diverged=False, std=lambda: {"x": 0.03})
-    return assess(stub(model=BASE, criteria=AS_SET), stub(cost=100.0), hypothesis("x", forms=forms), fitted, 4.0, 1.0)
+    problem = stub(model=BASE, criteria=AS_SET, free=())
+    return assess(problem, stub(cost=100.0, values={}), hypothesis("x", forms=forms), fitted, 4.0, 1.0)
 
 
 def test_evidence_is_the_gain_over_the_inflation_less_the_price_of_the_size() -> None:
