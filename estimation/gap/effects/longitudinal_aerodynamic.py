@@ -17,6 +17,10 @@ STILL = (
 )
 HEIGHT = Signal("height", "m", "height of the wing above ground")
 THREE_SPEEDS = "three trim speeds, slow decelerations between them"
+SHIFT, FARTHEST = (
+    0.1,
+    0.75,
+)  # three times the distance [rad] between the angles of attack about which a cube may be, usual and most
 GLIDES = "power-off glides over the whole speed range"
 
 UNSTEADY = (
@@ -81,10 +85,28 @@ def _power(
         {twin: "a_z against q: lift shows in a_z at once, a moment first in q",
          **({"Cm_alpha_de": "two flap or centre-of-gravity trims"} if line == "Cm" else {"V_scale": "GPS triangle"})},
         THREE_SPEEDS,
-        one_term(name, line, f"{OVER}^{power}", typical, reach, f"{'lift' if line == 'CL' else 'moment'} per power of α",
-                 f"1/rad{power}", requires=("alpha",)),
+        (*one_term(name, line, f"{OVER}^{power}", typical, reach, f"{'lift' if line == 'CL' else 'moment'} per power of α",
+                   f"1/rad{power}", requires=("alpha",)),
+         *(_about_another_angle(name, line, typical, reach),) * (power == 3)),
         family=f"power {power} of angle of attack",
     )  # fmt: skip
+
+
+def _about_another_angle(name: str, line: str, typical: float, reach: float) -> Form:
+    """A cube about an angle of attack that the flights choose: that of the catalogue is one aircraft's. With a straight line in
+    the base it is a cube and a square, here of a quarter of a radian at the most."""
+    square = f"{name}_square"
+    return Form(
+        f"{name} (about another angle)",
+        (
+            EffectParameter(name, "1/rad3", typical, -reach, reach, meaning="coefficient per cube of α"),
+            EffectParameter(
+                square, "1/rad2", SHIFT * typical, -FARTHEST * reach, FARTHEST * reach, meaning="and per its square"
+            ),
+        ),
+        terms={line: (f"({name}*{OVER} + {square})*{OVER}^2",)},
+        requires=(line, "alpha"),
+    )
 
 
 _VORTEX = "Leading-edge vortices add lift beyond a straight line, separation takes it away: lift that bends with angle of attack."

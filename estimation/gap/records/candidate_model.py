@@ -27,7 +27,9 @@ def with_dormant(
         terms={f"{s}_dot": DISTURBANCE.format(s) for s in disturbed},
     )
     for effect in effects:
-        for form in effect.forms:
+        for form in sorted(
+            effect.forms, key=lambda f: -len(f.parameters)
+        ):  # the lines of the richest hold those of the others
             if form.states or form.lines or form.frees or not all(s.name in available for s in form.inputs):
                 continue
             if form.obstacle(model) is None and form.obstacle(made) is None:
