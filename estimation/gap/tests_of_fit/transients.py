@@ -1,7 +1,8 @@
 """Is what is left a matter of time and not of the motion: an instrument that drifts or slips, weather that bursts?
 
-Three families: a ramp in an output (own slope on every flight), a step in an output of one flight at some instant, a disturbance
-of all force equations over a stretch of one flight. They are scored by linear theory with everything the base can absorb
+Four families: a ramp in an output (own slope on every flight), a step in an output of one flight at some instant, a disturbance
+of all force equations over a stretch of one flight, and a gust that comes and goes there: what it does to the rate of an angle
+or a speed of the air it takes back. They are scored by linear theory with everything the base can absorb
 projected out, calibrated on the same nulls as all else, and taken one after the other.
 """
 
@@ -25,6 +26,7 @@ EVERY = 0.5  # s between the instants at which a step is looked for: a twentieth
 STRETCHES = (1.0, 3.0)  # s, of disturbances; each begins a third of it after the one before
 MOST = 6  # taken one after the other
 SMALLEST_TAIL = -700.0  # of a logarithm of a probability that still has one
+AIR = frozenset(DISTURBANCE.format(s) for s in ("V", "alpha", "beta"))  # motion through the air, which a gust moves
 SEEN = 1e-6  # of a column's length: one of which the base leaves less says nothing
 FEWEST = 4  # samples to either side of a step
 
@@ -40,13 +42,14 @@ class Happening(StrEnum):
 @dataclass(frozen=True)
 class Event:
     """One happening. channel: the output, or "" for a disturbance of the motion. record: in which; -1 for a drift, which may be
-    in all. start, end: s on the flight's clock."""
+    in all. start, end: s on the flight's clock. air: of a gust the state that it moves."""
 
     kind: Happening
     channel: str
     record: int
     start: float
     end: float
+    air: str = ""
 
 
 @dataclass(frozen=True)
@@ -110,9 +113,18 @@ def asked_of(problem: Problem, found: Fit) -> Asked:
     for i, segment in enumerate(problem.coarse):
         for width in STRETCHES if doors else ():
             for at in np.arange(segment.time[0], segment.time[-1] - width, width / 3.0):
-                bump = np.clip((segment.time - at) / width, 0.0, 1.0)
-                made = [(i, _through(problem, found, i, d, np.sin(np.pi * bump))) for d in doors]
-                put(Event(Happening.BURST, "", i, float(at), float(at + width)), made)
+                phase = np.pi * np.clip((segment.time - at) / width, 0.0, 1.0)
+                span = (float(at), float(at + width))
+                put(
+                    Event(Happening.BURST, "", i, *span),
+                    [(i, _through(problem, found, i, d, np.sin(phase))) for d in doors],
+                )
+                turn = np.where(
+                    (phase > 0.0) & (phase < np.pi), np.cos(phase), 0.0
+                )  # of an air that moves like the sine
+                for d in (d for d in doors if d in AIR):
+                    air = d.removeprefix(DISTURBANCE.format(""))
+                    put(Event(Happening.BURST, "", i, *span, air=air), [(i, _through(problem, found, i, d, turn))])
     return Asked(tuple(events), tuple(columns), tuple(owners), tuple(changes))
 
 
@@ -188,7 +200,9 @@ def _scored(
         if e not in taken:
             at = [rest[c] for c in columns]
             gains[e] = single[at[0]] if len(at) == 1 else _gains(projected, at)
-    scores = equivalent(gains, np.array([len(c) for c in asked.columns]), [(e.kind, e.channel) for e in asked.events])
+    scores = equivalent(
+        gains, np.array([len(c) for c in asked.columns]), [(e.kind, e.channel, e.air) for e in asked.events]
+    )
     return scores[:, 0], gains[:, 0], event_limit(scores[:, 1:].max(axis=0), criteria)
 
 

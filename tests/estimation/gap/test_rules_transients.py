@@ -17,11 +17,13 @@ from estimation.gap.criteria import AS_SET
 from estimation.gap.likelihood.baseline import Baseline
 from estimation.gap.likelihood.fitting import Problem, fit
 from estimation.gap.likelihood.whitening import NoiseModel, Whitener
+from estimation.gap.records.candidate_model import DISTURBANCE
 from estimation.gap.records.flight_records import Record
 from estimation.gap.tests_of_fit.calibration import Round
-from estimation.gap.tests_of_fit.transients import equivalent, event_limit, find_transients
+from estimation.gap.tests_of_fit.transients import asked_of, equivalent, event_limit, find_transients
 from estimation.gap.verdict.decide import Decision, with_event, with_shape
 from estimation.gap.verdict.nameless import event_step
+from estimation.models.base import Parameter, Signal
 from tests.estimation.gap.roll import ROLL
 
 NOISE = 0.02
@@ -90,6 +92,60 @@ def test_a_step_of_a_gyro_is_found_in_its_flight_at_its_time_and_taken_out() -> 
     left = np.concatenate([r[:, 0] for r in found.cleared.baseline.fit.residuals])
     assert np.std(left) == pytest.approx(NOISE, rel=0.08)
     assert found.cleared.baseline.fit.values["L_p"] == pytest.approx(-6.0, rel=0.03)
+
+
+def sunk(gusts: Sequence[Array], doors: Sequence[str], seed: int = 6) -> Round:
+    """A round about flights of an aircraft that only sinks: alpha follows a control and what its door lets in; gusts: by which
+    the air turns the flow in each flight [rad]."""
+    model = replace(
+        ROLL,
+        states=(Signal("alpha", "rad"),),
+        outputs=(Signal("alpha", "rad"),),
+        inputs=(*ROLL.inputs, *(Signal(d, "rad/s") for d in doors)),
+        parameters=(Parameter("Z_a", start=-4.0), Parameter("Z_e", start=10.0)),
+        equations=("alpha_dot = Z_a*alpha + Z_e*delta_a" + "".join(f" + {d}" for d in doors),),
+    )
+    rng = np.random.default_rng(seed)
+    control = 0.05 * np.sin(2.0 * TIME) + 0.02 * np.sin(5.0 * TIME)
+    still = lti([10.0], [1.0, 4.0]).output(control, TIME)[1]
+    inputs = {"delta_a": control} | dict.fromkeys(doors, NOTHING)
+    records = tuple(
+        Record(
+            i,
+            0,
+            TIME,
+            inputs,
+            (still + lti([1.0, 0.0], [1.0, 4.0]).output(g, TIME)[1] + NOISE * rng.standard_normal(TIME.size))[:, None],
+            np.zeros(1),
+            {},
+        )
+        for i, g in enumerate(gusts)
+    )
+    white = Whitener(np.full((TIME.size // 2 + 1, 1, 1), 1.0 / NOISE, complex), TIME.size)
+    problem = Problem(model, model, records, (white,) * len(records), AS_SET)
+    baseline = Baseline(problem, fit(problem), NoiseModel(np.array([NOISE**2]), {}), np.array([NOISE]), model)
+    nulls = tuple(tuple(NOISE * rng.standard_normal((TIME.size, 1)) for _ in records) for _ in range(60))
+    screen: Any = None
+    return Round(baseline, screen, np.zeros(0), np.zeros((60, 0)), np.zeros(0), 4.0, nulls)
+
+
+def test_a_gust_that_comes_and_goes_is_found_as_one_of_the_air() -> None:
+    """Half a sine of 3 s in the angle of the flow: its rate is half a cosine, which takes back what it gives."""
+    gust = np.where((TIME > 8.0) & (TIME < 11.0), 0.2 * np.sin(np.pi * (TIME - 8.0) / 3.0), 0.0)
+    round_ = sunk([NOTHING, gust], [DISTURBANCE.format("alpha")])
+    found = find_transients(round_)
+    (burst,) = found.found
+    assert (burst.event.kind, burst.event.air, burst.event.record) == ("burst", "alpha", 1)
+    assert (burst.event.start, burst.event.end) == pytest.approx((8.0, 11.0), abs=0.5)
+    assert burst.sizes[0][0] == pytest.approx(0.2 * np.pi / 3.0, abs=4.0 * burst.sizes[0][1])
+    events = asked_of(*moving(round_)).events
+    assert {e.air for e in events if e.kind == "burst"} == {"", "alpha"}
+    turning = asked_of(*moving(sunk([NOTHING], [DISTURBANCE.format("q")])))
+    assert {e.air for e in turning.events} == {""}, "the air turns the flow and not the body"
+
+
+def moving(round_: Round) -> tuple[Problem, Any]:
+    return round_.baseline.problem, round_.baseline.fit
 
 
 def test_a_drift_is_one_thing_on_all_flights_with_a_size_on_each() -> None:
