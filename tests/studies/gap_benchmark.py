@@ -64,7 +64,12 @@ INVISIBLE = ("stall_separation",)  # these flights do not come near the stall
 SUBJECTS: dict[str, tuple[tuple[str, ...], tuple[str, ...], tuple[tuple[str, str], ...], str]] = {
     "lateral": (tuple(n for n in truth.TYPICAL if n not in INVISIBLE), truth.UNKNOWN, PAIRS, "rich"),
     "longitudinal": (tuple(truth.pitch.PITCH), truth.pitch.PITCH_UNKNOWN, PITCH_PAIRS, "longitudinal"),
-    "six-dof": ((*truth.pitch.CROSS, "prop_gyroscopic"), truth.pitch.PITCH_UNKNOWN, CROSS_PAIRS, "all"),
+    "six-dof": (
+        tuple(n for n in truth.EVERY if n not in INVISIBLE),
+        (*truth.UNKNOWN, *truth.pitch.PITCH_UNKNOWN),
+        (*CROSS_PAIRS, *PITCH_PAIRS, *PAIRS),
+        "all",
+    ),
 }
 """Model -> effects, effects outside the catalogue, pairs, manoeuvres."""
 
