@@ -1,7 +1,8 @@
 """What every fit of the workflow carries along because no flight is free of it, and what it must not be named for.
 
 Instrument biases of each flight (about as large as the noise of the channel), the time at which a surface really moves
-between two samples (a tenth of the sample interval), what an attitude filter makes of sampled rates (again a tenth of
+between two samples (a tenth of the sample interval, for all surfaces together; they are sampled by one clock, and one of
+them differs from the others by a few hundredths), what an attitude filter makes of sampled rates (again a tenth of
 the interval, and the rounding of rolling edges by straight lines between samples, at most h^2/12 times the angular
 acceleration), and what its plumb line makes of slipping: it takes the side acceleration of a changing sideslip for
 gravity, an error in bank that follows sideslip (V/(g T) of it where nothing is done against that, T the filter's memory;
@@ -16,6 +17,7 @@ from estimation.gap.criteria import Criteria
 from estimation.models.base import InputTransform, Model, Parameter, ParameterRole
 
 GRAVITY = 9.80665
+TOGETHER = "timing_controls"  # by which all controls move late
 RATE_OF = {"phi": "p", "theta": "q", "psi": "r"}  # attitude -> the rate a filter integrates to it
 
 
@@ -31,13 +33,7 @@ def with_nuisance(
     own = {f"bias_{n}" for n in biased}
     made = model.with_biases(*biased)
     made = made.with_prior(**{f"bias_{n}": (0.0, criteria.bias_share * noise[n]) for n in biased})
-    for signal in model.inputs:
-        name = f"timing_{signal.name}"
-        if signal.control and name not in made.parameter_names:
-            made = made.plus(
-                parameters=[_carried(name, "s", criteria.timing_share * sample_interval)],
-                transforms=[InputTransform("delay", signal.name, (name,))],
-            )
+    made = _timed(made, sample_interval, criteria)
     for attitude in filtered:
         made = _sampled(made, attitude, sample_interval, criteria)
     marked = tuple(replace(p, role=ParameterRole.NUISANCE) if p.name in own else p for p in made.parameters)
@@ -48,6 +44,27 @@ def with_nuisance(
         if p.reference is not None and p.reference_std and p.prior_mean is None
     }
     return made.with_prior(**beliefs)  # type: ignore[arg-type]
+
+
+def _timed(model: Model, sample_interval: float, criteria: Criteria) -> Model:
+    """`model` with controls that move a little before or after they were sampled: all together, and each by itself."""
+    controls = [s.name for s in model.inputs if s.control and f"timing_{s.name}" not in model.parameter_names]
+    several = len(controls) > 1 and TOGETHER not in model.parameter_names
+    own = criteria.own_timing_share if several else criteria.timing_share
+    if several:
+        model = model.plus(
+            parameters=[_carried(TOGETHER, "s", criteria.timing_share * sample_interval)],
+            transforms=[InputTransform("delay", name, (TOGETHER,)) for name in controls],
+        )
+    return model.plus(
+        parameters=[_carried(f"timing_{name}", "s", own * sample_interval) for name in controls],
+        transforms=[InputTransform("delay", name, (f"timing_{name}",)) for name in controls],
+    )
+
+
+def timing_of(control: str, values: Mapping[str, float]) -> float:
+    """Time [s] by which a fit moved a control."""
+    return values.get(TOGETHER, 0.0) + values.get(f"timing_{control}", 0.0)
 
 
 def _carried(name: str, unit: str, width: float) -> Parameter:

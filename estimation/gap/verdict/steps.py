@@ -10,6 +10,7 @@ from estimation.gap.criteria import Criteria
 from estimation.gap.effects.base import Effect
 from estimation.gap.likelihood.baseline import Baseline
 from estimation.gap.likelihood.fitting import fit
+from estimation.gap.records.nuisance import timing_of
 from estimation.gap.search.accept import by_timing
 from estimation.gap.search.search_state import Finding, Setting
 from estimation.gap.search.select import credible_set
@@ -79,7 +80,7 @@ def followed_by_timing(finding: Finding) -> dict[str, float]:
     if not by_timing(finding.round_, finding.candidate):
         return {}
     values = finding.parent.fit.values
-    moved = {s.name: values.get(f"timing_{s.name}", 0.0) for s in finding.parent.model.inputs if s.control}
+    moved = {s.name: timing_of(s.name, values) for s in finding.parent.model.inputs if s.control}
     return followers(moved, finding.round_.criteria)
 
 

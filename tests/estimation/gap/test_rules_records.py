@@ -82,11 +82,25 @@ def test_nuisances_are_as_wide_as_what_no_flight_is_free_of() -> None:
     base = replace(base, parameters=tuple(believed if p.name == "Cl_p" else p for p in base.parameters))
     made = with_nuisance(base, noise, STEP, AS_SET, ("phi",))
     widths = {
-        n: made.parameter(n).prior_std for n in ("bias_beta", "timing_delta_a", "timing_phi", "plumb_phi", "Cl_p")
+        n: made.parameter(n).prior_std
+        for n in ("bias_beta", "timing_controls", "timing_delta_a", "timing_delta_r", "timing_phi", "plumb_phi", "Cl_p")
     }
     assert widths == pytest.approx(
-        {"bias_beta": 0.02, "timing_delta_a": 0.005, "timing_phi": 0.005, "plumb_phi": 0.02, "Cl_p": 0.3}
+        {
+            "bias_beta": 0.02,
+            "timing_controls": 0.005,
+            "timing_delta_a": 0.0015,
+            "timing_delta_r": 0.0015,
+            "timing_phi": 0.005,
+            "plumb_phi": 0.02,
+            "Cl_p": 0.3,
+        }
     )
+    alone = with_nuisance(ROLL, {}, STEP, AS_SET)
+    assert alone.parameter("timing_delta_a").prior_std == pytest.approx(0.005)
+    assert "timing_controls" not in alone.parameter_names, "one surface has no others"
+    late = [t.parameters[0] for t in made.transforms if t.input == "delta_r" and t.kind == "delay"]
+    assert late == ["timing_controls", "timing_delta_r"]
     assert made.parameter("rounding_phi").prior_std == pytest.approx(STEP**2 / 12)
 
 
