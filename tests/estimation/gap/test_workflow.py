@@ -78,7 +78,8 @@ def test_the_gap_of_a_delay_is_what_the_base_had_followed_by_timing(flown: dict[
     true = truth.TYPICAL["rudder_delay"]
     assert step.effect == "rudder_delay"
     assert step.estimates["rudder_delay"][0] == pytest.approx(true, abs=0.008)
-    assert step.followed == {"delta_r": pytest.approx(true, abs=0.01)}
+    assert list(step.followed) == ["delta_r"]
+    assert 0.5 * true < step.followed["delta_r"] < 1.1 * true, "held back by the surfaces it was sampled with"
     assert f"moves delta_r by {1e3 * step.followed['delta_r']:.0f} ms" in step.text
     assert step.gap.before > step.gap.after + 0.2
     assert step.gap.closed > 0.7

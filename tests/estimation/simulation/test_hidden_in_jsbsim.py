@@ -85,7 +85,7 @@ def test_a_hidden_yawing_moment_is_named_closed_exported_and_flies_in_the_export
     base = attach("jsbsim:c172p", "lateral", hidden.flights[1:])
     effects = [e for e in catalogue(model=base.model) if e.name in OFFERED]
     assert len(effects) == len(OFFERED)
-    options, file = Options(nulls=12), tmp_path / "gap.json"
+    options, file = Options(nulls=30), tmp_path / "gap.json"
     answer = analyse(base.model, base.training(1), base.holdout(1), effects, options, lambda *_: None, json_path=file)
     assert answer.verdict is Verdict.GAP_CLOSED
     (step,) = answer.steps
