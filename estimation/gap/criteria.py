@@ -233,6 +233,12 @@ class Criteria:
     named_share: float = criterion(
         0.75, "gain of a nameless term", "an effect that gains less does not get to give its name"
     )
+    shape_share: float = criterion(
+        0.95,
+        "gain of a nameless shape",
+        "a lone effect that gains less, by what is itself significant, gives way to a shape that closes the gap",
+        "right names gain 0.95 to 15 times as much (21 effects of usual size), a cubic for a dead band 0.89 (2026-11-23)",
+    )
     strong: float = criterion(
         1.5,
         "thresholds",

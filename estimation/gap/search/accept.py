@@ -23,14 +23,15 @@ def accept(
     said: list[Rejected] = []
     refused: set[tuple[str, str]] = set()
     nameless = max((s.gain for s in omnibus.leading if s.kind == "term"), default=0.0)
-    if any(c.score >= round_.threshold for c in choice.candidates):
-        nameless = max(nameless, shapes())
+    shape = shapes() if any(c.score >= round_.threshold for c in choice.candidates) else 0.0
+    nameless = max(nameless, shape)
     for candidate in choice.candidates:
         if candidate.score < round_.threshold:
             break
         child, why = confirmed(setting, round_, candidate, nameless)
         if child is not None:
-            return Finding(round_, choice.without(refused), candidate, round_.baseline, child), said
+            doubted = doubtful(candidate, shape, round_.threshold, round_.criteria)
+            return Finding(round_, choice.without(refused), candidate, round_.baseline, child, doubted), said
         refused.add(candidate.hypothesis.key)
         said.append(Rejected(candidate.hypothesis.label, why))
     return None, said
@@ -57,6 +58,14 @@ def confirmed(setting: Setting, round_: Round, candidate: Candidate, nameless: f
 def explains(gain: float, nameless: float, criteria: Criteria) -> bool:
     """Whether a hypothesis gains nearly what the best nameless term does (both twice a log-likelihood)."""
     return gain >= criteria.named_share * nameless
+
+
+def doubtful(candidate: Candidate, shape: float, threshold: float, criteria: Criteria) -> bool:
+    """Whether a name has the wrong form: a smooth function without a name gains more (twice a log-likelihood, less what chance
+    gives its unknowns) by a clear share and by what would itself be significant. One that is right gains as much."""
+    inflation = max(candidate.gain / candidate.score**2, 1.0) if candidate.score > 0.0 else 1.0
+    better = shape - candidate.gain
+    return candidate.gain < criteria.shape_share * shape and better > inflation * threshold**2
 
 
 def is_strong(score: float, threshold: float, criteria: Criteria) -> bool:

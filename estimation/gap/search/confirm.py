@@ -23,6 +23,7 @@ FIRST_STEPS = 5  # from every start; the better end goes on
 STEPS = 12  # in all: a candidate that takes more is no explanation anyone would find first
 ENOUGH = 0.02  # of the log-likelihood: rivals are weighed by whole units of it
 NEAREST, FARTHEST = 0.3, 3.0  # usual sizes from no effect, between which a fit starts: at none a play has no slope
+SHORTER = (0.3, 0.03)  # of the first start, where the motion runs away from it
 AT_LIMIT = 1e-6  # of a parameter's range: an estimate so near its end was stopped there
 AT_NOTHING = 1e-3  # usual sizes: so near to none it has shrunk to nothing, and the words say so
 
@@ -48,23 +49,37 @@ def fit_hypothesis(
     """Fit base and hypothesis together from `guess`; (problem, fit).
 
     Delays, lags and plays are also started at their usual size, and the better end is kept: far from no effect the base
-    parameters sit elsewhere, and a small step does not find the way.
+    parameters sit elsewhere, and a small step does not find the way. Where the motion runs away from every start, the fit
+    begins nearer to no effect: with the base where it was without it, a guess that is right can be unstable.
     """
     starts = [_inside(hypothesis, problem, guess)]
     if hypothesis.form.nonlinear:
         usual = {p.name: p.null_value(problem.model) + p.typical for p in hypothesis.form.parameters}
         starts.append(_inside(hypothesis, problem, usual))
-    done = []
-    for start in starts:
-        model = awakened(problem.model, hypothesis.form, start)
-        trial = replace(problem, model=model)
-        locals_ = [extended(local, base_fit.model, model) for local in base_fit.locals]
-        first = {**model.starts(), **base_fit.values, **start}
-        done.append((trial, fit(trial, first, locals_, iterations=FIRST_STEPS, enough=ENOUGH)))
+    done = [_begun(problem, base_fit, hypothesis, start) for start in starts]
+    for share in SHORTER if all(found.diverged for _, found in done) else ():
+        done.append(_begun(problem, base_fit, hypothesis, _nearer(hypothesis, problem, starts[0], share)))
+        if not done[-1][1].diverged:
+            break
     trial, best = min(done, key=lambda pair: pair[1].cost if not pair[1].diverged else np.inf)
     if best.converged or best.diverged:
         return trial, best
     return trial, fit(trial, best.values, best.locals, iterations=STEPS - FIRST_STEPS, enough=ENOUGH)
+
+
+def _begun(problem: Problem, base_fit: Fit, hypothesis: Hypothesis, start: Mapping[str, float]) -> tuple[Problem, Fit]:
+    """The first steps of base and hypothesis together from a start."""
+    model = awakened(problem.model, hypothesis.form, start)
+    trial = replace(problem, model=model)
+    locals_ = [extended(local, base_fit.model, model) for local in base_fit.locals]
+    first = {**model.starts(), **base_fit.values, **start}
+    return trial, fit(trial, first, locals_, iterations=FIRST_STEPS, enough=ENOUGH)
+
+
+def _nearer(hypothesis: Hypothesis, problem: Problem, start: Mapping[str, float], share: float) -> dict[str, float]:
+    """A start moved to a share of its distance from no effect."""
+    none = {p.name: p.null_value(problem.model) for p in hypothesis.form.parameters}
+    return {n: none[n] + share * (value - none[n]) for n, value in start.items()}
 
 
 def _inside(hypothesis: Hypothesis, problem: Problem, guess: Mapping[str, float]) -> dict[str, float]:

@@ -36,13 +36,15 @@ AS_USUAL = Options()
 
 @dataclass(frozen=True)
 class Finding:
-    """An effect accepted in some round: the hypothesis, its rivals, the model before and after."""
+    """An effect accepted in some round: the hypothesis, its rivals, the model before and after. doubted: whether a shape
+    without a name explains clearly more."""
 
     round_: Round
     choice: Choice
     candidate: Candidate
     parent: Baseline
     child: Baseline
+    doubted: bool = False
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ import numpy as np
 from estimation.gap.answer.result import Gap, GapResult, Histories, Rejected, Step, Verdict
 from estimation.gap.answer.shape import Late
 from estimation.gap.answer.words import conclude, describe_step
+from estimation.gap.criteria import Criteria
 from estimation.gap.effects.base import Effect
 from estimation.gap.form.search import Shape, ShapeSearch
 from estimation.gap.likelihood.baseline import Baseline
@@ -49,7 +50,11 @@ def concluded(setting: Setting, search: SearchState, check: KinematicCheck) -> G
     kept = search.findings[: decision.kept]
     standing = kept[-1].child if kept else first.baseline
     found, event, unnamed = NOT_SEARCHED, None, None
-    if not kept or decision.verdict is Verdict.UNKNOWN:
+    if [f.doubted for f in kept] == [True]:
+        again = searched(setting, search, first, replace(decision, verdict=Verdict.UNKNOWN))
+        if again.shape is not None and as_good(again.shape, named[0], setting.options.criteria):
+            decision, kept, standing, found = without_name(decision, kept[0], again.shape), (), first.baseline, again
+    if found.shape is None and (not kept or decision.verdict is Verdict.UNKNOWN):
         about = standing_round(setting, search, kept)
         found = searched(setting, search, about, decision)
         event = happened(setting, about) if found.shape is None else None
@@ -100,6 +105,20 @@ def concluded(setting: Setting, search: SearchState, check: KinematicCheck) -> G
             "seed": setting.options.seed,
         },
     )
+
+
+def as_good(shape: Shape, name: Step, criteria: Criteria) -> bool:
+    """Whether a shape closes no less of the gap than a name does, but for what two formulas are equal by."""
+    closed = name.gap.closed if name.holdout is None else name.holdout.closed
+    return shape.measured.closed >= closed - criteria.form_equal
+
+
+def without_name(decision: Decision, finding: Finding, shape: Shape) -> Decision:
+    """The decision where a shape without a name takes the place of a lone name that it explains more than."""
+    place = shape.fitted.increment.place.words
+    why = f"a smooth function without a name ({place}) explains clearly more than this form of it"
+    effect = finding.candidate.hypothesis.effect.name
+    return replace(decision, kept=0, withdrawn=(*decision.withdrawn, (effect, why)))
 
 
 def facts_of(search: SearchState, named: Sequence[Step], covered: bool, cannot: Sequence[Effect]) -> Facts:

@@ -15,7 +15,7 @@ from estimation.gap.errors import GapError
 from estimation.gap.search import accept as accepting
 from estimation.gap.search import backward_check as checking
 from estimation.gap.search import rounds as searching
-from estimation.gap.search.accept import accept, by_timing, explains, follows, holds, is_strong, repeats
+from estimation.gap.search.accept import accept, by_timing, doubtful, explains, follows, holds, is_strong, repeats
 from estimation.gap.search.backward_check import best_rival, idle, questioners
 from estimation.gap.search.confirm import Candidate, assess, deflated, freed_by, impossible, leading, price
 from estimation.gap.search.rounds import run_rounds
@@ -264,6 +264,17 @@ def test_the_first_candidate_that_is_confirmed_becomes_the_effect(monkeypatch: p
     assert (finding.candidate, finding.child) == (rivals[1], "child")
     assert finding.choice.weights == pytest.approx({"b": 0.5, "c": 0.5})
     assert said == [Rejected("a", "no")]
+
+
+@pytest.mark.parametrize(
+    ("gain", "shape", "doubted"),
+    [(960.0, 1000.0, False), (940.0, 1000.0, True), (75.0, 90.0, False), (75.0, 107.0, False), (75.0, 109.0, True)],
+)
+def test_a_name_is_doubted_where_a_shape_gains_more_by_a_twentieth_and_by_what_is_significant(
+    gain: float, shape: float, doubted: bool
+) -> None:
+    """Scores are of half the gain: an inflation of two, so that twice the square of the threshold is significant."""
+    assert doubtful(candidate(gain=gain, score=float(np.sqrt(gain / 2.0))), shape, 4.0, AS_SET) is doubted
 
 
 def test_nothing_below_the_threshold_is_asked() -> None:
