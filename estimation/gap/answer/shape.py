@@ -77,7 +77,8 @@ class Late:
 class Happening:
     """One event. what: drift | slip | burst. channel: the output, "" for a disturbance of the motion. flight: its name, "" for
     all of them. start, end: s on the flight's clock. sizes: (estimate, bound) in `unit`: of a drift the change over each flight,
-    of a slip the step, of a burst the peak rates it adds to the force equations."""
+    of a slip the step, of a burst the peak rates it adds to the force equations, of a gust, which moves the state `air`, the
+    largest change of that."""
 
     what: str
     channel: str
@@ -88,11 +89,13 @@ class Happening:
     unit: str
     score: float
     threshold: float
+    air: str = ""
 
     def to_json(self) -> dict[str, Any]:
         return {
             "what": self.what,
             "channel": self.channel,
+            **({"air": self.air} if self.air else {}),
             "flight": self.flight,
             "start": rounded(self.start, 3),
             "end": rounded(self.end, 3),

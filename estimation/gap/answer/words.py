@@ -89,6 +89,9 @@ def describe_events(happened: Happened) -> str:
     for e in happened.events:
         where = f"on {e.flight}" if e.flight else "on these flights"
         size = ", ".join(f"{v:.2g} +- {s:.1g}" for v, s in e.sizes)
+        if e.air:
+            said.append(f"a gust changes {e.air} {where} from {e.start:.1f} to {e.end:.1f} s by up to {size} {e.unit}")
+            continue
         said.append(
             {
                 "drift": f"{e.channel} drifts {where} by {size} {e.unit} over each",

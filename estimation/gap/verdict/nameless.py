@@ -127,15 +127,30 @@ def happened(setting: Setting, round_: Round) -> Happened | None:
         return None
     if rest.score > round_.criteria.unknown_margin * rest.threshold:
         return None
-    return Happened([_happening(setting, round_, f) for f in found.found])
+    records, names = round_.baseline.problem.records, setting.prepared.names
+    flights = ["" if f.event.record < 0 else names[records[f.event.record].flight] for f in found.found]
+    return Happened([happening(f, setting.base, flight) for f, flight in zip(found.found, flights, strict=True)])
 
 
-def _happening(setting: Setting, round_: Round, found: Found) -> Happening:
-    event = found.event
-    flight = "" if event.record < 0 else setting.prepared.names[round_.baseline.problem.records[event.record].flight]
-    unit = next((s.unit for s in setting.base.outputs if s.name == event.channel), "1/s")
+def happening(found: Found, base: Model, flight: str) -> Happening:
+    """An event in the words of the answer. flight: its name, "" for all of them."""
+    event, sizes = found.event, found.sizes
+    unit = next((s.unit for s in base.outputs if s.name == event.channel), "1/s")
+    if event.air:  # half a cosine of rate adds up to half a sine
+        unit = next(s.unit for s in base.states if s.name == event.air)
+        share = (event.end - event.start) / np.pi
+        sizes = tuple((share * v, share * s) for v, s in sizes)
     return Happening(
-        event.kind.value, event.channel, flight, event.start, event.end, found.sizes, unit, found.score, found.threshold
+        event.kind.value,
+        event.channel,
+        flight,
+        event.start,
+        event.end,
+        sizes,
+        unit,
+        found.score,
+        found.threshold,
+        event.air,
     )
 
 

@@ -22,7 +22,7 @@ from estimation.gap.records.flight_records import Record
 from estimation.gap.tests_of_fit.calibration import Round
 from estimation.gap.tests_of_fit.transients import asked_of, equivalent, event_limit, find_transients
 from estimation.gap.verdict.decide import Decision, with_event, with_shape
-from estimation.gap.verdict.nameless import event_step
+from estimation.gap.verdict.nameless import event_step, happening
 from estimation.models.base import Parameter, Signal
 from tests.estimation.gap.roll import ROLL
 
@@ -138,6 +138,10 @@ def test_a_gust_that_comes_and_goes_is_found_as_one_of_the_air() -> None:
     assert (burst.event.kind, burst.event.air, burst.event.record) == ("burst", "alpha", 1)
     assert (burst.event.start, burst.event.end) == pytest.approx((8.0, 11.0), abs=0.5)
     assert burst.sizes[0][0] == pytest.approx(0.2 * np.pi / 3.0, abs=4.0 * burst.sizes[0][1])
+    told = happening(burst, round_.baseline.model, "f1")
+    assert told.sizes[0][0] == pytest.approx(0.2, abs=4.0 * told.sizes[0][1])
+    assert "a gust changes alpha on f1 from 8.0 to 11.0 s by up to 0.2" in describe_events(Happened([told]))
+    assert (told.to_json()["air"], told.to_json()["unit"]) == ("alpha", "rad")
     events = asked_of(*moving(round_)).events
     assert {e.air for e in events if e.kind == "burst"} == {"", "alpha"}
     turning = asked_of(*moving(sunk([NOTHING], [DISTURBANCE.format("q")])))
