@@ -80,7 +80,8 @@ def _missing(axis: "Axes", name: str, stages: list[View], colours: list[str]) ->
     shown = np.concatenate([m[name] for view in stages[-2:] for m in view.missing])
     limit = 1.3 * float(np.abs(shown).max()) or 1.0
     axis.set_ylim(-limit, limit)  # the frozen prior may run out of the picture: its place is what counts
-    axis.set_ylabel(f"missing ${tex(name)}$ [1]", fontsize=8)
+    unit = "" if name.endswith("_dot") else " [1]"  # the rate of a state has that of its state
+    axis.set_ylabel(f"missing ${tex(name)}${unit}", fontsize=8)
     axis.set_xticks([])
 
 

@@ -157,8 +157,8 @@ def happening(found: Found, base: Model, flight: str) -> Happening:
 def event_step(shape: Happened, gap: Gap) -> Step:
     """The step of an unknown that goes with time."""
     first = shape.events[0]
-    spans = tuple((e.start, e.end) for e in shape.events[:SPANS])
-    channels = tuple(dict.fromkeys(e.channel for e in shape.events if e.channel))
+    spans = tuple(dict.fromkeys((e.start, e.end) for e in shape.events[:SPANS]))
+    channels = tuple(dict.fromkeys(e.channel or e.air for e in shape.events if e.channel or e.air))
     return Step(
         effect="unknown", title="something that happened at one time", form="", confidence=0.0, members=(),
         separate_by="look at the instrument or the weather there, or repeat the flight", estimates={}, units={},
