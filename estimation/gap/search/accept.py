@@ -50,7 +50,8 @@ def confirmed(setting: Setting, round_: Round, candidate: Candidate, nameless: f
     if not repeats(cross, strong, timing, flight_gains(round_, candidate)):
         return None, "does not hold on the training flights it was not fitted to"
     child = setting.child(round_.baseline, candidate)
-    if not holds(held_gain(round_.baseline, child, setting.prepared), strong or timing, criteria):
+    held = held_gain(round_.baseline, child, setting.prepared)
+    if not holds(None if held is None else held / own_inflation(candidate), strong or timing, criteria):
         return None, "does not hold on the held-out flights"
     return child, ""
 
@@ -63,9 +64,13 @@ def explains(gain: float, nameless: float, criteria: Criteria) -> bool:
 def doubtful(candidate: Candidate, shape: float, threshold: float, criteria: Criteria) -> bool:
     """Whether a name has the wrong form: a smooth function without a name gains more (twice a log-likelihood, less what chance
     gives its unknowns) by a clear share and by what would itself be significant. One that is right gains as much."""
-    inflation = max(candidate.gain / candidate.score**2, 1.0) if candidate.score > 0.0 else 1.0
     better = shape - candidate.gain
-    return candidate.gain < criteria.shape_share * shape and better > inflation * threshold**2
+    return candidate.gain < criteria.shape_share * shape and better > own_inflation(candidate) * threshold**2
+
+
+def own_inflation(candidate: Candidate) -> float:
+    """By how much the nulls scatter a candidate's gain, on held-out flights as on those it was fitted to."""
+    return max(candidate.gain / candidate.score**2, 1.0) if candidate.score > 0.0 else 1.0
 
 
 def is_strong(score: float, threshold: float, criteria: Criteria) -> bool:
@@ -89,8 +94,8 @@ def repeats(cross: float | None, strong: bool, timing: bool, gains: Sequence[flo
 
 
 def holds(held: float | None, trusted: bool, criteria: Criteria) -> bool:
-    """Whether an effect holds on the held-out flights, where there are any. held: twice the log-likelihood gained there;
-    trusted: strong, or followed by the timing of surfaces, so that chance may take a little."""
+    """Whether an effect holds on the held-out flights, where there are any. held: twice the log-likelihood gained there, over
+    its inflation; trusted: strong, or followed by the timing of surfaces, so that chance may take a little."""
     return held is None or held > (-criteria.held_slack if trusted else 0.0)
 
 
