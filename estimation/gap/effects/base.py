@@ -79,6 +79,11 @@ class Form:
         return bool(self.states or self.transforms or self.output_delays)
 
     @property
+    def late(self) -> bool:
+        """Whether it makes a control or an instrument late."""
+        return bool(self.output_delays) or any(t.kind in ("delay", "lag") for t in self.transforms)
+
+    @property
     def play(self) -> bool:
         """Whether it is a play of a control, or a limit of its rate: nothing happens until it is large enough."""
         return any(t.kind in ("backlash", "deadzone", "rate_limit") for t in self.transforms)

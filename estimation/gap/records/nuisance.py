@@ -17,7 +17,8 @@ from estimation.gap.criteria import Criteria
 from estimation.models.base import InputTransform, Model, Parameter, ParameterRole
 
 GRAVITY = 9.80665
-TOGETHER = "timing_controls"  # by which all controls move late
+TIMING = "timing_"  # of what moves late
+TOGETHER = TIMING + "controls"  # all of them
 RATE_OF = {"phi": "p", "theta": "q", "psi": "r"}  # attitude -> the rate a filter integrates to it
 
 
@@ -48,7 +49,7 @@ def with_nuisance(
 
 def _timed(model: Model, sample_interval: float, criteria: Criteria) -> Model:
     """`model` with controls that move a little before or after they were sampled: all together, and each by itself."""
-    controls = [s.name for s in model.inputs if s.control and f"timing_{s.name}" not in model.parameter_names]
+    controls = [s.name for s in model.inputs if s.control and f"{TIMING}{s.name}" not in model.parameter_names]
     several = len(controls) > 1 and TOGETHER not in model.parameter_names
     own = criteria.own_timing_share if several else criteria.timing_share
     if several:
@@ -57,14 +58,14 @@ def _timed(model: Model, sample_interval: float, criteria: Criteria) -> Model:
             transforms=[InputTransform("delay", name, (TOGETHER,)) for name in controls],
         )
     return model.plus(
-        parameters=[_carried(f"timing_{name}", "s", own * sample_interval) for name in controls],
-        transforms=[InputTransform("delay", name, (f"timing_{name}",)) for name in controls],
+        parameters=[_carried(f"{TIMING}{name}", "s", own * sample_interval) for name in controls],
+        transforms=[InputTransform("delay", name, (f"{TIMING}{name}",)) for name in controls],
     )
 
 
 def timing_of(control: str, values: Mapping[str, float]) -> float:
     """Time [s] by which a fit moved a control."""
-    return values.get(TOGETHER, 0.0) + values.get(f"timing_{control}", 0.0)
+    return values.get(TOGETHER, 0.0) + values.get(f"{TIMING}{control}", 0.0)
 
 
 def _carried(name: str, unit: str, width: float) -> Parameter:
@@ -75,7 +76,7 @@ def _sampled(model: Model, attitude: str, sample_interval: float, criteria: Crit
     """`model` with an attitude as a filter that integrates sampled rates and has a plumb line shows it."""
     known = {*model.definitions, *model.state_names}
     widths = {
-        f"timing_{attitude}": (f"{attitude}_dot", "s", criteria.timing_share * sample_interval),
+        f"{TIMING}{attitude}": (f"{attitude}_dot", "s", criteria.timing_share * sample_interval),
         f"rounding_{attitude}": (f"{RATE_OF[attitude]}_dot", "s2", sample_interval**2 / 12.0),
     }
     if attitude == "phi":

@@ -9,8 +9,9 @@ from estimation.engine.kernel import Array
 from estimation.gap.answer.result import Rejected
 from estimation.gap.criteria import Criteria
 from estimation.gap.likelihood.baseline import whiteners_for
-from estimation.gap.likelihood.fitting import fit
+from estimation.gap.likelihood.fitting import fit, prior_cost
 from estimation.gap.records.flight_records import FlightRecords
+from estimation.gap.records.nuisance import TIMING
 from estimation.gap.search.confirm import ENOUGH, Candidate, assess, fit_hypothesis, leading
 from estimation.gap.tests_of_fit.calibration import Round
 from estimation.gap.tests_of_fit.screen import linear_guess
@@ -64,7 +65,8 @@ def worth_comparing(sound: Sequence[Candidate], criteria: Criteria) -> Sequence[
 
 def promise(round_: Round) -> Array:
     """(hypotheses,) standardised gains by which full fits are chosen: effects that a small step cannot judge (delays, lags,
-    plays) count with either sign."""
+    plays) count with either sign, and what makes something late at least with what the base pays for having moved it in time:
+    the residuals that are left there show nothing."""
     projected, screen = round_.screen.projected(), round_.screen
     either = np.array(
         [
@@ -75,7 +77,16 @@ def promise(round_: Round) -> Array:
     # nor does the scatter of a small step on the nulls count against them
     nonlinear = np.array([h.form.nonlinear for h in screen.hypotheses])
     shared = float(np.median(round_.inflation))
-    return either / np.where(nonlinear, np.minimum(round_.inflation, shared), round_.inflation)
+    promised = either / np.where(nonlinear, np.minimum(round_.inflation, shared), round_.inflation)
+    late = np.array([h.form.late for h in screen.hypotheses])
+    return np.where(late, np.maximum(promised, moved_in_time(round_)), promised)
+
+
+def moved_in_time(round_: Round) -> float:
+    """What the base pays for surfaces and attitudes that it moved in time (twice a log-likelihood)."""
+    problem, values = round_.baseline.problem, round_.baseline.fit.values
+    shifts = [n for n in problem.free if problem.nuisance(n) and n.startswith(TIMING)]
+    return 2.0 * prior_cost(problem, shifts, values)
 
 
 def comparable(round_: Round) -> dict[tuple[str, str], float]:

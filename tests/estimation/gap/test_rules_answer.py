@@ -56,7 +56,8 @@ def asked(
         ({"held": -1.0}, "does not hold on the held-out flights"),
         ({"held": -1.0, "score": 7.0}, ""),
         ({"held": -1.0, "timing": True}, ""),
-        ({"held": -10.0, "score": 7.0}, "does not hold on the held-out flights"),
+        ({"held": -18.0, "score": 7.0}, ""),  # a gain of 100 at a score of 7: inflated twice, held out too
+        ({"held": -19.0, "score": 7.0}, "does not hold on the held-out flights"),
         ({"held": None}, ""),
     ],
 )

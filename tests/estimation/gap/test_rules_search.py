@@ -95,8 +95,16 @@ def test_nonlinear_hypotheses_promise_either_sign_and_are_not_held_against_their
     gram = np.eye(3)
     gram[:2, 2] = gram[2, :2] = -6.0
     one = screen([hypothesis("x"), hypothesis("late", "delay")], gram)
-    round_ = stub(screen=one, gains=np.zeros(2), inflation=np.array([1.0, 9.0]))
+    baseline = stub(
+        problem=stub(free=("timing_x", "a"), nuisance=lambda n: n != "a", prior=lambda n: (0.0, 0.005)), fit=stub()
+    )
+    baseline.fit.values = {"timing_x": 0.0, "a": 1.0}
+    round_ = stub(screen=one, gains=np.zeros(2), inflation=np.array([1.0, 9.0]), baseline=baseline)
     assert promise(round_) == pytest.approx([0.0, 36.0 / 5.0])
+    baseline.fit.values["timing_x"] = 0.025
+    assert promise(round_) == pytest.approx([0.0, 25.0]), (
+        "the base had moved it in time by five widths of what is believed"
+    )
 
 
 # ------------------------------------------------------------------------------------------------ how they are weighed
