@@ -14,7 +14,15 @@ from estimation.gap.tests_of_fit.calibration import kinematic_threshold, name_th
 from estimation.gap.tests_of_fit.hypotheses import one_sided
 from estimation.gap.tests_of_fit.kinematic_check import judged, kinematic_model, null_count
 from estimation.gap.tests_of_fit.measure import Floors
-from estimation.gap.tests_of_fit.omnibus import Signal, follows, restless_times, standardised, summed_up, window_energy
+from estimation.gap.tests_of_fit.omnibus import (
+    Signal,
+    beside_others,
+    follows,
+    restless_times,
+    standardised,
+    summed_up,
+    window_energy,
+)
 from estimation.gap.tests_of_fit.repeatability import usual_and_limit
 from estimation.gap.tests_of_fit.screen import Projected
 
@@ -117,6 +125,16 @@ def test_window_energy_is_standardised_on_the_nulls_of_the_same_window() -> None
     energy, z = window_energy(series, 10)
     assert energy[:, 0, 0] == pytest.approx([4.0, 4.0])
     assert z[:, 0, 0] == pytest.approx(4.0 / np.std([-1.0, 0.0, 1.0]))
+
+
+def test_a_null_is_measured_by_the_scatter_of_the_others() -> None:
+    values = np.random.default_rng(3).standard_normal((2, 41))
+    found = beside_others(values)
+    for row, distances in zip(values, found, strict=True):
+        assert distances[0] == pytest.approx((row[0] - row[1:].mean()) / row[1:].std())
+        for i in range(1, 41):
+            others = np.delete(row[1:], i - 1)
+            assert distances[i] == pytest.approx((row[i] - others.mean()) / others.std())
 
 
 def scatter_with(activity: float, white: float) -> float:
