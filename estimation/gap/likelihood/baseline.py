@@ -11,6 +11,7 @@ from estimation.gap.criteria import Criteria
 from estimation.gap.errors import GapError
 from estimation.gap.likelihood.channel_noise import channel_noise, filtered_attitudes
 from estimation.gap.likelihood.fitting import Fit, Local, Problem, fit
+from estimation.gap.likelihood.slow_errors import slow_errors, without_slow
 from estimation.gap.likelihood.surface_steps import SurfaceSteps, displaced, find_surface_steps, freedom_of, loosened
 from estimation.gap.likelihood.whitening import (
     NoiseModel,
@@ -77,7 +78,11 @@ def whiteners_for(
         noise = estimated_noise(
             residuals, shapes, steps, *noise_parts(records, base.output_names, scatter, criteria), begin
         )
-    return noise, tuple(loosened(whitener(noise, s), e, noise.freedom) for s, e in zip(shapes, steps, strict=True))
+    slow = [slow_errors(simulator, values, s, r.left) for r, s in zip(records, segments, strict=True)]
+    return noise, tuple(
+        loosened(whitener(noise, without_slow(s, w.below)), e, noise.freedom, w.response)
+        for s, e, w in zip(shapes, steps, slow, strict=True)
+    )
 
 
 def estimated_noise(

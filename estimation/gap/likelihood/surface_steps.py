@@ -134,11 +134,17 @@ def _reply(linear: Linear, control: int, count: int) -> Array:
     return out
 
 
-def loosened(whitener: Whitener, steps: SurfaceSteps, freedom: Mapping[str, float]) -> Whitener:
-    """`whitener` that also marginalises over the steps."""
-    if not steps.name:
+def loosened(
+    whitener: Whitener, steps: SurfaceSteps, freedom: Mapping[str, float], others: Array | None = None
+) -> Whitener:
+    """`whitener` that also marginalises over the steps, and over `others` (N, ny, m): outputs by unknowns of one standard
+    deviation each."""
+    rows = whitener.strict(steps.spectrum) * steps.spread(freedom) if steps.name else None
+    if others is not None and others.shape[2]:
+        more = whitener.strict(spectrum_of(others))
+        rows = more if rows is None else np.concatenate([rows, more], axis=1)
+    if rows is None:
         return whitener
-    rows = whitener.strict(steps.spectrum) * steps.spread(freedom)
     values, vectors = np.linalg.eigh(rows.T @ rows)
     good = values > SEEN * max(float(values.max()), NOTHING)
     values, vectors = values[good], vectors[:, good]
