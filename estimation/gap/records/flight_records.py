@@ -124,21 +124,11 @@ def prepare_flights(
         noise = {name: level for name, (level, _) in data.noise.items()}
         for segment in data.segments:
             inputs = {n: np.ascontiguousarray(segment.u[:, i]) for i, n in enumerate(probe.input_names)}
-            wrong = _draws(probe, data, segment) if pitches(base) else {}
             raw, own = _raw_steps(base, flight, segment.first, inputs, noise, criteria)
-            wrong = {n: w * np.float32(own.get(n, noise.get(n, 0.0)) / (noise.get(n) or 1.0)) for n, w in wrong.items()}
+            level = {**noise, **own}
+            wrong = _draws(probe, data, segment, level) if pitches(base) else {}
             records.append(
-                Record(
-                    index,
-                    segment.first,
-                    segment.time,
-                    inputs,
-                    segment.z,
-                    segment.x0,
-                    {**noise, **own},
-                    raw=raw,
-                    wrong=wrong,
-                )
+                Record(index, segment.first, segment.time, inputs, segment.z, segment.x0, level, raw=raw, wrong=wrong)
             )
     return FlightRecords(
         base=base,
@@ -169,12 +159,15 @@ def _raw_steps(
     return taken, levels
 
 
-def _draws(model: Model, data: FlightData, segment: Segment) -> dict[str, NDArray[np.float32]]:
-    """What may be wrong with each control of a segment, (draws, N)."""
+def _draws(
+    model: Model, data: FlightData, segment: Segment, level: Mapping[str, float]
+) -> dict[str, NDArray[np.float32]]:
+    """What may be wrong with each control of a segment, (draws, N), where its noise is of that level."""
     if data.errors is None:
         return {}
     own = data.errors[segment.first : segment.first + len(segment)]
-    return {s.name: own[:, i].T for i, s in enumerate(model.inputs) if s.control}
+    share = {n: np.float32(level[n] / found) for n, (found, _) in data.noise.items() if found > 0.0}
+    return {s.name: own[:, i].T * share.get(s.name, np.float32(1.0)) for i, s in enumerate(model.inputs) if s.control}
 
 
 def with_own_noise(records: Sequence[Record], training: int, criteria: Criteria) -> tuple[Record, ...]:

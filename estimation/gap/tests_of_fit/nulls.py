@@ -65,24 +65,23 @@ def spectrum(courses: Array) -> Array:
 
 
 def input_errors(record: Record, model: Model, rng: np.random.Generator) -> InputErrors:
-    """Add the noise found on each input to its de-noised course, de-noise again, and keep the difference."""
+    """What may be wrong with each input: as drawn when it was prepared, where the record has that; else noise as found on it is
+    added to its de-noised course, that de-noised again, and the difference kept."""
     bank = {}
     for signal in model.inputs:
         sigma = record.input_noise.get(signal.name, 0.0)
         if sigma <= 0.0 or signal.name not in record.inputs:
             continue
-        clean = record.inputs[signal.name]
         if signal.name in record.wrong:
-            bank[signal.name] = np.asarray(record.wrong[signal.name], float)
-            if signal.name in record.raw:
-                own = sigma * rng.standard_normal(bank[signal.name].shape)
-                bank[signal.name] = np.where(record.raw[signal.name], own, bank[signal.name])
+            drawn = np.asarray(record.wrong[signal.name], float)
+            near = record.raw.get(signal.name, np.zeros(drawn.shape[1], dtype=bool))
+            # by its steps a control is used as it was measured, noise and all
+            bank[signal.name] = np.where(near, sigma * rng.standard_normal(drawn.shape), drawn)
             continue
+        clean = record.inputs[signal.name]
         noisy = [clean + sigma * rng.standard_normal(clean.size) for _ in range(BANK)]
         done = denoise_many(noisy, order=1 if signal.control else 2, noise=sigma)
         bank[signal.name] = np.stack([d.values - clean for d in done])
-        if signal.name in record.raw:  # by its steps a control is used as it was measured, noise and all
-            bank[signal.name] = np.where(record.raw[signal.name], np.stack(noisy) - clean, bank[signal.name])
     return InputErrors(bank)
 
 
