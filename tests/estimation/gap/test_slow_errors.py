@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from estimation.engine.kernel import Array
 from estimation.engine.simulate import Segment, Simulator
 from estimation.gap.criteria import AS_SET
 from estimation.gap.likelihood.slow_errors import SLOW, slow_errors, without_slow
@@ -39,6 +40,10 @@ FREE = SurfaceSteps((), np.zeros(0), np.zeros(0), np.zeros((COUNT, 2, 0)), AS_SE
 SIMULATOR = Simulator.build(SLOWLY, (), substeps=1, hold="linear")
 
 
+SHAPES = shapes_of(SLOWLY, linear_motion(SLOWLY, SIMULATOR, SEGMENT, VALUES), COUNT, AS_SET, (), LEFT)
+KNOWN = NoiseModel(NOISE**2, {NoisePart(Source.PREPARED, "delta_e"): 1.0})
+
+
 def by_spectrum_alone() -> Whitener:
     return whitener(KNOWN, SHAPES)
 
@@ -48,15 +53,11 @@ def with_slow() -> Whitener:
     return loosened(whitener(KNOWN, without_slow(SHAPES, slow.below)), FREE, {}, slow.response)
 
 
-SHAPES = shapes_of(SLOWLY, linear_motion(SLOWLY, SIMULATOR, SEGMENT, VALUES), COUNT, AS_SET, (), LEFT)
-KNOWN = NoiseModel(NOISE**2, {NoisePart(Source.PREPARED, "delta_e"): 1.0})
-
-
-def flown(u: np.ndarray) -> np.ndarray:  # type: ignore[type-arg]
+def flown(u: Array) -> Array:
     return SIMULATOR.run(replace(SEGMENT, u=np.column_stack([u, FLOW])), VALUES, np.zeros(2)).y
 
 
-def scatter_along(operator: Whitener, signature: np.ndarray, draws: int = 300) -> float:  # type: ignore[type-arg]
+def scatter_along(operator: Whitener, signature: Array, draws: int = 300) -> float:
     """Variance of the correlation of nulls with a signature of unit white length, the initial state taken out of both: 1."""
     rng = np.random.default_rng(4)
     free = [SIMULATOR.run(SEGMENT, VALUES, x0).y for x0 in np.eye(2)]
