@@ -17,10 +17,8 @@ STILL = (
 )
 HEIGHT = Signal("height", "m", "height of the wing above ground")
 THREE_SPEEDS = "three trim speeds, slow decelerations between them"
-SHIFT, FARTHEST = (
-    0.1,
-    0.75,
-)  # three times the distance [rad] between the angles of attack about which a cube may be, usual and most
+# three times the distance [rad] between the angles of attack about which a cube may be, usual and most
+SHIFT, FARTHEST = 0.1, 0.75
 GLIDES = "power-off glides over the whole speed range"
 
 UNSTEADY = (
@@ -87,7 +85,7 @@ def _power(
         THREE_SPEEDS,
         (*one_term(name, line, f"{OVER}^{power}", typical, reach, f"{'lift' if line == 'CL' else 'moment'} per power of α",
                    f"1/rad{power}", requires=("alpha",)),
-         *(_about_another_angle(name, line, typical, reach),) * (power == 3)),
+         *((_about_another_angle(name, line, typical, reach),) if power == 3 else ())),
         family=f"power {power} of angle of attack",
     )  # fmt: skip
 

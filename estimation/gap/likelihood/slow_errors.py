@@ -38,9 +38,12 @@ def slow_errors(
     """Cosines of all controls in a record. left: control -> (frequencies,) variance per sample of its error."""
     count, step = len(segment), float(np.median(np.diff(segment.time)))
     names = [n for n in simulator.model.input_names if n in left]
+    nothing = SlowErrors(np.zeros((count, len(simulator.model.outputs), 0)), 0.0)
+    if not names:
+        return nothing
     motion = simulator.run(segment, values, segment.x0)
-    if not names or not motion.finite:  # from where it is guessed to begin it runs away: the spectrum has to do
-        return SlowErrors(np.zeros((count, len(simulator.model.outputs), 0)), 0.0)
+    if not motion.finite:  # from where it is guessed to begin it runs away: the spectrum has to do
+        return nothing
     cosines = min(int(2.0 * SLOW * count * step) + 1, MOST, count)
     basis = idct(np.eye(count)[:cosines], axis=1, norm="ortho")
     at, frequencies = 0.5 * np.arange(cosines) / (count * step), np.fft.rfftfreq(count, step)

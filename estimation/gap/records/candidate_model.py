@@ -27,9 +27,8 @@ def with_dormant(
         terms={f"{s}_dot": DISTURBANCE.format(s) for s in disturbed},
     )
     for effect in effects:
-        for form in sorted(
-            effect.forms, key=lambda f: -len(f.parameters)
-        ):  # the lines of the richest hold those of the others
+        # the richest form first: where forms share unknowns, its lines hold those of the others
+        for form in sorted(effect.forms, key=lambda f: -len(f.parameters)):
             if form.states or form.lines or form.frees or not all(s.name in available for s in form.inputs):
                 continue
             if form.obstacle(model) is None and form.obstacle(made) is None:

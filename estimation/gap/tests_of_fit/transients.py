@@ -119,9 +119,8 @@ def asked_of(problem: Problem, found: Fit) -> Asked:
                     Event(Happening.BURST, "", i, *span),
                     [(i, _through(problem, found, i, d, np.sin(phase))) for d in doors],
                 )
-                turn = np.where(
-                    (phase > 0.0) & (phase < np.pi), np.cos(phase), 0.0
-                )  # of an air that moves like the sine
+                # the rate of an air that moves like the sine
+                turn = np.where((phase > 0.0) & (phase < np.pi), np.cos(phase), 0.0)
                 for d in (d for d in doors if d in AIR):
                     air = d.removeprefix(DISTURBANCE.format(""))
                     put(Event(Happening.BURST, "", i, *span, air=air), [(i, _through(problem, found, i, d, turn))])

@@ -23,11 +23,12 @@ from estimation.gap.tests_of_fit.calibration import Round
 from estimation.gap.tests_of_fit.transients import asked_of, equivalent, event_limit, find_transients
 from estimation.gap.verdict.decide import Decision, with_event, with_shape
 from estimation.gap.verdict.nameless import event_step, happening
-from estimation.models.base import Parameter, Signal
+from estimation.models.base import Model, Parameter, Signal
 from tests.estimation.gap.roll import ROLL
 
 NOISE = 0.02
 TIME = np.arange(0.0, 20.0, 0.05)
+MOVED = 0.05 * np.sin(2.0 * TIME) + 0.02 * np.sin(5.0 * TIME)  # rad, of the one control
 
 
 def test_several_unknowns_count_as_one_that_is_as_improbable() -> None:
@@ -46,29 +47,24 @@ def test_something_happened_above_a_third_more_than_one_set_of_nulls_in_a_hundre
     assert event_limit(largest, AS_SET) == pytest.approx(1.3 * (3.0 - 0.3 * np.log(-np.log(0.99))), abs=0.01)
 
 
-def rolled(added: Sequence[Array], seed: int = 5) -> Round:
-    """A round about fitted flights of an aircraft that only rolls; added: what its gyro shows beside the motion, per flight."""
-    rng = np.random.default_rng(seed)
-    aileron = 0.05 * np.sin(2.0 * TIME) + 0.02 * np.sin(5.0 * TIME)
-    roll = lti([40.0], [1.0, 6.0]).output(aileron, TIME)[1]
+def round_about(model: Model, inputs: dict[str, Array], shown: Sequence[Array], rng: np.random.Generator) -> Round:
+    """A round about fitted flights with the same inputs; shown: what the one instrument would show of each without its noise."""
     records = tuple(
-        Record(
-            i,
-            0,
-            TIME,
-            {"delta_a": aileron},
-            (roll + more + NOISE * rng.standard_normal(TIME.size))[:, None],
-            np.zeros(1),
-            {},
-        )
-        for i, more in enumerate(added)
+        Record(i, 0, TIME, inputs, (z + NOISE * rng.standard_normal(TIME.size))[:, None], np.zeros(1), {})
+        for i, z in enumerate(shown)
     )
     white = Whitener(np.full((TIME.size // 2 + 1, 1, 1), 1.0 / NOISE, complex), TIME.size)
-    problem = Problem(ROLL, ROLL, records, (white,) * len(records), AS_SET)
-    baseline = Baseline(problem, fit(problem), NoiseModel(np.array([NOISE**2]), {}), np.array([NOISE]), ROLL)
+    problem = Problem(model, model, records, (white,) * len(records), AS_SET)
+    baseline = Baseline(problem, fit(problem), NoiseModel(np.array([NOISE**2]), {}), np.array([NOISE]), model)
     nulls = tuple(tuple(NOISE * rng.standard_normal((TIME.size, 1)) for _ in records) for _ in range(60))
     screen: Any = None
     return Round(baseline, screen, np.zeros(0), np.zeros((60, 0)), np.zeros(0), 4.0, nulls)
+
+
+def rolled(added: Sequence[Array], seed: int = 5) -> Round:
+    """A round about flights of an aircraft that only rolls; added: what its gyro shows beside the motion, per flight."""
+    roll = lti([40.0], [1.0, 6.0]).output(MOVED, TIME)[1]
+    return round_about(ROLL, {"delta_a": MOVED}, [roll + more for more in added], np.random.default_rng(seed))
 
 
 NOTHING = np.zeros(TIME.size)
@@ -105,28 +101,9 @@ def sunk(gusts: Sequence[Array], doors: Sequence[str], seed: int = 6) -> Round:
         parameters=(Parameter("Z_a", start=-4.0), Parameter("Z_e", start=10.0)),
         equations=("alpha_dot = Z_a*alpha + Z_e*delta_a" + "".join(f" + {d}" for d in doors),),
     )
-    rng = np.random.default_rng(seed)
-    control = 0.05 * np.sin(2.0 * TIME) + 0.02 * np.sin(5.0 * TIME)
-    still = lti([10.0], [1.0, 4.0]).output(control, TIME)[1]
-    inputs = {"delta_a": control} | dict.fromkeys(doors, NOTHING)
-    records = tuple(
-        Record(
-            i,
-            0,
-            TIME,
-            inputs,
-            (still + lti([1.0, 0.0], [1.0, 4.0]).output(g, TIME)[1] + NOISE * rng.standard_normal(TIME.size))[:, None],
-            np.zeros(1),
-            {},
-        )
-        for i, g in enumerate(gusts)
-    )
-    white = Whitener(np.full((TIME.size // 2 + 1, 1, 1), 1.0 / NOISE, complex), TIME.size)
-    problem = Problem(model, model, records, (white,) * len(records), AS_SET)
-    baseline = Baseline(problem, fit(problem), NoiseModel(np.array([NOISE**2]), {}), np.array([NOISE]), model)
-    nulls = tuple(tuple(NOISE * rng.standard_normal((TIME.size, 1)) for _ in records) for _ in range(60))
-    screen: Any = None
-    return Round(baseline, screen, np.zeros(0), np.zeros((60, 0)), np.zeros(0), 4.0, nulls)
+    still, airy = lti([10.0], [1.0, 4.0]), lti([1.0, 0.0], [1.0, 4.0])
+    shown = [still.output(MOVED, TIME)[1] + airy.output(g, TIME)[1] for g in gusts]
+    return round_about(model, {"delta_a": MOVED} | dict.fromkeys(doors, NOTHING), shown, np.random.default_rng(seed))
 
 
 def test_a_gust_that_comes_and_goes_is_found_as_one_of_the_air() -> None:
