@@ -5,13 +5,16 @@ signal, before any regression, whether a control has moved.
 """
 
 import math
+import statistics
 from collections import deque
+from collections.abc import Sequence
 
 MOVED = 3.0  # rms movement in units of the sensor's noise from which a control counts as moved
 LEAST = math.radians(0.1)  # rad rms; smaller movement identifies nothing on any aircraft
 LEAP = 4.0  # noise levels beyond which a difference is movement: 1 in 16 000 samples of noise is
 CREEP = 0.1  # share by which a resting surface is averaged at each scan
 BLOCK = 20  # second differences of which each gives one figure of the noise
+MEDIAN = 0.4549  # of the square of a normal variable, in units of its mean
 BLOCKS = 60  # figures that are remembered
 QUIET = 0.5  # of the noise's variance is what the quieter quarter of such figures of white noise comes to
 
@@ -51,7 +54,7 @@ class ControlSignal:
         a, b, c = self._last
         self._block.append((a - 2.0 * b + c) ** 2 / 6.0)
         if len(self._block) == BLOCK:
-            self._figures.append(sum(self._block) / BLOCK)
+            self._figures.append(_noise_of(self._block))
             self._block.clear()
 
     @property
@@ -71,3 +74,15 @@ class ControlSignal:
     def moved(self) -> bool:
         """Whether it has moved enough to tell its derivatives."""
         return self.movement > max(MOVED * self.noise, LEAST)
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether it may move: more than nothing, and not yet known from noise."""
+        return not self.moved and self.movement > LEAST
+
+
+def _noise_of(squares: Sequence[float]) -> float:
+    """Variance of the noise by the median of squared differences: the edges of a multi-step are few of them and large. A sensor
+    so coarse that it mostly shows no difference at all is judged by their mean."""
+    middle = statistics.median(squares)
+    return middle / MEDIAN if middle > 0.0 else sum(squares) / len(squares)

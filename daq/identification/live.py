@@ -217,9 +217,14 @@ class LiveEstimator:
         return LiveDerivative(name, value, bound, white, why)
 
     def _learn(self) -> None:
-        """Simulate the instruments with what is known by now: belief and estimate, each weighted by its bound."""
+        """Simulate the instruments with what is known by now: belief and estimate, each weighted by its bound.
+
+        An equation without the column of a control that may have moved is wrong by more than its bound says, and so would be
+        all rows that are made with a motion simulated from it.
+        """
+        doubtful = {c for c, signal in self._controls.items() if signal.doubtful}
         for coefficient, solution in self.solutions().items():
-            if solution is not None:
+            if solution is not None and not doubtful.intersection(EQUATIONS[coefficient]):
                 self._motion.values.update(self._weighed(coefficient, solution))
 
     def _weighed(self, coefficient: str, solution: Solution) -> dict[str, float]:
