@@ -71,7 +71,7 @@ def made(rate: str, hours: float) -> Set:
 
 def alarms(s: Set, scans: Sequence[Scan]) -> tuple[Array, Array]:
     """(times, 1 + flights) times, and whether either statistic is beyond its threshold; (times, flights, effects) what the
-    longest window says of each effect, from which names come."""
+    longest window says of each effect, from which names come: zero where that is below the threshold."""
     above, known, times = [], [], []
     for time, score in scores(s.airframe, s.values, s.effects, s.calibration.whitening, scans):
         if time < BEGIN_S:
@@ -79,7 +79,7 @@ def alarms(s: Set, scans: Sequence[Scan]) -> tuple[Array, Array]:
         z = np.abs(s.calibration.effects.of(score.z))
         u = np.nan_to_num(s.calibration.channels.of(np.log(score.unnamed)), nan=-9.0)
         above.append((z.max(axis=(1, 2)) > s.calibration.named) | (u.max(axis=1) > s.calibration.unnamed))
-        known.append(z[:, -1])
+        known.append(np.abs(score.z[:, -1]) * (z[:, -1].max(axis=1) > s.calibration.named)[:, None])
         times.append(time)
     return np.column_stack([times, np.array(above)]), np.array(known)
 
@@ -127,7 +127,7 @@ def noticed(s: Set, name: str, size: float, n: int) -> str:
         noticed_at = table[at[0], 0] if at.size else math.inf
         first.append(noticed_at)
         telling = known[(table[:, 0] >= noticed_at) & (table[:, 0] <= noticed_at + NAMED_WITHIN_S), flight - 1]
-        sure = telling.size > 0 and telling.max() > s.calibration.named
+        sure = telling.size > 0 and telling.max() > 0.0
         what.append(s.effects[int(telling.max(axis=0).argmax())].name if sure else "")
     return row(name, f"{size:g}", first, shown, what, lambda w: w == name)
 

@@ -10,9 +10,9 @@ from daq.identification.airframe import Airframe, Sample
 from daq.identification.live import GAP
 from daq.identification.monitor.bank import CHANNELS, EQUATION_OF_CHANNEL, Effect
 from daq.identification.monitor.evidence import Evidence
-from daq.identification.monitor.innovations import PredictorBank, Scan
+from daq.identification.monitor.innovations import Innovation, PredictorBank, Scan
 from daq.identification.monitor.motion import Inputs
-from daq.identification.monitor.threshold import BEGIN_S, Calibration, strongest
+from daq.identification.monitor.threshold import BEGIN_S, Calibration, strongest, whitened
 
 LEADING = 0.8  # of the largest score: effects that are named beside the first
 MOST_NAMED = 4
@@ -24,7 +24,8 @@ HOUR_S = 3600.0
 
 @dataclass(frozen=True)
 class Name:
-    """An effect that may be there: its size now, in its unit, and its score."""
+    """An effect that may be there: its size now, in its unit, and its score: standard deviations beyond what the model may be
+    wrong by, whose square is twice what it gains in logarithms of likelihood."""
 
     effect: str
     title: str
@@ -84,7 +85,7 @@ class GapMonitor:
         self._calibration = calibration
         self._bank = PredictorBank(airframe, values, effects)
         self._evidence = Evidence(effects)
-        self._past: list[tuple[np.ndarray, np.ndarray]] = []
+        self._past: list[Innovation] = []
         self._last = -math.inf
         self._in_stretch = 0.0
         self._quiet = math.inf
@@ -103,14 +104,13 @@ class GapMonitor:
         else:
             self.watched += gap
         self._last = sample.time
-        found = self._bank.innovations(_scan_of(sample))
+        found = self._bank.innovation(_scan_of(sample))
         if found is None:
             return None
         self._past = [*self._past, found][-3:]
         if len(self._past) < 3:
             return None
-        white, signatures = (self._calibration.whitening.applied(*(f[i] for f in reversed(self._past))) for i in (0, 1))
-        if not self._evidence.add(sample.time, white, signatures):
+        if not self._evidence.add(found.time, *whitened(self._calibration.whitening, self._past)):
             return None
         return self._judge(sample.time)
 
@@ -128,7 +128,7 @@ class GapMonitor:
                 self._standing = None
             return Watch(time, self.watched, level, self._standing)
         self._quiet = 0.0
-        alarm = self._alarm(time, by_window, energy)
+        alarm = self._alarm(time, by_window, score.z[0, -1], energy)
         if self._standing is None:
             self.alarms.append(alarm)
         elif _clearer(alarm, self.alarms[-1]):
@@ -136,15 +136,17 @@ class GapMonitor:
         self._standing = alarm
         return Watch(time, self.watched, level, alarm)
 
-    def _alarm(self, time: float, by_window: np.ndarray, energy: np.ndarray) -> Alarm:
-        """by_window: (windows, effects). Any window notices; names come from the longest, for in two seconds a vane that has
-        slipped looks like one that lags."""
+    def _alarm(self, time: float, by_window: np.ndarray, gains: np.ndarray, energy: np.ndarray) -> Alarm:
+        """by_window: (windows, effects); gains: (effects,) of the longest, not standardised. Any window notices. Names come from
+        the longest, for in two seconds a vane that has slipped looks like one that lags, and in the order of their likelihood,
+        which is that of the scores as they are: in units of what is usual, those that are usually small would stand before."""
         c = self._calibration
+        level = float(np.abs(by_window).max())
         known = bool(np.abs(by_window[-1]).max() >= c.named)
-        named = by_window[-1] if known else strongest(by_window)
+        named = gains if known else strongest(by_window)
         order = np.argsort(-np.abs(named))
         best = int(order[0])
-        if abs(named[best]) < c.named:
+        if level < c.named:
             channel = CHANNELS[int(np.argmax(energy))]
             return Alarm(time, time, EQUATION_OF_CHANNEL[channel], (channel,), float(energy.max()), c.unnamed, ())
         leading = tuple(
@@ -157,16 +159,16 @@ class GapMonitor:
             self._evidence.onset(0, best)[0],
             self._effects[best].equation,
             self._evidence.channels(0, best),
-            float(abs(named[best])),
+            level,
             c.named,
             leading,
             time if known else None,
         )
 
-    def _name(self, k: int, standardised: float) -> Name:
+    def _name(self, k: int, score: float) -> Name:
         effect = self._effects[k]
         _, size = self._evidence.onset(0, k)
-        return Name(effect.name, effect.title, size * effect.step, effect.unit, abs(standardised))
+        return Name(effect.name, effect.title, size * effect.step, effect.unit, abs(score))
 
     @property
     def hours(self) -> float:

@@ -5,7 +5,7 @@ bank where the signatures are made. SI, rad.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -72,12 +72,12 @@ class LateralMotion:
             )
         )
 
-    def advance(self, x: Array, first: Inputs, last: Inputs, dt: float, gust: Array | float = 0.0) -> Array:
-        """The state `dt` seconds later, inputs on straight lines: classical Runge-Kutta."""
+    def advance(self, x: Array, drive: Callable[[float], Inputs], dt: float, gust: Array | float = 0.0) -> Array:
+        """The state `dt` seconds later: classical Runge-Kutta. drive: inputs where a part of the interval has passed."""
         steps = max(1, math.ceil(dt / LONGEST_STEP))
         h = dt / steps
         for k in range(steps):
-            u0, u1, u2 = (first.between(last, part / steps) for part in (k, k + 0.5, k + 1.0))
+            u0, u1, u2 = (drive(part / steps) for part in (k, k + 0.5, k + 1.0))
             k1 = self.rates(x, u0, gust)
             k2 = self.rates(x + 0.5 * h * k1, u1, gust)
             k3 = self.rates(x + 0.5 * h * k2, u1, gust)

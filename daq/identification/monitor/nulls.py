@@ -7,6 +7,7 @@ as configured; scans are those of the aircraft's grid, all of them or those that
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,7 +44,7 @@ class Conditions:
     surface: float = math.radians(0.07)
     V: float = 0.15
     gust: float = math.radians(0.15)
-    gust_spread: tuple[float, float] = (0.5, 3.0)
+    gust_spread: tuple[float, float] = (0.5, 4.0)
     speed: float = 16.5
     speed_spread: float = 1.0
     rate: float = 20.0
@@ -91,7 +92,7 @@ def fly(
             scans.append(_scan(time, x, now, motion, gust, conditions, rng))
         command = wanted[k] + np.stack([LEVEL_BANK * x[3, 0] + LEVEL_RATE * x[1, 0], np.zeros(flights)])
         after = command + (moved - command) * fade
-        x = motion.advance(x, now, _inputs(x, after, speed), STEP, gust)
+        x = motion.advance(x, partial(now.between, _inputs(x, after, speed)), STEP, gust)
         moved = after
         gust = gust * gust_fade + gusts * math.sqrt(1.0 - gust_fade**2) * rng.standard_normal(flights)
     return scans

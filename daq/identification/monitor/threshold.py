@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from daq.identification.airframe import Airframe
 from daq.identification.monitor.bank import Effect
 from daq.identification.monitor.evidence import Evidence, Score
-from daq.identification.monitor.innovations import PredictorBank, Scan
+from daq.identification.monitor.innovations import Innovation, PredictorBank, Scan
 from daq.identification.monitor.nulls import Conditions, fly
-from daq.identification.monitor.whitening import Whitening, fitted
+from daq.identification.monitor.whitening import Run, Whitening, fitted
 
 Array = NDArray[np.float64]
 
@@ -94,11 +94,12 @@ def _histories(
     return np.stack([s.z for s in found]), np.stack([np.log(s.unnamed) for s in found])
 
 
-def _innovations(airframe: Airframe, values: Mapping[str, float], scans: Sequence[Scan]) -> Array:
-    """(scans, 5, flights) of the model alone."""
+def _innovations(airframe: Airframe, values: Mapping[str, float], scans: Sequence[Scan]) -> Run:
+    """Of the model alone."""
     bank = PredictorBank(airframe, values, ())
-    found = [bank.innovations(scan) for scan in scans]
-    return np.stack([f[0] for f in found[20:] if f is not None])  # the first second still shows where it began
+    found = [f for scan in scans if (f := bank.innovation(scan)) is not None]
+    later = found[20:]  # the first second still shows where it began
+    return np.stack([f.wrong for f in later]), np.stack([f.kind for f in later])
 
 
 def scores(
@@ -110,16 +111,23 @@ def scores(
 ) -> Iterator[tuple[float, Score]]:
     """Time and score at each half second of several flights side by side."""
     bank, evidence = PredictorBank(airframe, values, effects), Evidence(effects)
-    past: list[tuple[Array, Array]] = []
+    past: list[Innovation] = []
     for scan in scans:
-        found = bank.innovations(scan)
+        found = bank.innovation(scan)
         if found is None:
             continue
         past = [*past, found][-3:]
-        if len(past) == 3:
-            white, signatures = (whitening.applied(*(f[i] for f in reversed(past))) for i in (0, 1))
-            if evidence.add(scan.time, white, signatures):
-                yield scan.time, evidence.score()
+        if len(past) == 3 and evidence.add(found.time, *whitened(whitening, past)):
+            yield scan.time, evidence.score()
+
+
+def whitened(whitening: Whitening, three: Sequence[Innovation]) -> tuple[Array, Array]:
+    """Of three in order of time the last: (5, flights) and (5, effects, flights), white."""
+    earlier, before, now = three
+    return (
+        whitening.applied(now.wrong, before.wrong, earlier.wrong, now.kind),
+        whitening.applied(now.signatures, before.signatures, earlier.signatures, now.kind),
+    )
 
 
 def strongest(standardised: Array) -> Array:

@@ -210,9 +210,9 @@ def test_without_noise_nothing_is_off(airframe: Airframe, exact: Flown, sent: bo
 
 def test_nothing_is_learnt_while_a_control_is_in_doubt(airframe: Airframe) -> None:
     """Flight 80 of the study, through the link: its first aileron doublet ends before it is known from noise. Learnt without the
-    aileron's column, roll damping was 3 % of the true one, the simulated motion ran away, and its rows left all three 85 % small."""
+    aileron's column, roll damping was 3 % of the true one, the simulated motion ran away, and all three were 85 % small."""
     rng = np.random.default_rng([80, 19])
-    truth = [second_truth.perturbed_derivatives(rng, 0.10) for _ in range(20)][0]
+    truth = next(iter([second_truth.perturbed_derivatives(rng, 0.10) for _ in range(20)]))
     request = second_truth.Request(
         7080, rng.uniform(14.5, 19.0), gust=math.radians(0.1), derivatives=truth, centred=True
     )

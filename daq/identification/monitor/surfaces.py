@@ -1,0 +1,137 @@
+"""Surfaces of many flights between scans: as `servo`, arrays instead of floats.
+
+Where the servo's lag is known, the instant of an edge within an interval follows from the scans about it. Drawn on straight
+lines an edge between scans a tenth of a second apart is wrong by more than any effect that is looked for.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.identification.servo import EDGE, LONG, SLACK, SURE
+
+Array = NDArray[np.float64]
+
+LATE = (
+    0.85  # of `u`: an edge in the last 6 ms of an interval is left to the next one; hands that move slowly look like it
+)
+FAR = math.radians(1.5)  # that a surface goes in one interval: what is not known of how is worth more than noise
+LEVELS, GUESSED = 5, 3
+"""Levels of an interval: 0 at rest, 1 and 2 on a way that is known (up to `FAR`, further), 3 and 4 on one that is not."""
+
+
+@dataclass(frozen=True, slots=True)
+class Edge:
+    """(flights,) each: a servo that runs to `before` until `at` seconds into the interval, then to `after`; where it does."""
+
+    runs: NDArray[np.bool_]
+    before: Array
+    after: Array
+    at: Array
+    lag: float
+
+
+@dataclass(frozen=True, slots=True)
+class SurfaceBetween:
+    """One surface over one interval of `h` seconds, (flights,) each: a monotone cubic between the samples first and last with
+    slopes rise and fall [1/s], or an edge. level: how well that is known."""
+
+    h: float
+    first: Array
+    last: Array
+    rise: Array
+    fall: Array
+    level: NDArray[np.intp]
+    edge: Edge | None
+
+    def at(self, part: Array | float) -> Array:
+        """Where `part` of the interval has passed."""
+        rest = 1.0 - part
+        cubic = rest * rest * ((1.0 + 2.0 * part) * self.first + part * self.h * self.rise) + part * part * (
+            (1.0 + 2.0 * rest) * self.last - rest * self.h * self.fall
+        )
+        e = self.edge
+        if e is None:
+            return np.asarray(cubic)
+        t = part * self.h
+        turn = e.before + (self.first - e.before) * np.exp(-e.at / e.lag)
+        early = e.before + (self.first - e.before) * np.exp(-t / e.lag)
+        late = e.after + (turn - e.after) * np.exp((e.at - t) / e.lag)
+        return np.where(e.runs, np.where(t <= e.at, early, late), cubic)
+
+
+class SurfacesBetween:
+    """One surface, interval by interval. lag: of its servo [s], None where not known."""
+
+    def __init__(self, lag: float | None) -> None:
+        self._lag = lag
+        self._target: Array | None = None  # that the servo runs to; NaN where that is not known
+
+    def restart(self) -> None:
+        """Scans are missing: where the servo runs to is not known."""
+        self._target = None
+
+    def middle(self, t: tuple[float, float, float, float], y: tuple[Array, Array, Array, Array]) -> SurfaceBetween:
+        """Over the interval between the middle two of four scans at times t [s]; of the first, time and values may be those of
+        the second where there is none."""
+        h, first, last = t[2] - t[1], y[1], y[2]
+        rise = _slope(t[1] - t[0], h, *y[:3])
+        fall = _slope(h, t[3] - t[2], *y[1:])
+        far = np.abs(last - first) > FAR
+        if self._lag is None:
+            moved = np.abs(last - first) > EDGE
+            level = np.where(moved, (GUESSED if h > LONG else 1) + far, 0)
+            return SurfaceBetween(h, first, last, rise, fall, level, None)
+        edge, turned, sure = self._edge(self._lag, h, t[3] - t[2], first, last, y[3])
+        level = np.where(turned & ~sure, GUESSED + far, np.where(edge.runs, 1 + far, 0))
+        self._target = np.where(edge.runs, edge.after, np.nan)
+        return SurfaceBetween(h, first, last, rise, fall, level, edge if edge.runs.any() else None)
+
+    def _edge(
+        self, lag: float, h: float, following: float, first: Array, last: Array, then: Array
+    ) -> tuple[Edge, NDArray[np.bool_], NDArray[np.bool_]]:
+        """The edge in the interval, or what is left of an earlier one; where the servo turned in it; where it is known when."""
+        fade, next_fade = math.exp(-h / lag), math.exp(-following / lag)
+        target = first if self._target is None else np.where(np.isnan(self._target), first, self._target)
+        goal = (last - first * fade) / (1.0 - fade)
+        after = (then - last * next_fade) / (1.0 - next_fade)
+        turned = np.abs(last - target - (first - target) * fade) > EDGE
+        # what ran to a goal and then goes elsewhere did not run there: it turned on the way here
+        elsewhere = (np.abs(after - goal) * (1.0 - next_fade) > EDGE) & (np.abs(last - first) > EDGE)
+        instead = ~turned & elsewhere & _possible(_since(first, first, last, after, fade), fade)
+        target = np.where(instead, first, target)
+        turned = turned | instead
+        u = _since(target, first, last, after, fade)
+        found = turned & (np.abs(after - target) >= EDGE) & _possible(u, fade)
+        on_its_way = ~turned & (np.abs(first - target) > EDGE)
+        edge = Edge(
+            found | on_its_way,
+            np.where(found, target, goal),
+            np.where(found, after, goal),
+            np.where(found, h + lag * np.log(np.clip(u, fade, 1.0)), 0.0),
+            lag,
+        )
+        return edge, turned, found & (u >= SURE)
+
+
+def _since(target: Array, first: Array, last: Array, after: Array, fade: float) -> Array:
+    """u = exp(-(time since the edge)/lag) of a servo that ran to `target` before it and to `after` then, as in `servo`."""
+    jump = np.where(np.abs(after - target) < EDGE, EDGE, target - after)
+    return np.asarray((last - after - (first - target) * fade) / jump)
+
+
+def _possible(u: Array, fade: float) -> NDArray[np.bool_]:
+    return np.asarray((u >= fade - SLACK) & (u <= LATE))
+
+
+def _slope(h0: float, h1: float, y0: Array, y1: Array, y2: Array) -> Array:
+    """As `curve.slope`; zero where h0 is."""
+    if h0 <= 0.0:
+        return np.zeros_like(y1)
+    before, after = (y1 - y0) / h0, (y2 - y1) / h1
+    first, second = 2.0 * h1 + h0, h1 + 2.0 * h0
+    same = before * after > 0.0
+    one, two = np.where(same, before, 1.0), np.where(same, after, 1.0)
+    return np.where(same, (first + second) / (first / one + second / two), 0.0)
