@@ -31,6 +31,9 @@ CLASSES: tuple[frozenset[str], ...] = (
     frozenset({"CY_da", "imu_lever_arm"}),
     frozenset({"beta_lag", "time_skew", "vane_position"}),
     frozenset({"attitude_lag", "time_skew"}),
+    frozenset(
+        {"airspeed_scale", "V_scale"}
+    ),  # one error under two names: V is an input of `lateral`, an output of `six-dof`
     frozenset({"aileron_delay", "aileron_lag", "Cl_betadot"}),
     frozenset({"rudder_delay", "rudder_lag"}),
     frozenset({"Cl_da3", "aileron_deadzone", "Cl_p_abs_p", "aileron_backlash"}),

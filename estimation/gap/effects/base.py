@@ -58,6 +58,7 @@ class Form:
     pieces apply does not apply. requires: symbols the model must know. unless: (line, symbol) pairs; where the line
     (or a line it is made of) already contains the symbol, the model has the effect. inputs: flight columns the form
     brings in as inputs where the model does not have them already. frees: parameters the model has but holds fixed.
+    optional: outputs that are changed or delayed only where the model has them: one device may show more than a model asks of it.
     """
 
     label: str
@@ -72,6 +73,7 @@ class Form:
     requires: tuple[str, ...] = ()
     unless: tuple[tuple[str, str], ...] = ()
     frees: tuple[str, ...] = ()
+    optional: tuple[str, ...] = ()
 
     @property
     def nonlinear(self) -> bool:
@@ -88,14 +90,26 @@ class Form:
         """Whether it is a play of a control, or a limit of its rate: nothing happens until it is large enough."""
         return any(t.kind in ("backlash", "deadzone", "rate_limit") for t in self.transforms)
 
+    def shown_by(self, model: Model) -> "Form":
+        """Without the optional outputs that `model` does not have."""
+        absent = {o for o in self.optional if o not in model.output_names}
+        if not absent:
+            return self
+        outputs, delays = (
+            {k: v for k, v in table.items() if k not in absent} for table in (self.outputs, self.output_delays)
+        )
+        return replace(self, outputs=outputs, output_delays=delays, optional=())
+
     def obstacle(self, model: Model) -> str | None:
         """Why the form cannot be added to `model`, or None where it can."""
         known = _symbols(model)
         present = [p.name for p in self.parameters if p.name in model.parameter_names and p.name not in self.frees]
+        present += [s.name for s in self.states if s.name in model.state_names]
         if present:
             return f"the model already has {', '.join(present)}"
         missing = [s for s in self.requires if s not in known]
-        missing += [o for o in (*self.outputs, *self.output_delays) if o not in model.output_names]
+        shown = self.shown_by(model)
+        missing += [o for o in (*shown.outputs, *shown.output_delays) if o not in model.output_names]
         if self.transforms and not self._transforms(model):
             missing.append(self.transforms[0].input)
         if missing:
@@ -103,7 +117,7 @@ class Form:
         for line, symbol in self.unless:
             if symbol in _reach(model, line):
                 return f"the model's {line} already contains {symbol}"
-        if any(o in model.output_delays for o in self.output_delays):
+        if any(o in model.output_delays for o in shown.output_delays):
             return "the model already delays these outputs"
         if self.terms and not self._pieces(model):
             return "the model has none of the terms it would change"
@@ -130,15 +144,16 @@ class Form:
             )
             for p in self.parameters
         ]
+        shown = self.shown_by(model)
         return model.plus(
             terms=self._pieces(model),
             lines=self.lines,
-            outputs=self.outputs,
+            outputs=shown.outputs,
             states=self.states,
             inputs=[s for s in self.inputs if s.name not in _symbols(model)],
             parameters=parameters,
             transforms=self._transforms(model),
-            output_delays=self.output_delays,
+            output_delays=shown.output_delays,
         )
 
     def _transforms(self, model: Model) -> tuple[InputTransform, ...]:
@@ -185,8 +200,8 @@ class Effect:
             raise EffectError(f"effect {self.name}: two forms are called {labels}")
 
     def applicable(self, model: Model) -> tuple[Form, ...]:
-        """The forms that can be added to `model`."""
-        return tuple(f for f in self.forms if f.obstacle(model) is None)
+        """The forms that can be added to `model`, as it shows them."""
+        return tuple(f.shown_by(model) for f in self.forms if f.obstacle(model) is None)
 
     def form(self, label: str) -> Form:
         """The form of that label; EffectError otherwise."""

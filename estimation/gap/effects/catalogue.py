@@ -162,5 +162,6 @@ def _form(table: Mapping[str, Any]) -> Form:
         output_delays=dict(data.pop("output_delays", {})),
         requires=tuple(data.pop("requires", ())),
         unless=tuple((line, symbol) for line, symbol in data.pop("unless", ())),
+        optional=tuple(data.pop("optional", ())),
         **data,
     )
