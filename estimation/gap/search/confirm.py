@@ -49,8 +49,9 @@ def fit_hypothesis(
     """Fit base and hypothesis together from `guess`; (problem, fit).
 
     Delays, lags and plays are also started at their usual size, and the better end is kept: far from no effect the base
-    parameters sit elsewhere, and a small step does not find the way. Where the motion runs away from every start, the fit
-    begins nearer to no effect: with the base where it was without it, a guess that is right can be unstable.
+    parameters sit elsewhere, and a small step does not find the way. An end at nothing is not believed while another start
+    is still on its way to something. Where the motion runs away from every start, the fit begins nearer to no effect: with the
+    base where it was without it, a guess that is right can be unstable.
     """
     starts = [_inside(hypothesis, problem, guess)]
     if hypothesis.form.nonlinear:
@@ -61,10 +62,29 @@ def fit_hypothesis(
         done.append(_begun(problem, base_fit, hypothesis, _nearer(hypothesis, problem, starts[0], share)))
         if not done[-1][1].diverged:
             break
-    trial, best = min(done, key=lambda pair: pair[1].cost if not pair[1].diverged else np.inf)
-    if best.converged or best.diverged:
-        return trial, best
-    return trial, fit(trial, best.values, best.locals, iterations=STEPS - FIRST_STEPS, enough=ENOUGH)
+    ordered = sorted(done, key=lambda pair: pair[1].cost if not pair[1].diverged else np.inf)
+    ends: list[tuple[Problem, Fit]] = []
+    for trial, begun in ordered:
+        if ends and (begun.diverged or _nothing(hypothesis, problem, begun)):
+            continue
+        ends.append((trial, _carried_on(trial, begun)))
+        if not _nothing(hypothesis, problem, ends[-1][1]):
+            break
+    return min(ends, key=lambda pair: pair[1].cost if not pair[1].diverged else np.inf)
+
+
+def _carried_on(trial: Problem, begun: Fit) -> Fit:
+    if begun.converged or begun.diverged:
+        return begun
+    return fit(trial, begun.values, begun.locals, iterations=STEPS - FIRST_STEPS, enough=ENOUGH)
+
+
+def _nothing(hypothesis: Hypothesis, problem: Problem, found: Fit) -> bool:
+    """Whether a fit ended where the hypothesis does nothing."""
+    return all(
+        abs(found.values[p.name] - p.null_value(problem.model)) < AT_NOTHING * p.typical
+        for p in hypothesis.form.parameters
+    )
 
 
 def _begun(problem: Problem, base_fit: Fit, hypothesis: Hypothesis, start: Mapping[str, float]) -> tuple[Problem, Fit]:

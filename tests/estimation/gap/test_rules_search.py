@@ -14,6 +14,7 @@ from estimation.gap.effects.base import Effect, EffectParameter, Form, Group
 from estimation.gap.errors import GapError
 from estimation.gap.search import accept as accepting
 from estimation.gap.search import backward_check as checking
+from estimation.gap.search import confirm
 from estimation.gap.search import rounds as searching
 from estimation.gap.search.accept import accept, by_timing, doubtful, explains, follows, holds, is_strong, repeats
 from estimation.gap.search.backward_check import best_rival, idle, questioners
@@ -414,3 +415,42 @@ def test_projection_takes_out_what_the_base_can_absorb() -> None:
     left = rows[:, 2:] - rows[:, :2] @ np.linalg.lstsq(rows[:, :2], rows[:, 2:], rcond=None)[0]
     assert projected.B[0, 0] == pytest.approx(left[:, 0] @ left[:, 0])
     assert projected.scores()[0, 0] == pytest.approx(left[:, 0] @ left[:, 1] / np.linalg.norm(left[:, 0]))
+
+
+# ------------------------------------------------------------------------------------------------ where a fit begins
+@pytest.mark.parametrize(
+    ("ends", "kept"),
+    [
+        # of both starts after their first steps: cost and play; of what is carried on: the same
+        ({"near": ((12.0, 0.6), (3.0, 1.0)), "usual": ((10.0, 0.0), (10.0, 0.0))}, 3.0),
+        ({"near": ((12.0, 0.6), (11.0, 0.4)), "usual": ((10.0, 0.0), (9.0, 0.0))}, 9.0),
+        ({"near": ((12.0, 0.0), (3.0, 1.0)), "usual": ((10.0, 0.0), (9.0, 0.0))}, 9.0),
+        ({"near": ((8.0, 0.6), (5.0, 0.8)), "usual": ((10.0, 1.0), (1.0, 1.0))}, 5.0),
+    ],
+    ids=[
+        "nothing gives way to something better",
+        "or stays where that is none",
+        "no start that is at nothing too goes on",
+        "something found ends the search",
+    ],
+)
+def test_an_end_at_nothing_is_not_believed_while_another_start_goes_on(
+    monkeypatch: pytest.MonkeyPatch, ends: dict[str, tuple[tuple[float, float], ...]], kept: float
+) -> None:
+    """A rudder with a degree of play, in six degrees of freedom: five steps from the usual size the fit had shrunk to no play at
+    all, five from a third of it the way to the right one was half gone, and its cost the larger."""
+
+    def fitted(which: str, turn: int) -> Any:
+        cost, play = ends[which][turn]
+        return stub(
+            cost=cost, values={"play": play, "which": which}, locals=[], converged=turn == 1, diverged=False, model=None
+        )
+
+    parameter = EffectParameter("play", "rad", 1.0, 0.0, 3.0)
+    hypothesis = stub(form=stub(parameters=(parameter,), nonlinear=True))
+    monkeypatch.setattr(
+        confirm, "_begun", lambda p, b, h, start: (p, fitted("near" if start["play"] < 0.5 else "usual", 0))
+    )
+    monkeypatch.setattr(confirm, "fit", lambda trial, values, locals_, **_: fitted(str(values["which"]), 1))
+    _, found = confirm.fit_hypothesis(stub(model=None, criteria=AS_SET), stub(), hypothesis, {"play": 0.0})
+    assert found.cost == kept
