@@ -17,6 +17,7 @@ from estimation.gap.records.flight_records import FlightRecords
 from estimation.gap.tests_of_fit.calibration import Round
 from estimation.gap.tests_of_fit.measure import Floors, on_holdout, rms_over_noise
 from estimation.gap.tests_of_fit.nulls import InputErrors
+from estimation.gap.tests_of_fit.omnibus import examine
 
 FITTED = 3  # places that get a fit
 
@@ -133,8 +134,13 @@ def _best(round_: Round, task: Task, flown: Flown, ranking: Ranked) -> tuple[Sha
             tried.append(Tried(ranking.places[i], float(ranking.gains[i]), "the fit runs away"))
         else:
             fits[i] = fitted
+    term = best_term(round_) if fits else 0.0
     for i in sorted(fits, key=lambda k: -fits[k].gain):
         fitted = fits[i]
+        if fitted.gain < criteria.named_share * term:
+            why = f"explains only {fitted.gain / term:.0%} of what a nameless term does"
+            tried.append(Tried(ranking.places[i], fitted.gain, why))
+            continue
         others = left_out(baseline, fitted, flown)
         if not confirmed(others, criteria):
             why = "does not predict every training flight better than the base where that is left out"
@@ -156,6 +162,12 @@ def _best(round_: Round, task: Task, flown: Flown, ranking: Ranked) -> tuple[Sha
         )
         return shape, tried
     return None, tried
+
+
+def best_term(round_: Round) -> float:
+    """What the best nameless term in an output or a force equation gains (twice a log-likelihood). Where that is clearly more
+    than a shape does, the shape is not what is wrong: an instrument that adds what it should not is no coefficient."""
+    return max((s.gain for s in examine(round_).leading if s.kind == "term"), default=0.0)
 
 
 def runners_up(best: Fitted, others: Sequence[Fitted], criteria: Criteria) -> list[Fitted]:

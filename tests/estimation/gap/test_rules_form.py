@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from estimation.gap.criteria import AS_SET
+from estimation.gap.form import search as searching
 from estimation.gap.form.closure import closed
 from estimation.gap.form.fitted import LeftOut, confirmed
 from estimation.gap.form.places import Place, spread_of
@@ -41,6 +42,25 @@ def test_one_flight_predicted_worse_is_enough_to_refuse_and_none_to_ask_is_no_co
     assert not confirmed([LeftOut(0, 1.0, 500.0), LeftOut(1, 1.0, -0.1)], AS_SET)
     assert not confirmed([LeftOut(0, 0.1, 50.0)], AS_SET)
     assert not confirmed([], AS_SET)
+
+
+@pytest.mark.parametrize(("gain", "asked"), [(74.0, False), (76.0, True)])
+def test_a_shape_gains_three_quarters_of_what_the_best_term_does(
+    monkeypatch: pytest.MonkeyPatch, gain: float, asked: bool
+) -> None:
+    """An accelerometer that also shows bank: a side force that follows the ailerons closed a third of it, and all of what little
+    of it the plain gap of eleven channels shows. Only terms count: restless seconds have no gain."""
+    signals = (stub(kind="term", gain=100.0), stub(kind="time", gain=500.0))
+    monkeypatch.setattr(searching, "examine", lambda round_: stub(leading=signals))
+    monkeypatch.setattr(searching, "fit_increment", lambda baseline, increment: stub(gain=gain))
+    monkeypatch.setattr(searching.Increment, "of", lambda place, flown, criteria: None)
+    left: list[float] = []
+    monkeypatch.setattr(searching, "left_out", lambda baseline, fitted, flown: left.append(fitted.gain) or [])
+    ranking = stub(order=[0], places=[PLACE], gains=[gain])
+    shape, tried = searching._best(stub(baseline=None, criteria=AS_SET), stub(), stub(), ranking)
+    assert shape is None
+    assert bool(left) is asked
+    assert (tried[0].why == "explains only 74% of what a nameless term does") is not asked
 
 
 @pytest.mark.parametrize(("share", "good"), [(0.86, True), (0.84, False)])
