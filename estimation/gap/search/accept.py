@@ -1,5 +1,6 @@
 """When a fitted hypothesis becomes an effect: significant, better than nameless, repeated, and held on unseen flights."""
 
+import math
 from collections.abc import Callable, Sequence
 
 from estimation.gap.answer.result import Rejected
@@ -51,7 +52,8 @@ def confirmed(setting: Setting, round_: Round, candidate: Candidate, nameless: f
         return None, "does not hold on the training flights it was not fitted to"
     child = setting.child(round_.baseline, candidate)
     held = held_gain(round_.baseline, child, setting.prepared)
-    if not holds(None if held is None else held / own_inflation(candidate), strong or timing, criteria):
+    spare = math.inf if timing else candidate.score**2 - round_.threshold**2
+    if not holds(None if held is None else held / own_inflation(candidate), spare, criteria):
         return None, "does not hold on the held-out flights"
     return child, ""
 
@@ -74,7 +76,7 @@ def own_inflation(candidate: Candidate) -> float:
 
 
 def is_strong(score: float, threshold: float, criteria: Criteria) -> bool:
-    """Whether an effect may be beyond linear theory, and beyond what chance takes from it on held-out flights."""
+    """Whether an effect may be beyond linear theory, which then may say a little against it."""
     return score > criteria.strong * threshold
 
 
@@ -93,10 +95,15 @@ def repeats(cross: float | None, strong: bool, timing: bool, gains: Sequence[flo
     return timing or len(gains) < 2 or sum(gains) - max(gains) > 0.0
 
 
-def holds(held: float | None, trusted: bool, criteria: Criteria) -> bool:
-    """Whether an effect holds on the held-out flights, where there are any. held: twice the log-likelihood gained there, over
-    its inflation; trusted: strong, or followed by the timing of surfaces, so that chance may take a little."""
-    return held is None or held > (-criteria.held_slack if trusted else 0.0)
+def holds(held: float | None, spare: float, criteria: Criteria) -> bool:
+    """Whether an effect holds on the held-out flights, where there are any: significant still with what they say. held: twice the
+    log-likelihood gained there, over its inflation; spare: what is gained above the threshold, in the same units, of which
+    chance may take so much and no more; without end where the timing of surfaces followed the effect.
+
+    An effect a little above its threshold changes a single flight by two or three units in all, of which chance takes more than
+    that in one of six.
+    """
+    return held is None or held > -min(spare, criteria.held_slack)
 
 
 def flight_gains(round_: Round, candidate: Candidate) -> list[float]:

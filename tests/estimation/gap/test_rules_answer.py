@@ -53,7 +53,8 @@ def asked(
         ({"gain": 60.0}, "explains only 60%"),
         ({"cross": -1.0}, "does not hold on the training flights"),
         ({"cross": -1.0, "score": 7.0}, ""),
-        ({"held": -1.0}, "does not hold on the held-out flights"),
+        ({"held": -4.0, "score": 4.1}, ""),  # inflated six times, held out too: 0.7 of the 0.8 above the threshold
+        ({"held": -8.0, "score": 4.1}, "does not hold on the held-out flights"),
         ({"held": -1.0, "score": 7.0}, ""),
         ({"held": -1.0, "timing": True}, ""),
         ({"held": -18.0, "score": 7.0}, ""),  # a gain of 100 at a score of 7: inflated twice, held out too

@@ -230,13 +230,21 @@ def test_an_effect_repeats(
 
 
 @pytest.mark.parametrize(
-    ("held", "trusted", "stands"),
-    [(None, False, True), (0.5, False, True), (-0.5, False, False), (-8.0, True, True), (-10.0, True, False)],
+    ("held", "spare", "stands"),
+    [
+        (None, 0.0, True),
+        (0.1, 0.0, True),
+        (-0.1, 0.0, False),
+        (-2.0, 2.5, True),
+        (-3.0, 2.5, False),
+        (-8.0, np.inf, True),
+        (-10.0, np.inf, False),
+    ],
 )
-def test_chance_may_take_a_little_on_held_out_flights_from_what_is_trusted(
-    held: float | None, trusted: bool, stands: bool
+def test_chance_may_take_on_held_out_flights_what_there_is_to_spare(
+    held: float | None, spare: float, stands: bool
 ) -> None:
-    assert holds(held, trusted, AS_SET) is stands
+    assert holds(held, spare, AS_SET) is stands
 
 
 @pytest.mark.parametrize(("freed", "followed"), [(45.0, False), (55.0, True)])
