@@ -152,10 +152,13 @@ class _Drive:
 
     def _surface(self, which: int, part: float) -> Array:
         """(models, flights)."""
-        curve, at = self._surfaces[which], part - self._late[which]
-        found = curve.at(np.maximum(at, 0.0))
-        if (at >= 0.0).all():
-            return found
+        curve, late = self._surfaces[which], self._late[which][:, 0]
+        found = np.tile(curve.at(part), (late.size, 1))
         before = None if self._before is None else self._before[which]
-        earlier = curve.first if before is None else before.at(np.maximum(1.0 + at * curve.h / before.h, 0.0))
-        return np.where(at >= 0.0, found, earlier)
+        for model in np.flatnonzero(late):
+            at = part - float(late[model])
+            if at >= 0.0:
+                found[model] = curve.at(at)
+            else:
+                found[model] = curve.first if before is None else before.at(max(1.0 + at * curve.h / before.h, 0.0))
+        return found

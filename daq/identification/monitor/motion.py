@@ -76,8 +76,9 @@ class LateralMotion:
         """The state `dt` seconds later: classical Runge-Kutta. drive: inputs where a part of the interval has passed."""
         steps = max(1, math.ceil(dt / LONGEST_STEP))
         h = dt / steps
+        u2 = drive(0.0)
         for k in range(steps):
-            u0, u1, u2 = (drive(part / steps) for part in (k, k + 0.5, k + 1.0))
+            u0, u1, u2 = u2, drive((k + 0.5) / steps), drive((k + 1.0) / steps)
             k1 = self.rates(x, u0, gust)
             k2 = self.rates(x + 0.5 * h * k1, u1, gust)
             k3 = self.rates(x + 0.5 * h * k2, u1, gust)
