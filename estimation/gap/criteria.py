@@ -242,13 +242,13 @@ class Criteria:
     strong: float = criterion(
         1.5,
         "thresholds",
-        "above it linear theory may say a little against an effect",
+        "above it linear theory and held-out flights may say a little against an effect",
         FOREIGN,
     )
     held_slack: float = criterion(
         9.0,
         "2 log likelihood",
-        "what chance may take from an effect on held-out flights, if it has as much to spare above the threshold",
+        "what chance may take from an effect on held-out flights, if it is strong or has as much to spare above the threshold",
         "by hand; equals three standard deviations of one unknown",
     )
     followed_gain: float = criterion(

@@ -45,14 +45,15 @@ def confirmed(setting: Setting, round_: Round, candidate: Candidate, nameless: f
         return None, f"explains only {candidate.gain / nameless:.0%} of what a nameless term does"
     strong = is_strong(candidate.score, round_.threshold, criteria)
     timing = by_timing(round_, candidate)
-    cross = None
+    cross, number = None, round_.screen.hypotheses.index(candidate.hypothesis)
     if not candidate.hypothesis.form.nonlinear:
-        cross = round_.screen.cross_gain(round_.screen.hypotheses.index(candidate.hypothesis))
+        cross = round_.screen.cross_gain(number)
     if not repeats(cross, strong, timing, flight_gains(round_, candidate)):
         return None, "does not hold on the training flights it was not fitted to"
     child = setting.child(round_.baseline, candidate)
     held = held_gain(round_.baseline, child, setting.prepared)
-    spare = math.inf if timing else candidate.score**2 - round_.threshold**2
+    sure = min(candidate.score, float(round_.standardised()[number]))
+    spare = math.inf if strong or timing else to_spare(sure, round_.threshold)
     if not holds(None if held is None else held / own_inflation(candidate), spare, criteria):
         return None, "does not hold on the held-out flights"
     return child, ""
@@ -76,7 +77,7 @@ def own_inflation(candidate: Candidate) -> float:
 
 
 def is_strong(score: float, threshold: float, criteria: Criteria) -> bool:
-    """Whether an effect may be beyond linear theory, which then may say a little against it."""
+    """Whether an effect may be beyond linear theory, and beyond what chance takes from it on held-out flights."""
     return score > criteria.strong * threshold
 
 
@@ -97,13 +98,18 @@ def repeats(cross: float | None, strong: bool, timing: bool, gains: Sequence[flo
 
 def holds(held: float | None, spare: float, criteria: Criteria) -> bool:
     """Whether an effect holds on the held-out flights, where there are any: significant still with what they say. held: twice the
-    log-likelihood gained there, over its inflation; spare: what is gained above the threshold, in the same units, of which
-    chance may take so much and no more; without end where the timing of surfaces followed the effect.
+    log-likelihood gained there, over its inflation; spare: what of it chance may take, at most `held_slack`.
 
     An effect a little above its threshold changes a single flight by two or three units in all, of which chance takes more than
     that in one of six.
     """
     return held is None or held > -min(spare, criteria.held_slack)
+
+
+def to_spare(score: float, threshold: float) -> float:
+    """What an effect has gained above its threshold, in twice the log-likelihood. score: by linear theory or of the full fit,
+    whichever says less: the threshold is one of linear theory, beyond which a full fit bends its model to the noise."""
+    return max(score**2 - threshold**2, 0.0)
 
 
 def flight_gains(round_: Round, candidate: Candidate) -> list[float]:

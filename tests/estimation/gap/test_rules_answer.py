@@ -33,6 +33,7 @@ def asked(
     cross: float | None = 1.0,
     held: float | None = 1.0,
     timing: bool = False,
+    linear: float | None = None,
 ) -> tuple[Any, str]:
     """A linear candidate beside a nameless term that gains 100, threshold 4."""
     patch.setattr(accepting, "held_gain", lambda *given: held)
@@ -40,7 +41,11 @@ def asked(
     patch.setattr(accepting, "flight_gains", lambda *given: [50.0, 50.0])
     hypothesis = stub(form=stub(nonlinear=False), label="x")
     round_ = stub(
-        criteria=AS_SET, threshold=4.0, baseline=None, screen=stub(hypotheses=[hypothesis], cross_gain=lambda h: cross)
+        criteria=AS_SET,
+        threshold=4.0,
+        baseline=None,
+        screen=stub(hypotheses=[hypothesis], cross_gain=lambda h: cross),
+        standardised=lambda: np.array([score if linear is None else linear]),
     )
     setting = stub(child=lambda *given: "child", prepared=None)
     return confirmed(setting, round_, stub(score=score, gain=gain, hypothesis=hypothesis), 100.0)
@@ -55,6 +60,8 @@ def asked(
         ({"cross": -1.0, "score": 7.0}, ""),
         ({"held": -4.0, "score": 4.1}, ""),  # inflated six times, held out too: 0.7 of the 0.8 above the threshold
         ({"held": -8.0, "score": 4.1}, "does not hold on the held-out flights"),
+        ({"held": -1.0, "score": 5.0, "linear": 4.0}, "does not hold on the held-out flights"),  # the full fit alone
+        ({"held": -1.0, "score": 7.0, "linear": 2.0}, ""),
         ({"held": -1.0, "score": 7.0}, ""),
         ({"held": -1.0, "timing": True}, ""),
         ({"held": -18.0, "score": 7.0}, ""),  # a gain of 100 at a score of 7: inflated twice, held out too
