@@ -14,10 +14,9 @@ from daq.identification.servo import EDGE, LONG, SLACK, SURE
 
 Array = NDArray[np.float64]
 
-LATE = (
-    0.85  # of `u`: an edge in the last 6 ms of an interval is left to the next one; hands that move slowly look like it
-)
+LATE = 0.85  # of `u`: an edge in the last 6 ms is left to the next interval; hands that move slowly look like it
 FAR = math.radians(1.5)  # that a surface goes in one interval: what is not known of how is worth more than noise
+TINY = 1e-12  # of `u`: the fastest servo has long arrived
 LEVELS, GUESSED = 5, 3
 """Levels of an interval: 0 at rest, 1 and 2 on a way that is known (up to `FAR`, further), 3 and 4 on one that is not."""
 
@@ -58,7 +57,7 @@ class SurfaceBetween:
         t = part * self.h
         turn = e.before + (self.first - e.before) * np.exp(-e.at / e.lag)
         early = e.before + (self.first - e.before) * np.exp(-t / e.lag)
-        late = e.after + (turn - e.after) * np.exp((e.at - t) / e.lag)
+        late = e.after + (turn - e.after) * np.exp(np.minimum(e.at - t, 0.0) / e.lag)
         return np.where(e.runs, np.where(t <= e.at, early, late), cubic)
 
 
@@ -110,7 +109,7 @@ class SurfacesBetween:
             found | on_its_way,
             np.where(found, target, goal),
             np.where(found, after, goal),
-            np.where(found, h + lag * np.log(np.clip(u, fade, 1.0)), 0.0),
+            np.where(found, h + lag * np.log(np.clip(u, max(fade, TINY), 1.0)), 0.0),
             lag,
         )
         return edge, turned, found & (u >= SURE)

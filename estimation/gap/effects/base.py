@@ -90,6 +90,11 @@ class Form:
         """Whether it is a play of a control, or a limit of its rate: nothing happens until it is large enough."""
         return any(t.kind in ("backlash", "deadzone", "rate_limit") for t in self.transforms)
 
+    @property
+    def lagging(self) -> bool:
+        """Whether forces or moments follow the motion late, by a state of their own."""
+        return bool(self.states and self.terms)
+
     def shown_by(self, model: Model) -> "Form":
         """Without the optional outputs that `model` does not have."""
         absent = {o for o in self.optional if o not in model.output_names}

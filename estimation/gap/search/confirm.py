@@ -173,7 +173,8 @@ def leading(screen: Screen, gains: Array, criteria: Criteria) -> list[int]:
     """Indices of the hypotheses worth a full fit: the best by linear score and what is tied to the very best.
 
     Of those linear in their unknowns, which a full fit hardly changes, only the ones within sight of the best. Plays always: a
-    play smaller than the noise of a surface changes nothing, so that a small step says nothing of one of usual size.
+    play smaller than the noise of a surface changes nothing, so that a small step says nothing of one of usual size. Lags of
+    the air too: about a base that has taken one up as damping, a small step of it sets the aircraft swinging.
     """
     order = [int(h) for h in np.argsort(-gains)]
     least = criteria.in_sight * float(gains[order[0]])
@@ -186,5 +187,5 @@ def leading(screen: Screen, gains: Array, criteria: Criteria) -> list[int]:
     for h in order[len(chosen) :]:
         if h not in chosen and cosines[np.ix_(best, screen.span(h))].max() > criteria.fitted_tie:
             chosen.append(h)
-    plays = [h for h, hypothesis in enumerate(screen.hypotheses) if hypothesis.form.play and h not in chosen]
-    return [*chosen, *plays]
+    untold = [h for h, x in enumerate(screen.hypotheses) if (x.form.play or x.form.lagging) and h not in chosen]
+    return [*chosen, *untold]

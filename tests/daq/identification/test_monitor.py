@@ -179,6 +179,19 @@ def test_hands_that_begin_slowly_make_no_edge_before_the_edge() -> None:
     assert math.degrees(drawn[1].at(0.5)[0]) == pytest.approx(4.23, abs=0.5)
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("lag", [1e-5, 1e-3, 5.0, None])
+def test_any_servo_is_drawn(lag: float | None) -> None:
+    """Quicker than any scan and slower than any: what is drawn is a number, and at the scans what was measured."""
+    surface, seen = SurfacesBetween(lag), np.radians([0.0, 0.0, 5.0, 5.1, -3.0, -3.0, -3.1, 2.0])
+    for k in range(1, seen.size - 2):
+        t = 0.25 * np.arange(k - 1, k + 3)
+        curve = surface.middle(tuple(t), tuple(v[None] for v in seen[k - 1 : k + 3]))  # type: ignore[arg-type]
+        drawn = np.array([curve.at(part)[0] for part in (0.0, 0.3, 1.0)])
+        assert np.isfinite(drawn).all()
+        assert drawn[[0, 2]] == pytest.approx(seen[[k, k + 1]], abs=math.radians(0.6))
+
+
 def test_a_surface_that_moved_unseen_makes_an_interval_blind(
     airframe: Airframe, values: dict[str, float], effects: tuple[Effect, ...]
 ) -> None:

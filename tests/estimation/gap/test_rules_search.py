@@ -92,6 +92,18 @@ def test_a_play_is_always_fitted() -> None:
     assert 12 in leading(screen(hypotheses), np.array([*(100.0 - np.arange(12.0)), 0.0]), AS_SET)
 
 
+def test_a_lag_of_the_air_is_always_fitted() -> None:
+    """Not one of an instrument, which a small step tells."""
+    wake = Variable("beta_wake", "rad", start="beta")
+    parameter = EffectParameter("tau", "s", 0.1, 0.01, 0.6)
+    air = Form("air", (parameter,), terms={"Cl": ("Cl_beta*(beta_wake - beta)",)}, states=(wake,))
+    shown = Form("shown", (parameter,), outputs={"beta": "beta_wake"}, states=(wake,))
+    effects = [Effect(f.label, "", Group.UNSTEADY, "", "", "", "", {}, "", (f,)) for f in (air, shown)]
+    hypotheses = [*(hypothesis(f"x{i}") for i in range(12)), *(Hypothesis(e, e.forms[0]) for e in effects)]
+    chosen = leading(screen(hypotheses), np.array([*(100.0 - np.arange(12.0)), 0.0, 0.0]), AS_SET)
+    assert (12 in chosen, 13 in chosen) == (True, False)
+
+
 def test_nonlinear_hypotheses_promise_either_sign_and_are_not_held_against_their_scatter() -> None:
     gram = np.eye(3)
     gram[:2, 2] = gram[2, :2] = -6.0
