@@ -92,8 +92,8 @@ class Form:
 
     @property
     def lagging(self) -> bool:
-        """Whether forces or moments follow the motion late, by a state of their own."""
-        return bool(self.states and self.terms)
+        """Whether forces or moments follow the motion late, by a state of their own, and how late is what is asked."""
+        return bool(self.states and self.terms) and all(p.unit == "s" for p in self.parameters)
 
     def shown_by(self, model: Model) -> "Form":
         """Without the optional outputs that `model` does not have."""
