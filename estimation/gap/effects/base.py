@@ -115,6 +115,10 @@ class Form:
         missing = [s for s in self.requires if s not in known]
         shown = self.shown_by(model)
         missing += [o for o in (*shown.outputs, *shown.output_delays) if o not in model.output_names]
+        if not (
+            self.terms or shown.outputs or shown.output_delays
+        ):  # what it changes is optional, and the model has none
+            missing += [*self.outputs, *self.output_delays]
         if self.transforms and not self._transforms(model):
             missing.append(self.transforms[0].input)
         if missing:

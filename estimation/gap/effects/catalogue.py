@@ -148,6 +148,10 @@ def _form(table: Mapping[str, Any]) -> Form:
     for pieces in terms.values():
         for piece in pieces:
             parse(piece)
+    optional = tuple(data.pop("optional", ()))
+    for output in optional:
+        if output not in {**data.get("outputs", {}), **data.get("output_delays", {})}:
+            raise ValueError(f"optional {output!r} is none of the form's outputs or output_delays")
     return Form(
         label=data.pop("label", "form"),
         parameters=tuple(EffectParameter(**p) for p in data.pop("parameters")),
@@ -162,6 +166,6 @@ def _form(table: Mapping[str, Any]) -> Form:
         output_delays=dict(data.pop("output_delays", {})),
         requires=tuple(data.pop("requires", ())),
         unless=tuple((line, symbol) for line, symbol in data.pop("unless", ())),
-        optional=tuple(data.pop("optional", ())),
+        optional=optional,
         **data,
     )

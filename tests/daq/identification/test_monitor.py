@@ -3,6 +3,7 @@
 import math
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 import pytest
@@ -133,6 +134,11 @@ def test_whitening_finds_the_autoregression_it_is_shown() -> None:
         np.testing.assert_allclose(mine.T @ mine / len(mine), covariance, atol=0.1)
 
 
+def around(values: Array, k: int) -> tuple[Any, Any, Any, Any]:
+    """Four in a row, of which number k is the second."""
+    return values[k - 1], values[k], values[k + 1], values[k + 2]
+
+
 def test_surfaces_are_those_of_one_servo() -> None:
     """Against the one-flight curves: where both know of an edge, they agree on all of it."""
     rng = np.random.default_rng(14)
@@ -142,9 +148,8 @@ def test_surfaces_are_those_of_one_servo() -> None:
     servo = np.array([_servo(x, edges[:, 0], wanted[:, 0], lag) for x in t]) + noise * rng.standard_normal(t.size)
     alone, many, edge_found = SurfaceCurves(lag), SurfacesBetween(lag), 0
     for k in range(1, t.size - 2):
-        four = slice(k - 1, k + 3)
-        one = alone.middle(tuple(t[four]), tuple(servo[four]))  # type: ignore[arg-type]
-        all_of = many.middle(tuple(t[four]), tuple(v[None] for v in servo[four]))  # type: ignore[arg-type]
+        one = alone.middle(around(t, k), around(servo, k))
+        all_of = many.middle(around(t, k), around(servo[:, None], k))
         both = isinstance(one, ServoEdge) and all_of.edge is not None and alone.sure
         if both and all_of.level[0] < GUESSED and 0.0 < one.edge < 0.9 * one.h:
             edge_found += 1
@@ -170,11 +175,8 @@ def test_hands_that_begin_slowly_make_no_edge_before_the_edge() -> None:
     """0.6 deg of easing off in the interval before a step: taken for the step's beginning, the step came a tenth of a second
     too early."""
     surface = SurfacesBetween(0.035)
-    t, seen = [0.1 * k for k in range(6)], np.radians([4.86, 4.86, 4.23, -1.77, -5.86, -5.54])
-    drawn = [
-        surface.middle(tuple(t[k - 1 : k + 3]), tuple(v[None] for v in seen[k - 1 : k + 3]))  # type: ignore[arg-type]
-        for k in (1, 2, 3)
-    ]
+    t, seen = 0.1 * np.arange(6), np.radians([4.86, 4.86, 4.23, -1.77, -5.86, -5.54])
+    drawn = [surface.middle(around(t, k), around(seen[:, None], k)) for k in (1, 2, 3)]
     assert math.degrees(drawn[0].at(0.5)[0]) == pytest.approx(4.55, abs=0.2)
     assert math.degrees(drawn[1].at(0.5)[0]) == pytest.approx(4.23, abs=0.5)
 
@@ -185,8 +187,7 @@ def test_any_servo_is_drawn(lag: float | None) -> None:
     """Quicker than any scan and slower than any: what is drawn is a number, and at the scans what was measured."""
     surface, seen = SurfacesBetween(lag), np.radians([0.0, 0.0, 5.0, 5.1, -3.0, -3.0, -3.1, 2.0])
     for k in range(1, seen.size - 2):
-        t = 0.25 * np.arange(k - 1, k + 3)
-        curve = surface.middle(tuple(t), tuple(v[None] for v in seen[k - 1 : k + 3]))  # type: ignore[arg-type]
+        curve = surface.middle(around(0.25 * np.arange(seen.size), k), around(seen[:, None], k))
         drawn = np.array([curve.at(part)[0] for part in (0.0, 0.3, 1.0)])
         assert np.isfinite(drawn).all()
         assert drawn[[0, 2]] == pytest.approx(seen[[k, k + 1]], abs=math.radians(0.6))

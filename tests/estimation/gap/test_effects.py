@@ -1,5 +1,6 @@
 """The catalogue: complete, addable, extendable, and without effect at the value that means no effect."""
 
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import pytest
 from estimation.engine.data import FlightData, Segment
 from estimation.engine.simulate import simulate
 from estimation.gap.effects import add_effect, catalogue, load_effects
+from estimation.gap.effects.base import EffectParameter, Form
 from estimation.gap.effects.missing import missing_derivatives
 from estimation.gap.effects.page import page
 from estimation.gap.errors import EffectError
@@ -133,13 +135,34 @@ parameters = [{ name = "Cl_r_abs_r", unit = "1/rad2", typical = 0.5, lower = -5.
 
 @pytest.mark.parametrize(
     ("text", "words"),
-    [("", "[[effect]]"), ('[[effect]]\nname="a"\ntitle="b"\n', "[[effect.form]]"), ("x = [", "not a TOML file")],
+    [
+        ("", "[[effect]]"),
+        ('[[effect]]\nname="a"\ntitle="b"\n', "[[effect.form]]"),
+        ("x = [", "not a TOML file"),
+        (
+            '[[effect]]\nname="a"\ntitle="b"\n[[effect.form]]\nparameters=[]\noptional=["w"]\n[effect.form.outputs]\nq="2*q"\n',
+            "optional 'w' is none of the form's outputs",
+        ),
+    ],
 )
 def test_a_bad_effect_file_says_what_is_wrong(tmp_path: Path, text: str, words: str) -> None:
     path = tmp_path / "bad.toml"
     path.write_text(text, encoding="utf-8")
     with pytest.raises(EffectError, match=words.replace("[", r"\[")):
         load_effects(path)
+
+
+def test_a_device_shows_a_model_what_the_model_asks_of_it() -> None:
+    """A late pitch gyro that also shows roll: both, one, or nothing to change."""
+    form = Form(
+        "late", (EffectParameter("t", "s", 0.05, -0.3, 0.3),), output_delays={"p": "t", "q": "t"}, optional=("p", "q")
+    )
+    delayed = {
+        n: set(form.added_to(load_model(n, "cdfp")).output_delays) for n in ("six-dof", "lateral", "longitudinal")
+    }
+    assert delayed == {"six-dof": {"p", "q"}, "lateral": {"p"}, "longitudinal": {"q"}}
+    elsewhere = replace(form, output_delays={"alpha": "t"}, optional=("alpha",))
+    assert elsewhere.obstacle(load_model("lateral", "cdfp")) == "the model has no alpha"
 
 
 def test_the_documentation_is_up_to_date() -> None:
