@@ -21,6 +21,7 @@ from groundstation.flight import Flight
 
 Compile = Literal["auto", "never"]
 """auto: by gcc wherever there is one, whatever is in the cache already, so that the same fit gives the same bits every time."""
+MOVED = 1e-3  # of a change of the inputs, over which their transforms are differenced
 Hold = Literal["smooth", "linear", "hold"]
 """Inputs between samples: on a monotone cubic, on straight lines, or held. See `usual_hold`."""
 
@@ -79,8 +80,9 @@ class Simulator:
             [values[n] for n in self.model.parameter_names] + [self.model.constants[n] for n in constants], float
         )
 
-    def columns(self, gain_free: Array | None = None) -> Columns:
-        """Sensitivity columns: free parameters, then the initial states, then free entries of the gain."""
+    def columns(self, gain_free: Array | None = None, moved: int = 0) -> Columns:
+        """Sensitivity columns: free parameters, then the initial states, then free entries of the gain, then `moved` changes of
+        the inputs."""
         nx, ny = len(self.model.states), len(self.model.outputs)
         names = (*self.model.parameter_names, *self.model.structure.constants_kept)
         at = {name: i for i, name in enumerate(self.free)}
@@ -93,14 +95,17 @@ class Simulator:
             where = np.argwhere(gain_free)
             gain[where[:, 0], where[:, 1]] = np.arange(count, count + len(where))
             count += len(where)
-        return Columns(count, parameter, state, transform, gain)
+        transform = np.concatenate([transform, np.arange(count, count + moved, dtype=np.int32)])
+        return Columns(count + moved, parameter, state, transform, gain)
 
     def _transform_names(self) -> tuple[str, ...]:
         return tuple(dict.fromkeys(n for t in self.model.transforms for n in t.parameters if n in self.free))
 
-    def drive(self, segment: Segment, values: Mapping[str, float], sensitivities: bool) -> Drive:
-        """Inputs of one segment as the integrator sees them, transforms applied."""
-        u, du = self._transformed(segment, values, sensitivities)
+    def drive(
+        self, segment: Segment, values: Mapping[str, float], sensitivities: bool, moved: Array | None = None
+    ) -> Drive:
+        """Inputs of one segment as the integrator sees them, transforms applied. moved: as of `run_by_middles`."""
+        u, du = self._transformed(segment, values, sensitivities, moved)
         step = np.diff(segment.time)
         return Drive(
             np.append(step, 0.0),
@@ -113,16 +118,34 @@ class Simulator:
             self._end(du),
         )
 
-    def _transformed(self, segment: Segment, values: Mapping[str, float], sensitivities: bool) -> tuple[Array, Array]:
+    def _transformed(
+        self, segment: Segment, values: Mapping[str, float], sensitivities: bool, moved: Array | None = None
+    ) -> tuple[Array, Array]:
         """Inputs (N, nu) with their transforms, and their derivatives (N, nu, nt) where sensitivities are asked for."""
         model, u = self.model, segment.u
         names = self._transform_names() if sensitivities else ()
         du = np.zeros((*u.shape, 0))
+        changes = moved
         if model.transforms:
             if names:
                 du = transform_derivatives(model.transforms, model.input_names, segment.time, u, values, names)
+            if moved is not None:
+                changes = self._moved(segment, values, moved)
             u = apply_transforms(model.transforms, model.input_names, segment.time, u, values)
-        return u, du
+        return u, du if changes is None else np.concatenate([du, changes], axis=2)
+
+    def _moved(self, segment: Segment, values: Mapping[str, float], moved: Array) -> Array:
+        """Changes (N, nu, k) of the transformed inputs with small changes of the inputs themselves."""
+        model, found = self.model, np.empty_like(moved)
+        for k in range(moved.shape[2]):
+            up, down = (
+                apply_transforms(
+                    model.transforms, model.input_names, segment.time, segment.u + share * moved[:, :, k], values
+                )
+                for share in (MOVED, -MOVED)
+            )
+            found[:, :, k] = (up - down) / (2.0 * MOVED)
+        return found
 
     def _end(self, values: Array) -> Array:
         """Inputs (or their derivatives) at the end of the interval after each sample."""
@@ -158,10 +181,11 @@ class Simulator:
         sensitivities: bool = False,
         gain: Array | None = None,
         gain_free: Array | None = None,
+        moved: Array | None = None,
     ) -> Motion:
         """Motion of one segment from x0 (nx,); dy columns as `columns()` says where sensitivities are asked for."""
-        drive = self.drive(segment, values, sensitivities)
-        columns = self.columns(gain_free) if sensitivities else None
+        drive = self.drive(segment, values, sensitivities, moved)
+        columns = self.columns(gain_free, 0 if moved is None else moved.shape[2]) if sensitivities else None
         x0 = np.ascontiguousarray(x0, float)
         motion = self.kernel.run(drive, self.vector(values), x0, self.substeps, columns, gain)
         if self.model.output_delays and motion.finite:
@@ -169,19 +193,28 @@ class Simulator:
         return motion
 
     def run_by_middles(
-        self, segment: Segment, values: Mapping[str, float], x0: Array, *, sensitivities: bool = False
+        self,
+        segment: Segment,
+        values: Mapping[str, float],
+        x0: Array,
+        *,
+        sensitivities: bool = False,
+        moved: Array | None = None,
     ) -> Motion:
         """Motion at every other sample, x, y and dy of those only, of a segment whose samples between them are the middles of the
-        intervals. The steps and the inputs are those of `run` on straight lines."""
+        intervals. The steps and the inputs are those of `run` on straight lines.
+
+        moved: (samples, nu, k) changes of the inputs, for which dy has the last k columns.
+        """
         if self.model.output_delays:  # interpolated between all samples
-            motion = self.run(segment, values, x0, sensitivities=sensitivities)
+            motion = self.run(segment, values, x0, sensitivities=sensitivities, moved=moved)
             dy = None if motion.dy is None else motion.dy[::2]
             return Motion(motion.x[::2], motion.y[::2], dy, (motion.reached + 1) // 2)
-        u, du = self._transformed(segment, values, sensitivities)
+        u, du = self._transformed(segment, values, sensitivities, moved)
         drive = Drive(
             np.append(segment.time[2::2] - segment.time[:-2:2], 0.0), *_by_middles(u), segment.z[::2], *_by_middles(du)
         )
-        columns = self.columns() if sensitivities else None
+        columns = self.columns(moved=0 if moved is None else moved.shape[2]) if sensitivities else None
         return self.kernel.run(drive, self.vector(values), np.ascontiguousarray(x0, float), 2 * self.substeps, columns)
 
     def response(

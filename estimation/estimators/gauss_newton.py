@@ -76,7 +76,10 @@ class Problem(Protocol[P]):
 class LoopOptions:
     """tolerance: predicted reduction [log likelihood] below which the estimates have settled (1e-7: steps below
     5e-4 of a bound). relative: the same as a share of the cost, where that is more. gain: a step that lowered the cost by
-    less than the tolerance ends the search too. flat: tolerances a step that lowers nothing may still promise at rounding."""
+    less than the tolerance ends the search too. kept: so does one that promised less than this and gave it to within
+    half the tolerance: by the law of such steps the next would promise less than what this one was wrong by. beyond: cost
+    which a search has to come near to be worth going on with. flat: tolerances a step that lowers nothing may still promise
+    at rounding."""
 
     iterations: int = 60
     tolerance: float = 1e-7
@@ -87,6 +90,8 @@ class LoopOptions:
     memory: int = 4  # steps combined
     relative: float = 0.0
     gain: bool = False
+    kept: float = 0.0
+    beyond: float = math.inf
     flat: float = 1e3
 
     def settled(self, cost: float) -> float:
@@ -94,6 +99,7 @@ class LoopOptions:
         return max(self.tolerance, self.relative * max(cost, 1.0))
 
 
+HOPED = 3.0  # times what a step promises that it and those after it may give
 AS_USUAL_LOOP = LoopOptions()
 
 
@@ -123,6 +129,8 @@ def minimise(problem: Problem[P], start: Array, options: LoopOptions = AS_USUAL_
         step = problem.step(unknowns, point, damping)
         if step.decrement < options.settled(point.cost):
             return Outcome(Status.CONVERGED, unknowns, point, iteration - 1, count, tuple(history))
+        if point.cost - HOPED * step.decrement > options.beyond:
+            return Outcome(Status.LIMIT, unknowns, point, iteration - 1, count, tuple(history))
         combined = past.combined(unknowns, step) if damping == 0.0 and step.decrement < options.near else None
         moved, moved_point, used = _search(problem, unknowns, point, step, combined, options)
         count += used
@@ -134,10 +142,12 @@ def minimise(problem: Problem[P], start: Array, options: LoopOptions = AS_USUAL_
                 return Outcome(Status.STALLED, unknowns, point, iteration, count, tuple(history))
             continue
         damping = damping / 10.0 if damping > options.first_damping else 0.0
-        gained = point.cost - moved_point.cost
+        gained, promised = point.cost - moved_point.cost, step.decrement
         unknowns, point = moved, moved_point
         history.append(point.cost)
         if options.gain and gained < options.settled(point.cost):
+            return Outcome(Status.CONVERGED, unknowns, point, iteration, count, tuple(history))
+        if promised < options.kept and abs(gained - promised) < 0.5 * options.settled(point.cost):
             return Outcome(Status.CONVERGED, unknowns, point, iteration, count, tuple(history))
     return Outcome(Status.LIMIT, unknowns, point, options.iterations, count, tuple(history))
 

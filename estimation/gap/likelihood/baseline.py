@@ -31,6 +31,7 @@ from estimation.models.driven import force_states
 
 PASSES = 3  # of noise and parameters in turn: the third changes neither by more than the nulls know them
 SPARE_PASSES = 3  # more of them where the fit has not come to rest
+ROUGH = 0.5  # of the log-likelihood: what a fit may leave before its noise is known
 STEP_TURNS = 2  # of stationary noise and freedom of the surfaces
 
 
@@ -187,7 +188,7 @@ def _careful(problem: Problem, values: Mapping[str, float], own: Sequence[Local]
     nuisance: far from the optimum a displacement in time is bent to serve for everything else, and does not come back."""
     if afar > 1:
         return fit(problem, values, own)
-    first = fit(problem, values, own, held=[n for n in problem.free if problem.nuisance(n)])
+    first = fit(problem, values, own, enough=ROUGH, held=[n for n in problem.free if problem.nuisance(n)])
     return first if first.diverged or afar == 0 else fit(problem, first.values, first.locals)
 
 

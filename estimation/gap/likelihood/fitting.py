@@ -13,7 +13,8 @@ import numpy as np
 
 from estimation.engine.kernel import Array
 from estimation.engine.simulate import Segment, Simulator
-from estimation.estimators.arrow import FlightBlocks, pseudo_inverse, solved
+from estimation.estimators.arrow import FlightBlocks, pseudo_inverse
+from estimation.estimators.box import step_within
 from estimation.estimators.gauss_newton import LoopOptions, Status, Step, minimise
 from estimation.gap.criteria import Criteria
 from estimation.gap.likelihood.between_samples import Grid, fine_grid
@@ -23,9 +24,9 @@ from estimation.models.base import Model, ParameterRole
 from estimation.models.in_force import asked_for
 
 LARGEST = 1e9  # sensitivity beyond which the motion counts as running away: its square still fits beside 1 in a double
-SECANT = 0.25  # of a curvature unknown, in which the outputs are nearly linear
 ITERATIONS = 25  # a fit that takes more has not come to rest and is gone on with by the caller
 ENOUGH = 1e-3  # of the log-likelihood: steps below a twentieth of a standard deviation
+KEPT = 1.0  # of the log-likelihood: a step so short that was as good as its promise is the last
 FLAT = 1e-6  # of the cost: a smaller decrease is rounding of sums over 10^4 residuals and of the integration
 
 
@@ -115,6 +116,11 @@ class Problem:
     def simulator(self) -> Simulator:
         return Simulator.build(self.model, (*self.parameters, *self.local_names), substeps=1, hold="linear")
 
+    @cached_property
+    def alone(self) -> Simulator:
+        """The same without derivatives by any parameter."""
+        return Simulator.build(self.model, (), substeps=1, hold="linear")
+
     def starts(self) -> dict[str, float]:
         """Start values of everything shared, held parameters included."""
         return {**self.model.starts(), **dict.fromkeys(self.curvatures, 0.0)}
@@ -137,24 +143,38 @@ class Problem:
 
     def linearised(self, index: int, values: Mapping[str, float], local: Local) -> tuple[Array, Array] | None:
         """(residual (N, ny), sensitivities (N, ny, shared unknowns + local parameters + initial states)) of one record."""
-        segment, shared = self.driven(self.grids[index], values), {**values, **local.parameters}
-        motion = self.simulator.run_by_middles(segment, shared, local.x0, sensitivities=True)
+        grid, shared = self.grids[index], {**values, **local.parameters}
+        asked = [j for j, i in enumerate(self.curvatures.values()) if self.model.input_names[i] in self.asked]
+        paths = np.zeros((*grid.rounding.shape, len(asked)))
+        for k, j in enumerate(asked):
+            column = list(self.curvatures.values())[j]
+            paths[:, column, k] = grid.rounding[:, column]
+        segment = self.driven(grid, values)
+        motion = self.simulator.run_by_middles(segment, shared, local.x0, sensitivities=True, moved=paths)
         if not motion.finite or motion.dy is None or not max(motion.dy.max(), -motion.dy.min()) < LARGEST:
             return None
         residual = self.coarse[index].z - motion.y
-        n, m = len(self.parameters), len(self.curvatures)
-        dy = np.empty((*residual.shape, motion.dy.shape[2] + m))
-        dy[:, :, :n], dy[:, :, n + m :] = motion.dy[:, :, :n], motion.dy[:, :, n:]
-        for j, (name, column) in enumerate(self.curvatures.items()):
-            if self.model.input_names[column] not in self.asked:
-                dy[:, :, n + j] = 0.0
-                continue
-            moved = self.residual(index, {**values, name: values[name] + SECANT}, local)
-            if moved is None:
-                return None
-            dy[:, :, n + j] = (residual - moved) / SECANT
+        n, m, own = len(self.parameters), len(self.curvatures), motion.dy.shape[2] - len(asked)
+        dy = np.zeros((*residual.shape, own + m))
+        dy[:, :, :n], dy[:, :, n + m :] = motion.dy[:, :, :n], motion.dy[:, :, n:own]
+        dy[:, :, [n + j for j in asked]] = motion.dy[:, :, own:]
         dy[~np.isfinite(residual)] = 0.0
         return residual, dy
+
+    def disturbed(self, index: int, values: Mapping[str, float], local: Local, du: Array) -> Array | None:
+        """(N, ny, k) change of the outputs of one record by small changes (N, nu, k) of its inputs, straight between samples.
+
+        None where the motion leaves the finite numbers."""
+        fine = np.empty((2 * len(du) - 1, *du.shape[1:]))
+        fine[::2], fine[1::2] = du, 0.5 * (du[1:] + du[:-1])
+        motion = self.alone.run_by_middles(
+            self.driven(self.grids[index], values),
+            {**values, **local.parameters},
+            local.x0,
+            sensitivities=True,
+            moved=fine,
+        )
+        return motion.dy[:, :, -du.shape[2] :] if motion.finite and motion.dy is not None else None
 
     def driven(self, grid: Grid, values: Mapping[str, float]) -> Segment:
         """A grid's inputs with the paths of the controls between samples as `values` say."""
@@ -222,6 +242,11 @@ class Unknowns:
     hessian: Array
     runaway: bool = False
 
+    @cached_property
+    def limits(self) -> Array:
+        """(2, n) lower and upper of the shared unknowns."""
+        return np.array([self.problem.limits(n) for n in self.problem.free[: self.n]]).reshape(-1, 2).T
+
     def packed(self, locals_: Sequence[Local]) -> Array:
         own = [[*(local.parameters[n] for n in self.problem.local_names), *local.x0] for local in locals_]
         return np.concatenate([[self.values[n] for n in self.problem.free[: self.n]], *own])
@@ -235,8 +260,7 @@ class Unknowns:
         return {**self.values, **dict(shared)}, locals_
 
     def clip(self, unknowns: Array) -> Array:
-        limits = np.array([self.problem.limits(n) for n in self.problem.free[: self.n]]).reshape(-1, 2).T
-        return np.concatenate([np.clip(unknowns[: self.n], *limits), unknowns[self.n :]])
+        return np.concatenate([np.clip(unknowns[: self.n], *self.limits), unknowns[self.n :]])
 
     def evaluate(self, unknowns: Array, derivatives: bool) -> Point:
         """Cost and residuals; derivatives cost more and wait until a step is wanted."""
@@ -268,11 +292,11 @@ class Unknowns:
             decrement += 0.5 * float(block.gl @ block.ll_inverse @ block.gl)
             blocks.append(block)
         self.hessian = H
-        free = np.setdiff1d(np.arange(n), self.held)
-        shared = np.zeros(n)
-        shared[free] = solved(H[np.ix_(free, free)], g[free])
+        low, high = self.limits - unknowns[:n]
+        low[list(self.held)] = high[list(self.held)] = 0.0
+        shared = step_within(H, g, low, high)
         own = [block.local(shared) for block in blocks]
-        return Step(np.concatenate([shared, *own]), decrement + 0.5 * float(shared @ g))
+        return Step(np.concatenate([shared, *own]), decrement + float(shared @ g - 0.5 * shared @ H @ shared))
 
 
 def record_blocks(
@@ -306,16 +330,26 @@ def fit(
     frozen: bool = False,
     enough: float = ENOUGH,
     held: Collection[str] = (),
+    beyond: float = np.inf,
 ) -> Fit:
     """Minimise the whitened cost from `start`. frozen: hold the shared parameters and fit only what is local.
-    enough: of the cost; iterations end where a step promises less. held: shared parameters that stay where they are."""
+    enough: of the cost; iterations end where a step promises less. held: shared parameters that stay where they are.
+    beyond: a fit whose steps promise nothing near this cost is left where it is."""
     n = 0 if frozen else len(problem.free)
     names = problem.free[:n]
     values = {**problem.starts(), **(start or {})}
     view = Unknowns(problem, values, n, [i for i, name in enumerate(names) if name in held], np.zeros((n, n)))
     begin = view.packed(locals_ if locals_ is not None else problem.starting_locals())
     options = LoopOptions(
-        iterations, enough, most_damping=0.0, near=0.0, relative=FLAT, gain=True, flat=0.0
+        iterations,
+        enough,
+        most_damping=0.0,
+        near=0.0,
+        relative=FLAT,
+        gain=True,
+        kept=KEPT,
+        beyond=beyond,
+        flat=0.0,
     )  # whitened residuals are nearly linear near the optimum: halving does, damping and combined steps repay nothing
     outcome = minimise(view, begin, options)
     point = outcome.point

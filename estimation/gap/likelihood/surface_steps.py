@@ -25,8 +25,9 @@ from estimation.models.base import Model
 from estimation.models.expressions import names_in
 
 GAUSSIAN = 1.4826  # standard deviation over median absolute deviation of normal noise
-NOTHING = 1e-30  # energy of steps that no output shows
-SEEN = 1e-8  # of the strongest direction's energy: weaker ones have nothing to forgive
+SLIGHT = (
+    2e-3  # energy of a direction [variance of the noise]: of weaker ones less than a five-hundredth is to be forgiven
+)
 RUNAWAY = 1e6  # a motion that grows so far is no small motion any more
 
 
@@ -146,7 +147,7 @@ def loosened(
     if rows is None:
         return whitener
     values, vectors = np.linalg.eigh(rows.T @ rows)
-    good = values > SEEN * max(float(values.max()), NOTHING)
+    good = values > SLIGHT
     values, vectors = values[good], vectors[:, good]
     return Whitener(
         whitener.root, whitener.count, Slack(rows @ (vectors / np.sqrt(values)), 1.0 - 1.0 / np.sqrt(1.0 + values))

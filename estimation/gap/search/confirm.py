@@ -44,22 +44,27 @@ class Candidate:
 
 
 def fit_hypothesis(
-    problem: Problem, base_fit: Fit, hypothesis: Hypothesis, guess: Mapping[str, float]
+    problem: Problem,
+    base_fit: Fit,
+    hypothesis: Hypothesis,
+    guess: Mapping[str, float],
+    beyond: float = np.inf,
 ) -> tuple[Problem, Fit]:
     """Fit base and hypothesis together from `guess`; (problem, fit).
 
     Delays, lags and plays are also started at their usual size, and the better end is kept: far from no effect the base
     parameters sit elsewhere, and a small step does not find the way. An end at nothing is not believed while another start
     is still on its way to something. Where the motion runs away from every start, the fit begins nearer to no effect: with the
-    base where it was without it, a guess that is right can be unstable.
+    base where it was without it, a guess that is right can be unstable. beyond: a cost that must be in reach, or the fit ends
+    early.
     """
     starts = [_inside(hypothesis, problem, guess)]
     if hypothesis.form.nonlinear:
         usual = {p.name: p.null_value(problem.model) + p.typical for p in hypothesis.form.parameters}
         starts.append(_inside(hypothesis, problem, usual))
-    done = [_begun(problem, base_fit, hypothesis, start) for start in starts]
+    done = [_begun(problem, base_fit, hypothesis, start, beyond) for start in starts]
     for share in SHORTER if all(found.diverged for _, found in done) else ():
-        done.append(_begun(problem, base_fit, hypothesis, _nearer(hypothesis, problem, starts[0], share)))
+        done.append(_begun(problem, base_fit, hypothesis, _nearer(hypothesis, problem, starts[0], share), beyond))
         if not done[-1][1].diverged:
             break
     ordered = sorted(done, key=lambda pair: pair[1].cost if not pair[1].diverged else np.inf)
@@ -67,16 +72,16 @@ def fit_hypothesis(
     for trial, begun in ordered:
         if ends and (begun.diverged or _nothing(hypothesis, problem, begun)):
             continue
-        ends.append((trial, _carried_on(trial, begun)))
+        ends.append((trial, _carried_on(trial, begun, beyond)))
         if not _nothing(hypothesis, problem, ends[-1][1]):
             break
     return min(ends, key=lambda pair: pair[1].cost if not pair[1].diverged else np.inf)
 
 
-def _carried_on(trial: Problem, begun: Fit) -> Fit:
+def _carried_on(trial: Problem, begun: Fit, beyond: float) -> Fit:
     if begun.converged or begun.diverged:
         return begun
-    return fit(trial, begun.values, begun.locals, iterations=STEPS - FIRST_STEPS, enough=ENOUGH)
+    return fit(trial, begun.values, begun.locals, iterations=STEPS - FIRST_STEPS, enough=ENOUGH, beyond=beyond)
 
 
 def _nothing(hypothesis: Hypothesis, problem: Problem, found: Fit) -> bool:
@@ -87,13 +92,15 @@ def _nothing(hypothesis: Hypothesis, problem: Problem, found: Fit) -> bool:
     )
 
 
-def _begun(problem: Problem, base_fit: Fit, hypothesis: Hypothesis, start: Mapping[str, float]) -> tuple[Problem, Fit]:
+def _begun(
+    problem: Problem, base_fit: Fit, hypothesis: Hypothesis, start: Mapping[str, float], beyond: float
+) -> tuple[Problem, Fit]:
     """The first steps of base and hypothesis together from a start."""
     model = awakened(problem.model, hypothesis.form, start)
     trial = replace(problem, model=model)
     locals_ = [extended(local, base_fit.model, model) for local in base_fit.locals]
     first = {**model.starts(), **base_fit.values, **start}
-    return trial, fit(trial, first, locals_, iterations=FIRST_STEPS, enough=ENOUGH)
+    return trial, fit(trial, first, locals_, iterations=FIRST_STEPS, enough=ENOUGH, beyond=beyond)
 
 
 def _nearer(hypothesis: Hypothesis, problem: Problem, start: Mapping[str, float], share: float) -> dict[str, float]:

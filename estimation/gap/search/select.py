@@ -16,6 +16,7 @@ from estimation.gap.search.confirm import ENOUGH, Candidate, assess, fit_hypothe
 from estimation.gap.tests_of_fit.calibration import Round
 from estimation.gap.tests_of_fit.screen import linear_guess
 
+OUT_OF_REACH = 30.0  # of the log evidence: a rival so far behind the best so far that no check of it brings back
 AGAIN = 8  # steps from where the first fit ended, with another whitening
 
 
@@ -44,13 +45,16 @@ def choose(round_: Round, prepared: FlightRecords) -> Choice:
     if not screen.hypotheses:
         return Choice((), {}, ())
     inflation, own = comparable(round_), alone(round_)
-    first = []
+    interval = float(np.median([np.median(np.diff(s.time)) for s in problem.coarse]))
+    judged: list[Candidate] = []
+    beyond = np.inf
     for h in leading(screen, promise(round_), criteria):
         hypothesis = screen.hypotheses[h]
-        _, found = fit_hypothesis(problem, base_fit, hypothesis, linear_guess(screen, problem, h))
-        first.append(assess(problem, base_fit, hypothesis, found, inflation[hypothesis.key], own[hypothesis.key]))
-    interval = float(np.median([np.median(np.diff(s.time)) for s in problem.coarse]))
-    judged = [material(c, interval, criteria) for c in first]
+        _, found = fit_hypothesis(problem, base_fit, hypothesis, linear_guess(screen, problem, h), beyond)
+        candidate = assess(problem, base_fit, hypothesis, found, inflation[hypothesis.key], own[hypothesis.key])
+        judged.append(material(candidate, interval, criteria))
+        if not judged[-1].why_not:
+            beyond = min(beyond, found.cost + OUT_OF_REACH * max(inflation.values()))
     sound = sorted((c for c in judged if not c.why_not), key=lambda c: -c.evidence)
     rejected = [Rejected(c.hypothesis.label, c.why_not) for c in judged if c.why_not]
     close = worth_comparing(sound, criteria)

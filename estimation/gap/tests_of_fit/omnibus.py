@@ -17,11 +17,11 @@ from estimation.gap.likelihood.fitting import Fit, Problem
 from estimation.gap.likelihood.surface_steps import jumping_outputs
 from estimation.gap.records.candidate_model import DISTURBANCE
 from estimation.gap.tests_of_fit.calibration import Round, upper_quantile
+from estimation.gap.tests_of_fit.doors import is_door, through_doors
 from estimation.gap.tests_of_fit.screen import Projected, reduce_record, shared_prior
 
 SHAPES = {"linear": "{}", "odd": "{0}|{0}|", "even": "{}^2", "rate": "d{}/dt"}
 LEADING = 8  # signals kept for the answer
-SMALL_MOMENT, SMALL_TURN = 0.05, 0.005  # rad/s2 and rad/s, rms: disturbances in which the motion is linear
 TENTH = 0.1  # of an output's scatter: the size of an addition to it, which no score depends on
 NOTHING = 1e-12  # energy of a window without samples
 RESTLESS = 3  # windows kept of a record, most restless first
@@ -103,7 +103,7 @@ def _terms(problem: Problem, found: Fit, nulls: Sequence[tuple[Array, ...]]) -> 
     keys = [(place, *k) for place in places for k in common if not (place == k[0] and k[1] == "linear")]
     grams = []
     for i, own in enumerate(regressors):
-        changes = [_change(problem, found, i, place, own[(signal, shape)]) for place, signal, shape in keys]
+        changes = _changes(problem, found, i, [(place, own[(signal, shape)]) for place, signal, shape in keys])
         grams.append(reduce_record(problem, found, i, changes, [null[i] for null in nulls]).gram)
     gram = np.sum(grams, axis=0)
     gram += shared_prior(problem, found, len(gram), len(keys))
@@ -123,24 +123,20 @@ def standardised(projected: Projected, criteria: Criteria) -> tuple[Array, Array
     return z, standard
 
 
-def is_door(name: str) -> bool:
-    """Whether an input is one through which a force equation can be disturbed."""
-    return name.startswith(DISTURBANCE.format(""))
-
-
-def _change(problem: Problem, found: Fit, index: int, place: str, regressor: Array) -> Array:
-    """(N, ny) change of the outputs by a regressor of unit rms added to an output or to the rate of a state."""
-    coarse = problem.coarse[index]
-    if place in problem.model.output_names:
-        change = np.zeros_like(coarse.z)
-        column = problem.model.output_names.index(place)
-        change[:, column] = regressor * (TENTH * float(np.nanstd(coarse.z[:, column])) or 1.0)
-        return change
-    u = coarse.u.copy()
-    step = SMALL_TURN if place == DISTURBANCE.format("beta") else SMALL_MOMENT
-    u[:, problem.model.input_names.index(place)] = step * regressor
-    moved = problem.residual(index, found.values, found.locals[index], inputs=u)
-    return np.zeros_like(coarse.z) if moved is None else np.nan_to_num(found.residuals[index] - moved) / step
+def _changes(problem: Problem, found: Fit, index: int, asks: Sequence[tuple[str, Array]]) -> list[Array]:
+    """(N, ny) changes of the outputs by each of `asks`: an output that a tenth of its scatter is added to in the course of a
+    regressor (N,) of unit rms, or a door with what goes through it."""
+    z, outputs = problem.coarse[index].z, problem.model.output_names
+    driven = through_doors(problem, found, index, [ask for ask in asks if ask[0] not in outputs])
+    made = []
+    for place, regressor in asks:
+        if place in outputs:
+            change, column = np.zeros_like(z), outputs.index(place)
+            change[:, column] = regressor * (TENTH * float(np.nanstd(z[:, column])) or 1.0)
+        else:
+            change = next(driven)
+        made.append(change)
+    return made
 
 
 def whitened(problem: Problem, found: Fit, round_: Round) -> list[Array]:

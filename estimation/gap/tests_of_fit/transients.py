@@ -19,7 +19,7 @@ from estimation.gap.criteria import Criteria
 from estimation.gap.likelihood.fitting import Fit, Problem, fit
 from estimation.gap.records.candidate_model import DISTURBANCE
 from estimation.gap.tests_of_fit.calibration import Round, upper_quantile
-from estimation.gap.tests_of_fit.omnibus import SMALL_MOMENT, SMALL_TURN, is_door
+from estimation.gap.tests_of_fit.doors import is_door, through_doors
 from estimation.gap.tests_of_fit.screen import Projected, reduce_record, shared_prior
 
 EVERY = 0.5  # s between the instants at which a step is looked for: a twentieth of the gain is lost between two of them
@@ -110,20 +110,21 @@ def asked_of(problem: Problem, found: Fit) -> Asked:
                     [(i, _in_output(segment.z, c, step))],
                 )
     doors = [n for n in problem.model.input_names if is_door(n)]
-    for i, segment in enumerate(problem.coarse):
-        for width in STRETCHES if doors else ():
+    for i, segment in enumerate(problem.coarse if doors else ()):
+        bursts: list[tuple[Event, tuple[tuple[str, Array], ...]]] = []
+        for width in STRETCHES:
             for at in np.arange(segment.time[0], segment.time[-1] - width, width / 3.0):
                 phase = np.pi * np.clip((segment.time - at) / width, 0.0, 1.0)
-                span = (float(at), float(at + width))
-                put(
-                    Event(Happening.BURST, "", i, *span),
-                    [(i, _through(problem, found, i, d, np.sin(phase))) for d in doors],
-                )
+                span, course = (float(at), float(at + width)), np.sin(phase)
+                bursts.append((Event(Happening.BURST, "", i, *span), tuple((d, course) for d in doors)))
                 # the rate of an air that moves like the sine
                 turn = np.where((phase > 0.0) & (phase < np.pi), np.cos(phase), 0.0)
                 for d in (d for d in doors if d in AIR):
                     air = d.removeprefix(DISTURBANCE.format(""))
-                    put(Event(Happening.BURST, "", i, *span, air=air), [(i, _through(problem, found, i, d, turn))])
+                    bursts.append((Event(Happening.BURST, "", i, *span, air=air), ((d, turn),)))
+        through = iter(through_doors(problem, found, i, [ask for _, asks in bursts for ask in asks]))
+        for event, asks in bursts:
+            put(event, [(i, next(through)) for _ in asks])
     return Asked(tuple(events), tuple(columns), tuple(owners), tuple(changes))
 
 
@@ -131,16 +132,6 @@ def _in_output(z: Array, column: int, course: Array) -> Array:
     change = np.zeros_like(z)
     change[:, column] = course
     return change
-
-
-def _through(problem: Problem, found: Fit, index: int, door: str, course: Array) -> Array:
-    """(N, ny) change of the outputs by a disturbance of unit peak through a door of the model."""
-    coarse = problem.coarse[index]
-    u = coarse.u.copy()
-    step = SMALL_TURN if door == DISTURBANCE.format("beta") else SMALL_MOMENT
-    u[:, problem.model.input_names.index(door)] = step * course
-    moved = problem.residual(index, found.values, found.locals[index], inputs=u)
-    return np.zeros_like(coarse.z) if moved is None else np.nan_to_num(found.residuals[index] - moved) / step
 
 
 def gram_of(asked: Asked, round_: Round) -> Array:

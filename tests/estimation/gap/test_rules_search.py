@@ -469,7 +469,7 @@ def test_an_end_at_nothing_is_not_believed_while_another_start_goes_on(
     parameter = EffectParameter("play", "rad", 1.0, 0.0, 3.0)
     hypothesis = stub(form=stub(parameters=(parameter,), nonlinear=True))
     monkeypatch.setattr(
-        confirm, "_begun", lambda p, b, h, start: (p, fitted("near" if start["play"] < 0.5 else "usual", 0))
+        confirm, "_begun", lambda p, b, h, start, _: (p, fitted("near" if start["play"] < 0.5 else "usual", 0))
     )
     monkeypatch.setattr(confirm, "fit", lambda trial, values, locals_, **_: fitted(str(values["which"]), 1))
     _, found = confirm.fit_hypothesis(stub(model=None, criteria=AS_SET), stub(), hypothesis, {"play": 0.0})
