@@ -67,6 +67,49 @@ def test_what_is_held_stays_and_what_is_frozen_too() -> None:
     assert frozen.hessian.shape == (0, 0)
 
 
+def test_with_an_unknown_at_its_limit_the_others_are_at_their_best() -> None:
+    """Damping may not be stronger than -4.5 (truth -6): the fit with it as an unknown is the one with it held there."""
+    limited = problem()
+    parameters = tuple(replace(p, lower=-4.5) if p.name == "L_p" else p for p in ROLL.parameters)
+    model = replace(ROLL, parameters=parameters)
+    limited = replace(limited, model=model, base=model)
+    found, held = fit(limited), fit(limited, {"L_p": -4.5}, held=["L_p"])
+    assert found.converged
+    assert found.values["L_p"] == -4.5
+    assert found.values["L_a"] == pytest.approx(held.values["L_a"], rel=1e-4)
+    assert found.cost == pytest.approx(held.cost, abs=2e-3)
+    assert found.cost > 10.0, "the limit is felt"
+
+
+def test_paths_between_samples_are_columns_of_the_same_run() -> None:
+    """The derivative by the curvature of a control's path against a central difference of whole motions."""
+    bound = problem()
+    values = {**bound.starts(), "L_p": -6.0, "L_a": 40.0, "curvature_delta_a": 0.4}
+    local = bound.starting_locals()[0]
+    _, dy = bound.linearised(0, values, local) or (None, np.zeros(0))
+    at = bound.free.index("curvature_delta_a")
+    ends = [bound.residual(0, {**values, "curvature_delta_a": 0.4 + h}, local) for h in (0.01, -0.01)]
+    assert ends[0] is not None
+    assert ends[1] is not None
+    np.testing.assert_allclose(dy[:, :, at], (ends[1] - ends[0]) / 0.02, atol=1e-9)
+    assert np.abs(dy[:, :, at]).max() > 1e-3
+
+
+def test_a_small_change_of_an_input_is_followed_to_the_outputs() -> None:
+    bound = problem()
+    values, local = {**bound.starts(), "L_p": -6.0, "L_a": 40.0}, bound.starting_locals()[0]
+    du = np.random.default_rng(8).normal(size=(COUNT, 1, 3))
+    changes = bound.disturbed(0, values, local, du)
+    segment = bound.coarse[0]
+    simulator = Simulator.build(ROLL, (), compile_="never", substeps=1, hold="linear")
+    assert changes is not None
+    for k in range(3):
+        alone = replace(fine_grid(segment).segment, u=np.zeros((2 * COUNT - 1, 1)))
+        alone.u[::2], alone.u[1::2] = du[:, :, k], 0.5 * (du[1:, :, k] + du[:-1, :, k])
+        np.testing.assert_allclose(changes[:, :, k], simulator.run(alone, values, np.zeros(1)).y[::2], atol=1e-9)
+    assert bound.disturbed(0, {**values, "L_p": 4000.0}, local, du) is None
+
+
 def test_a_motion_that_runs_away_has_diverged() -> None:
     wild = fit(problem(), {"L_p": 4000.0})
     assert wild.diverged
@@ -149,6 +192,28 @@ class Bowl:
         return unknowns
 
 
+@dataclass
+class Counted:
+    """A bowl that counts how often it is asked for a step."""
+
+    bowl: Bowl
+    asked: int = 0
+
+    def evaluate(self, unknowns: Array, derivatives: bool) -> At:
+        return self.bowl.evaluate(unknowns, derivatives)
+
+    def step(self, unknowns: Array, point: At, damping: float) -> Step:
+        self.asked += 1
+        return self.bowl.step(unknowns, point, damping)
+
+    def clip(self, unknowns: Array) -> Array:
+        return unknowns
+
+    def steps(self, start: Array, options: LoopOptions) -> int:
+        assert minimise(self, start, options).status is Status.CONVERGED
+        return self.asked
+
+
 ENDS = LoopOptions(25, 1e-3, most_damping=0.0, near=0.0, relative=1e-6, gain=True, flat=0.0)
 
 
@@ -163,6 +228,23 @@ def test_a_gain_below_the_tolerance_ends_the_search_too() -> None:
     slow = Bowl(0.0, share=1e-4)
     assert minimise(slow, np.array([1.0]), ENDS).iterations == 1
     assert minimise(slow, np.array([1.0]), replace(ENDS, gain=False)).status is Status.LIMIT
+
+
+def test_a_short_step_that_kept_its_promise_is_the_last() -> None:
+    """Whole steps arrive, so the first gives what it promised; steps that go half the way gain three quarters of it."""
+    kept = replace(ENDS, kept=1.0)
+    near, far = np.array([1.0]), np.array([2.0])  # promise 0.5 and 2
+    assert Counted(Bowl(0.0)).steps(near, kept) == 1
+    assert Counted(Bowl(0.0)).steps(far, kept) == 2
+    assert Counted(Bowl(0.0)).steps(near, ENDS) == 2
+    assert Counted(Bowl(0.0, share=0.5)).steps(near, kept) == 5, "wrong by a quarter until that is less than the tolerance"
+
+
+def test_a_search_that_comes_nowhere_near_is_given_up() -> None:
+    start = np.array([2.0])  # promises 2, may give 6
+    away = minimise(Bowl(100.0), start, replace(ENDS, beyond=95.9))
+    assert (away.status, away.iterations, away.point.cost) == (Status.LIMIT, 0, 102.0)
+    assert minimise(Bowl(100.0), start, replace(ENDS, beyond=96.1)).status is Status.CONVERGED
 
 
 def test_without_damping_a_search_that_finds_nothing_better_has_stalled() -> None:

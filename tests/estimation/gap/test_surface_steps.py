@@ -19,7 +19,7 @@ from estimation.gap.likelihood.surface_steps import (
     loosened,
 )
 from estimation.gap.likelihood.whitening import Linear, NoiseModel, Shapes, linear_motion, shapes_of, whitener
-from estimation.gap.records.flight_records import prepare_flights
+from estimation.gap.records.flight_records import prepare_flights, quick_length
 from estimation.models.base import InputTransform, Parameter, Signal
 from groundstation.flight import Flight
 from tests.estimation.gap.roll import ROLL
@@ -171,6 +171,14 @@ def test_a_noisier_flight_is_marked_and_a_quieter_one_left_as_usual() -> None:
     assert marks[2] is not None
     assert marks[2][0] == pytest.approx(9.0, rel=0.3)
     assert marks[3] is None
+
+
+@pytest.mark.parametrize(
+    ("count", "kept"), [(601, 600), (600, 600), (199, 199), (211, 210), (719, 719), (1201, 1200), (5, 5)]
+)
+def test_a_record_loses_at_most_one_sample_in_two_hundred_to_be_quick(count: int, kept: int) -> None:
+    """719 is prime, and so much of 716, 717 and 718 is that it stays whole; 199 may not lose one."""
+    assert quick_length(count) == kept
 
 
 def test_inputs_run_through_the_middles_of_a_monotone_cubic() -> None:
