@@ -237,7 +237,9 @@ def test_a_short_step_that_kept_its_promise_is_the_last() -> None:
     assert Counted(Bowl(0.0)).steps(near, kept) == 1
     assert Counted(Bowl(0.0)).steps(far, kept) == 2
     assert Counted(Bowl(0.0)).steps(near, ENDS) == 2
-    assert Counted(Bowl(0.0, share=0.5)).steps(near, kept) == 5, "wrong by a quarter until that is less than the tolerance"
+    assert Counted(Bowl(0.0, share=0.5)).steps(near, kept) == 5, (
+        "wrong by a quarter until that is less than the tolerance"
+    )
 
 
 def test_a_search_that_comes_nowhere_near_is_given_up() -> None:
