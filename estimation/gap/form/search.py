@@ -195,9 +195,7 @@ def _measured(task: Task, baseline: Baseline, fitted: Fitted) -> Measured | None
 
 def _measure(task: Task, baseline: Baseline, fitted: Fitted) -> Measured | None:
     prepared, scatter = task.prepared, baseline.scatter
-    child = fit_baseline(
-        fitted.problem.model, baseline.clean, prepared, scatter, fitted.fit.values, fitted.fit.locals, baseline.noise
-    )
+    child = fit_baseline(fitted.problem.model, baseline.clean, prepared, scatter, fitted.fit, baseline.noise)
     own = task.screened(child)
     same = refitted_with(baseline.problem, baseline.fit, child)
     if same[1].diverged:

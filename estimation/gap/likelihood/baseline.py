@@ -10,7 +10,7 @@ from estimation.engine.simulate import Simulator
 from estimation.gap.criteria import Criteria
 from estimation.gap.errors import GapError
 from estimation.gap.likelihood.channel_noise import channel_noise, filtered_attitudes
-from estimation.gap.likelihood.fitting import Fit, Local, Problem, fit
+from estimation.gap.likelihood.fitting import Fit, Problem, fit
 from estimation.gap.likelihood.slow_errors import slow_errors, without_slow
 from estimation.gap.likelihood.surface_steps import SurfaceSteps, displaced, find_surface_steps, freedom_of, loosened
 from estimation.gap.likelihood.whitening import (
@@ -147,45 +147,48 @@ def fit_baseline(
     clean: Model,
     prepared: FlightRecords,
     scatter: Array,
-    start: Mapping[str, float] | None = None,
-    locals_: Sequence[Local] | None = None,
+    begun: Fit | None = None,
     noise: NoiseModel | None = None,
-    passes: int = PASSES,
 ) -> Baseline:
     """Fit `model` to the training flights, noise and parameters in turn.
 
-    start, locals_, noise: from a parent model, to save work. Raises GapError when the motion diverges at the start and
-    no start helps.
+    begun: a fit of this model with `noise`, from which to go on. Raises GapError when the motion diverges at the start and no
+    start helps.
     """
     records = prepared.of(prepared.training)
-    values = dict(start or {})
-    own = None if locals_ is None else list(locals_)
-    found: Fit | None = None
-    level = noise or NoiseModel(scatter**2, {})
-    for turn in range(passes + 1 + SPARE_PASSES):
-        if turn > passes and (found is None or found.converged):
+    level, found, problem = noise or NoiseModel(scatter**2, {}), begun, None
+    for turn in range(0 if begun is None else 1, PASSES + 1 + SPARE_PASSES):
+        if turn > PASSES and found is not None and found.converged:
             break
-        at = {**model.starts(), **values}
-        if turn == 0:
-            _, whiteners = whiteners_for(model, prepared, records, at, level, (), scatter)
+        if found is None:
+            _, whiteners = whiteners_for(model, prepared, records, model.starts(), level, (), scatter)
         else:
-            assert found is not None
+            at = {**model.starts(), **found.values}
             level, whiteners = whiteners_for(model, prepared, records, at, None, found.residuals, scatter, level)
         problem = Problem(model, prepared.base, records, whiteners, prepared.criteria)
-        found = _careful(problem, values, own, afar=turn if start is None else passes)
+        found = _careful(problem, found, afar=turn if begun is None else PASSES)
         if found.diverged:
             raise GapError(
                 f"model {model.name} runs away on {_culprit(problem, found, prepared)}: the baseline itself is wrong for these "
                 "flights; check the aircraft file and the signs of the controls, or cut the flights into shorter segments"
             )
-        values, own = dict(found.values), list(found.locals)
+    assert problem is not None
     assert found is not None
     return Baseline(problem, found, level, scatter, clean)
 
 
-def _careful(problem: Problem, values: Mapping[str, float], own: Sequence[Local] | None, afar: int) -> Fit:
+def fit_afresh(baseline: Baseline, model: Model, clean: Model) -> Baseline | None:
+    """Another model of the same flights, fitted from its starts with the noise and the whiteners of a baseline, so that the two
+    can be compared; None where its motion runs away."""
+    problem = replace(baseline.problem, model=model)
+    found = _careful(problem, None, afar=1)
+    return None if found.diverged else replace(baseline, problem=problem, fit=found, clean=clean)
+
+
+def _careful(problem: Problem, begun: Fit | None, afar: int) -> Fit:
     """A fit from afar (pass 0: white noise; pass 1: its own noise for the first time) without, then with what is only
     nuisance: far from the optimum a displacement in time is bent to serve for everything else, and does not come back."""
+    values, own = ({}, None) if begun is None else (begun.values, begun.locals)
     if afar > 1:
         return fit(problem, values, own)
     first = fit(problem, values, own, enough=ROUGH, held=[n for n in problem.free if problem.nuisance(n)])

@@ -25,9 +25,7 @@ from estimation.models.base import Model
 from estimation.models.expressions import names_in
 
 GAUSSIAN = 1.4826  # standard deviation over median absolute deviation of normal noise
-SLIGHT = (
-    2e-3  # energy of a direction [variance of the noise]: of weaker ones a five-hundredth at most is to be forgiven
-)
+SLIGHT = 1e-2  # energy of a direction [variance of the noise]: of weaker ones a hundredth at most would be forgiven
 RUNAWAY = 1e6  # a motion that grows so far is no small motion any more
 
 

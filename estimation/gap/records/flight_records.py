@@ -33,8 +33,8 @@ class Record:
     measured outputs, NaN where not measured; x0: (nx,) guess of the initial state; both in the base model's order.
     input_noise: name -> standard deviation of the noise found on an input. louder: (ny,) variance of the outputs' white
     noise over the usual one, where this flight's is larger. raw: control -> (N,) where its measured value is used as it is.
-    wrong: control -> (draws, N) of what its preparation may have left wrong, where that keeps what follows the motion. left:
-    control -> (frequencies,) variance per sample of what is wrong with it, once that is known.
+    wrong: input -> (draws, N) of what its preparation may have left wrong. left: control -> (frequencies,) variance per sample of
+    what is wrong with it, once that is known.
     """
 
     flight: int
@@ -131,7 +131,7 @@ def prepare_flights(
             inputs = {n: np.ascontiguousarray(segment.u[:, i]) for i, n in enumerate(probe.input_names)}
             raw, own = _raw_steps(base, flight, segment.first, inputs, noise, criteria)
             level = {**noise, **own}
-            wrong = _draws(probe, data, segment, level) if pitches(base) else {}
+            wrong = _draws(probe, data, segment, level)
             records.append(
                 Record(index, segment.first, segment.time, inputs, segment.z, segment.x0, level, raw=raw, wrong=wrong)
             )
@@ -182,12 +182,12 @@ def _raw_steps(
 def _draws(
     model: Model, data: FlightData, segment: Segment, level: Mapping[str, float]
 ) -> dict[str, NDArray[np.float32]]:
-    """What may be wrong with each control of a segment, (draws, N), where its noise is of that level."""
+    """What may be wrong with each input of a segment, (draws, N), where its noise is of that level."""
     if data.errors is None:
         return {}
     own = data.errors[segment.first : segment.first + len(segment)]
     share = {n: np.float32(level[n] / found) for n, (found, _) in data.noise.items() if found > 0.0}
-    return {s.name: own[:, i].T * share.get(s.name, np.float32(1.0)) for i, s in enumerate(model.inputs) if s.control}
+    return {s.name: own[:, i].T * share.get(s.name, np.float32(1.0)) for i, s in enumerate(model.inputs)}
 
 
 def with_own_noise(records: Sequence[Record], training: int, criteria: Criteria) -> tuple[Record, ...]:

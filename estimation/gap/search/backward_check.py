@@ -8,7 +8,7 @@ import numpy as np
 from estimation.engine.kernel import Array
 from estimation.gap.answer.result import Rejected
 from estimation.gap.criteria import Criteria
-from estimation.gap.likelihood.baseline import Baseline, fit_baseline
+from estimation.gap.likelihood.baseline import Baseline, fit_afresh, fit_baseline
 from estimation.gap.records.candidate_model import awakened
 from estimation.gap.search.confirm import Candidate, assess, fit_hypothesis
 from estimation.gap.search.search_state import Finding, Setting
@@ -25,17 +25,13 @@ def backward_check(setting: Setting, findings: Sequence[Finding]) -> tuple[list[
         others = [f for f in findings if f is not finding]
         old = finding.candidate
         without = _without(setting, others, last.child)
+        if without is None:
+            continue
         gain = 2.0 * (without.fit.cost - last.child.fit.cost)
         if idle(gain, finding.round_.threshold):
             why = f"no longer needed once {last.candidate.hypothesis.label} is in the model"
             fresh = fit_baseline(
-                without.model,
-                without.clean,
-                setting.prepared,
-                setting.scatter,
-                without.fit.values,
-                without.fit.locals,
-                without.noise,
+                without.model, without.clean, setting.prepared, setting.scatter, without.fit, without.noise
             )
             kept = [replace(f, child=fresh) if f is last else f for f in others]
             return kept, [Rejected(old.hypothesis.label, why)]
@@ -53,14 +49,15 @@ def idle(gain: float, threshold: float) -> bool:
     return float(np.sqrt(max(gain, 0.0))) < threshold
 
 
-def _without(setting: Setting, others: Sequence[Finding], child: Baseline) -> Baseline:
-    """The model with the other effects only, fitted with the noise of the model with all of them."""
+def _without(setting: Setting, others: Sequence[Finding], child: Baseline) -> Baseline | None:
+    """The model with the other effects only, fitted with the noise of the model with all of them; None where it runs away: then
+    the effect is needed."""
     model, clean = setting.working, setting.clean
     for f in others:
         at = {n: v for n, (v, _) in f.candidate.estimates.items()}
         form = f.candidate.hypothesis.form
         model, clean = awakened(model, form, at), form.added_to(clean, at)
-    return fit_baseline(model, clean, setting.prepared, setting.scatter, None, None, child.noise, passes=0)
+    return fit_afresh(child, model, clean)
 
 
 def _rival(setting: Setting, without: Baseline, old: Candidate, gain: float) -> Candidate | None:

@@ -75,15 +75,7 @@ class Setting:
         """The parent with a candidate's form, fitted afresh with its own noise."""
         at = {n: v for n, (v, _) in candidate.estimates.items()}
         clean = candidate.hypothesis.form.added_to(parent.clean, at)
-        return fit_baseline(
-            candidate.fit.model,
-            clean,
-            self.prepared,
-            self.scatter,
-            candidate.fit.values,
-            candidate.fit.locals,
-            parent.noise,
-        )
+        return fit_baseline(candidate.fit.model, clean, self.prepared, self.scatter, candidate.fit, parent.noise)
 
     def screened(self, baseline: Baseline, number: int) -> Round:
         """One round of nulls and screen about a fitted model."""

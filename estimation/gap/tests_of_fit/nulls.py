@@ -21,11 +21,8 @@ from estimation.gap.records.candidate_model import DISTURBANCE
 from estimation.gap.records.flight_records import Record
 from estimation.gap.records.nuisance import RATE_OF
 from estimation.models.base import Model
-from estimation.signals.preprocess import denoise_many
 
 SMOOTHED = 0.25  # of a frequency, to either side of it: the spectrum of errors falls slowly
-BANK = 6  # realisations made of an input that was de-noised by itself; a null draws one of them and its sign: 12 courses of each
-NONE = np.zeros((BANK, 0))
 
 
 @dataclass(frozen=True)
@@ -38,10 +35,8 @@ class InputErrors:
         """(count, names) errors: every input from its own realisation, with its own sign."""
         errors = np.zeros((count, len(names)))
         for j, name in enumerate(names):
-            bank = self.bank.get(name, NONE)
-            which, sign = rng.integers(len(bank)), 2.0 * rng.integers(2) - 1.0
-            if bank is not NONE:
-                errors[:, j] = sign * bank[which]
+            if (bank := self.bank.get(name)) is not None:
+                errors[:, j] = (2.0 * rng.integers(2) - 1.0) * bank[rng.integers(len(bank))]
         return errors
 
 
@@ -65,23 +60,14 @@ def spectrum(courses: Array) -> Array:
 
 
 def input_errors(record: Record, model: Model, rng: np.random.Generator) -> InputErrors:
-    """What may be wrong with each input: as drawn when it was prepared, where the record has that; else noise as found on it is
-    added to its de-noised course, that de-noised again, and the difference kept."""
+    """What may be wrong with each input: as drawn when it was prepared, and its noise where it is used as it was measured."""
     bank = {}
     for signal in model.inputs:
-        sigma = record.input_noise.get(signal.name, 0.0)
-        if sigma <= 0.0 or signal.name not in record.inputs:
+        sigma, drawn = record.input_noise.get(signal.name, 0.0), record.wrong.get(signal.name)
+        if sigma <= 0.0 or drawn is None:
             continue
-        if signal.name in record.wrong:
-            drawn = np.asarray(record.wrong[signal.name], float)
-            near = record.raw.get(signal.name, np.zeros(drawn.shape[1], dtype=bool))
-            # by its steps a control is used as it was measured, noise and all
-            bank[signal.name] = np.where(near, sigma * rng.standard_normal(drawn.shape), drawn)
-            continue
-        clean = record.inputs[signal.name]
-        noisy = [clean + sigma * rng.standard_normal(clean.size) for _ in range(BANK)]
-        done = denoise_many(noisy, order=1 if signal.control else 2, noise=sigma)
-        bank[signal.name] = np.stack([d.values - clean for d in done])
+        near = record.raw.get(signal.name, np.zeros(drawn.shape[1], dtype=bool))
+        bank[signal.name] = np.where(near, sigma * rng.standard_normal(drawn.shape), np.asarray(drawn, float))
     return InputErrors(bank)
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from estimation.gap.criteria import AS_SET
 from estimation.gap.effects import catalogue
-from estimation.gap.likelihood.baseline import Baseline, fit_baseline
+from estimation.gap.likelihood.baseline import Baseline, fit_afresh, fit_baseline
 from estimation.gap.likelihood.channel_noise import channel_noise, sample_interval
 from estimation.gap.likelihood.whitening import force_states
 from estimation.gap.records.candidate_model import with_dormant
@@ -40,7 +40,7 @@ def screened() -> tuple[FlightRecords, Baseline, Screen]:
     noise = dict(zip(ALL_AXES.output_names, scatter, strict=True))
     clean = with_nuisance(ALL_AXES, noise, sample_interval(prepared.records), AS_SET)
     working = with_dormant(clean, effects, prepared.available, force_states(ALL_AXES))
-    baseline = fit_baseline(working, clean, prepared, scatter, passes=1)
+    baseline = fit_baseline(working, clean, prepared, scatter)
     # forms without states of their own: each of the others needs equations of its own, which says nothing here
     asked = [h for h in hypotheses_for(clean, effects, prepared.available) if not h.form.states]
     return prepared, baseline, build_screen(baseline.problem, baseline.fit, asked)
@@ -73,3 +73,13 @@ def test_a_moment_of_inertia_shows_where_the_model_rolls_and_yaws() -> None:
 
 def test_gusts_enter_every_rate_on_which_forces_and_moments_act() -> None:
     assert set(force_states(ALL_AXES)) == {"V", "alpha", "beta", "p", "q", "r"}
+
+
+def test_a_model_fitted_afresh_ends_where_the_baseline_is(screened: tuple[FlightRecords, Baseline, Screen]) -> None:
+    """Whether an effect is still needed is told by two costs: what is only nuisance must be free in both."""
+    _, baseline, _ = screened
+    again = fit_afresh(baseline, baseline.problem.model, baseline.clean)
+    assert again is not None
+    assert again.fit.cost == pytest.approx(baseline.fit.cost, abs=0.02)
+    nuisances = [n for n in baseline.problem.free if baseline.problem.nuisance(n)]
+    assert any(again.fit.values[n] != baseline.problem.model.starts().get(n) for n in nuisances)
