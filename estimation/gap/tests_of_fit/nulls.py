@@ -31,13 +31,15 @@ class InputErrors:
 
     bank: Mapping[str, Array]
 
-    def draw(self, names: Sequence[str], count: int, rng: np.random.Generator) -> Array:
-        """(count, names) errors: every input from its own realisation, with its own sign."""
-        errors = np.zeros((count, len(names)))
-        for j, name in enumerate(names):
-            if (bank := self.bank.get(name)) is not None:
-                errors[:, j] = (2.0 * rng.integers(2) - 1.0) * bank[rng.integers(len(bank))]
-        return errors
+    @property
+    def count(self) -> int:
+        """How many courses there are; of every input as many."""
+        return min((len(courses) for courses in self.bank.values()), default=0)
+
+    def course(self, names: Sequence[str], number: int) -> Array:
+        """(N, names) one course of the errors of all inputs, zero where an input has none."""
+        still = np.zeros(next(iter(self.bank.values())).shape[1])
+        return np.column_stack([self.bank[n][number] if n in self.bank else still for n in names])
 
 
 def with_errors(records: Sequence[Record], model: Model, errors: Sequence[InputErrors]) -> tuple[Record, ...]:
@@ -72,14 +74,32 @@ def input_errors(record: Record, model: Model, rng: np.random.Generator) -> Inpu
 
 
 @dataclass(frozen=True)
+class Modelled:
+    """What a fitted model makes of one record: outputs (N, ny) from its inputs, and changes (courses, N, ny) with each course of
+    errors in those."""
+
+    outputs: Array
+    changes: Array
+
+    def draw(self, rng: np.random.Generator) -> Array:
+        """(N, ny) outputs from inputs with one course of errors, of either sign: they are small, so that what they do changes its
+        sign with them."""
+        if not len(self.changes):
+            return self.outputs
+        sign, number = 2.0 * rng.integers(2) - 1.0, rng.integers(len(self.changes))
+        return np.asarray(self.outputs + sign * self.changes[number])
+
+
+@dataclass(frozen=True)
 class NullFlyer:
-    """Flies nulls of one fitted model. errors: of each record's inputs. jumps: per record sample, output column and standard
-    deviation of what a sample next to a jump may be off. states: whose rates are disturbed, and the input column that does it."""
+    """Flies nulls of one fitted model. modelled: per record, None where the model runs away on it. jumps: per record sample,
+    output column and standard deviation of what a sample next to a jump may be off. states: whose rates are disturbed, and the
+    input column that does it."""
 
     problem: Problem
     fit: Fit
     noise: NoiseModel
-    errors: tuple[InputErrors, ...]
+    modelled: tuple[Modelled | None, ...]
     jumps: tuple[tuple[NDArray[np.int64], NDArray[np.int64], Array], ...]
     states: Mapping[str, int]
 
@@ -96,11 +116,14 @@ class NullFlyer:
             own = np.array([n in steps.jumping for n in steps.name], dtype=bool)
             column = np.array([outputs[n] for n in steps.name if n in steps.jumping], dtype=int)
             jumps.append((steps.at[own], column, (steps.step * steps.spread(noise.freedom))[own]))
-        return cls(problem, fit, noise, tuple(errors), tuple(jumps), states)
+        modelled = tuple(_modelled(problem, fit, i, errors[i]) for i in range(len(problem.records)))
+        return cls(problem, fit, noise, modelled, tuple(jumps), states)
 
     def fly(self, index: int, rng: np.random.Generator) -> Array | None:
         """(N, ny) residual of one null of one record at the fitted parameters; None where it diverges."""
-        problem, local = self.problem, self.fit.locals[index]
+        problem, local, modelled = self.problem, self.fit.locals[index], self.modelled[index]
+        if modelled is None:
+            return None
         grid, coarse = problem.grids[index], problem.coarse[index]
         driven = problem.driven(grid, self.fit.values)
         shaken = driven.u.copy()
@@ -118,11 +141,7 @@ class NullFlyer:
         self._wander(noise, coarse.time, rng)
         at, output, size = self.jumps[index]
         np.add.at(noise, (at, output), size * rng.standard_normal(size.size))
-        seen = coarse.u + self.errors[index].draw(problem.model.input_names, len(coarse), rng)
-        modelled = problem.residual(index, self.fit.values, local, inputs=seen)
-        if modelled is None:
-            return None
-        residual = motion.y + noise - (coarse.z - modelled)
+        residual = motion.y + noise - modelled.draw(rng)
         residual[~np.isfinite(coarse.z)] = np.nan
         return residual
 
@@ -159,6 +178,21 @@ class NullFlyer:
             if part.memory:
                 white = white - _slow(white, h, part.memory)
             u[:, self.states[part.of]] += white
+
+
+def _modelled(problem: Problem, fit: Fit, index: int, errors: InputErrors) -> Modelled | None:
+    """Courses of errors with which the model runs away are left out."""
+    own, coarse = fit.locals[index], problem.coarse[index]
+    usual = problem.residual(index, fit.values, own)
+    if usual is None:
+        return None
+    names = problem.model.input_names
+    found = (
+        problem.residual(index, fit.values, own, inputs=coarse.u + errors.course(names, number))
+        for number in range(errors.count)
+    )
+    changes = [usual - residual for residual in found if residual is not None]
+    return Modelled(coarse.z - usual, np.array(changes).reshape(len(changes), *coarse.z.shape))
 
 
 def _slow(white: Array, h: float, tau: float) -> Array:

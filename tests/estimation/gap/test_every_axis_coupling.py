@@ -13,6 +13,7 @@ from estimation.gap.records.flight_records import FlightRecords, prepare_flights
 from estimation.gap.records.nuisance import with_nuisance
 from estimation.gap.search.confirm import fit_hypothesis
 from estimation.gap.tests_of_fit.hypotheses import hypotheses_for
+from estimation.gap.tests_of_fit.nulls import InputErrors, NullFlyer, input_errors
 from estimation.gap.tests_of_fit.screen import Screen, build_screen, linear_gains, linear_guess
 from estimation.models.load import load_model
 from groundstation.flight import Flight
@@ -83,3 +84,29 @@ def test_a_model_fitted_afresh_ends_where_the_baseline_is(screened: tuple[Flight
     assert again.fit.cost == pytest.approx(baseline.fit.cost, abs=0.02)
     nuisances = [n for n in baseline.problem.free if baseline.problem.nuisance(n)]
     assert any(again.fit.values[n] != baseline.problem.model.starts().get(n) for n in nuisances)
+
+
+def test_nulls_draw_what_courses_of_errors_in_the_inputs_do_to_the_model(
+    screened: tuple[FlightRecords, Baseline, Screen],
+) -> None:
+    prepared, baseline, _ = screened
+    problem, found = baseline.problem, baseline.fit
+    errors = [input_errors(r, baseline.clean, np.random.default_rng(i)) for i, r in enumerate(prepared.records)]
+    modelled = NullFlyer.build(problem, found, baseline.noise, errors).modelled[1]
+    assert modelled is not None
+    assert len(modelled.changes) == errors[1].count > 10
+    own, names, coarse = found.locals[1], problem.model.input_names, problem.coarse[1]
+    np.testing.assert_allclose(modelled.outputs, coarse.z - found.residuals[1], atol=1e-12)
+    for number in (0, 5):
+        course = errors[1].course(names, number)
+        assert set(np.flatnonzero(np.any(course != 0.0, axis=0))) == {names.index(n) for n in errors[1].bank}
+        opposite = problem.residual(1, found.values, own, inputs=coarse.u - course)
+        assert opposite is not None
+        wrong = (coarse.z - opposite) - (modelled.outputs - modelled.changes[number])
+        assert np.all(np.std(wrong, axis=0) < 0.1 * np.std(modelled.changes[number], axis=0))
+    rng = np.random.default_rng(3)
+    drawn = [modelled.draw(rng) - modelled.outputs for _ in range(400)]
+    assert len({d.tobytes() for d in drawn}) == 2 * errors[1].count
+    exact = NullFlyer.build(problem, found, baseline.noise, [InputErrors({})] * 2).modelled[1]
+    assert exact is not None
+    np.testing.assert_array_equal(exact.draw(rng), modelled.outputs)
