@@ -36,6 +36,12 @@ class Criteria:
 
     # ---- are the flights fit for the question
     stale_share: float = criterion(0.2, "samples", "a channel that repeats its last value in more of them is stale")
+    held_ratio: float = criterion(
+        2.0,
+        "1",
+        "a channel so many times as far from the model where it repeats a value as at new ones holds them for too long",
+        "between a vane read at 10 Hz in a record of 20 Hz (1.5 to 1.8) and one at 6.7 Hz (2.1 to 2.5), 2026-11-24",
+    )
     clipped_run: int = criterion(4, "samples", "so many in a row at the end of a range are a clipped channel")
     missing_share: float = criterion(0.02, "samples", "a channel that lacks more of them is named")
     fewest_samples: int = criterion(10, "samples", "fewer than these are not judged")

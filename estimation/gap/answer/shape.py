@@ -107,6 +107,32 @@ class Happening:
 
 
 @dataclass(frozen=True)
+class Held:
+    """An instrument that holds its values: no term of the model is wrong.
+
+    channel: the output. every: s from one new value to the next, on average. share: of the samples that repeat. ratio: distance
+    from the model there over that at new values, rms; threshold: from which that is too far.
+    """
+
+    channel: str
+    every: float
+    share: float
+    ratio: float
+    threshold: float
+
+    def to_json(self) -> dict[str, Any]:
+        return {
+            "kind": "held",
+            "nameless": True,
+            "channel": self.channel,
+            "every": rounded(self.every, 4),
+            "share": rounded(self.share, 3),
+            "ratio": rounded(self.ratio, 2),
+            "threshold": rounded(self.threshold, 2),
+        }
+
+
+@dataclass(frozen=True)
 class Happened:
     """Events that leave nothing else to explain, first the one that stands out most."""
 

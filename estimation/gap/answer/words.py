@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 from estimation.gap.answer.result import Step, Verdict
-from estimation.gap.answer.shape import Curve, Happened, Late
+from estimation.gap.answer.shape import Curve, Happened, Held, Late
 from estimation.gap.effects.base import Effect
 
 EXAMPLES = (
@@ -42,6 +42,8 @@ def describe_unknown(step: Step) -> str:
         return describe_curve(step.shape)
     if isinstance(step.shape, Happened):
         return describe_events(step.shape)
+    if isinstance(step.shape, Held):
+        return describe_held(step.shape)
     text = (
         f"Something the catalogue does not hold: it lives in {', '.join(step.where.channels)} ({step.where.regime})"
         + (
@@ -103,6 +105,16 @@ def describe_events(happened: Happened) -> str:
         f"Something that goes with time and not with the motion: {'; '.join(said)}. Without it nothing is left that a term of "
         "the model would have to explain: no model term is wrong. Look at the instrument or the weather there, or leave the "
         "stretch out."
+    )
+
+
+def describe_held(held: Held) -> str:
+    """What holds its values, for how long, and that it is no term of the model."""
+    return (
+        f"{held.channel} holds its values: a new one comes every {held.every:.2g} s, and at the {held.share:.0%} of the samples "
+        f"that repeat the last it is {held.ratio:.1f} times as far from the model as at new ones. At new ones nothing is left "
+        "that a term of the model would have to explain: no model term is wrong. Look at the instrument and what reads it; where "
+        "it is known to be that slow, there is no gap."
     )
 
 

@@ -19,6 +19,7 @@ from estimation.gap.likelihood.whitening import (
     Shapes,
     Source,
     Whitener,
+    as_seen,
     estimate_noise,
     linear_motion,
     shapes_of,
@@ -71,7 +72,10 @@ def whiteners_for(
     segments = [r.segment(problem_model, base) for r in records]
     linear = [linear_motion(problem_model, simulator, s, values) for s in segments]
     shapes = [
-        replace(shapes_of(problem_model, m, len(s), criteria, force_states(base), r.left), louder=r.louder)
+        as_seen(
+            replace(shapes_of(problem_model, m, len(s), criteria, force_states(base), r.left), louder=r.louder),
+            np.isfinite(s.z),
+        )
         for m, s, r in zip(linear, segments, records, strict=True)
     ]
     steps = [find_surface_steps(problem_model, m, s, criteria) for m, s in zip(linear, segments, strict=True)]

@@ -129,17 +129,22 @@ class Problem:
         starts = self.model.starts()
         return tuple(Local(s.x0, {n: starts[n] for n in self.local_names}) for s in self.coarse)
 
-    def residual(
+    def residual(self, index: int, values: Mapping[str, float], local: Local) -> Array | None:
+        """(N, ny) measured minus model of one record; None where the motion leaves the finite numbers."""
+        modelled = self.modelled(index, values, local)
+        return None if modelled is None else self.coarse[index].z - modelled
+
+    def modelled(
         self, index: int, values: Mapping[str, float], local: Local, inputs: Array | None = None
     ) -> Array | None:
-        """(N, ny) measured minus model of one record; None where the motion leaves the finite numbers.
+        """(N, ny) outputs of the model on one record; None where the motion leaves the finite numbers.
 
         inputs: (N, nu) other inputs than the record's own.
         """
         grid = self.grids[index] if inputs is None else self.grids[index].with_inputs(inputs)
         shared = {**values, **local.parameters}
         motion = self.simulator.run_by_middles(self.driven(grid, values), shared, local.x0)
-        return self.coarse[index].z - motion.y if motion.finite else None
+        return motion.y if motion.finite else None
 
     def linearised(self, index: int, values: Mapping[str, float], local: Local) -> tuple[Array, Array] | None:
         """(residual (N, ny), sensitivities (N, ny, shared unknowns + local parameters + initial states)) of one record."""

@@ -25,7 +25,8 @@ MOST = 40  # cosines a control and record: a record in which more of them are sl
 
 @dataclass(frozen=True)
 class SlowErrors:
-    """response: (N, ny, m) of the outputs by what is slowly wrong with the controls, each of one standard deviation. below: [Hz]
+    """response: (N, ny, m) of the outputs by what is slowly wrong with the controls, each of one standard deviation, zero where
+    they were not measured. below: [Hz]
     what a spectrum no longer has to describe."""
 
     response: Array
@@ -56,6 +57,7 @@ def slow_errors(
     response = simulator.response(segment, values, segment.x0, courses, between)
     if not np.abs(response).max() < RUNAWAY:
         return nothing
+    response[~np.isfinite(segment.z)] = 0.0
     return SlowErrors(response, 0.5 * (cosines - 0.5) / (count * step))  # half-way to the next one
 
 

@@ -35,7 +35,8 @@ class SurfaceSteps:
 
     name: (m,) the control whose middle of an interval is meant, or the output that jumps or bends with it and of which one
     sample is meant; at: (m,) index of the sample before the middle, or of that sample; step: (m,) [rad] or [unit of the
-    output]; response: (N, ny, m) change of the outputs by a displacement of one step. jumping: the outputs among the names.
+    output]; response: (N, ny, m) change of the outputs by a displacement of one step, zero where they were not measured.
+    jumping: the outputs among the names.
     """
 
     name: tuple[str, ...]
@@ -86,6 +87,7 @@ def find_surface_steps(model: Model, linear: Linear, segment: Segment, criteria:
             response[at + 1 :, :, m] = size * replies[name][: N - at - 1]
         else:
             response[at, model.output_names.index(name), m] = size
+    response[~np.isfinite(segment.z)] = 0.0
     instants = np.array([at for _, at, _ in places], dtype=int)
     sizes = np.array([size for _, _, size in places], dtype=float)
     return SurfaceSteps(tuple(name for name, _, _ in places), instants, sizes, response, criteria, frozenset(outputs))

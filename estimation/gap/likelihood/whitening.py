@@ -14,7 +14,7 @@ sensors or the weather. Multiplying by S(f)^(-1/2) makes residuals white and kee
 """
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from functools import cached_property
 from types import MappingProxyType
@@ -289,6 +289,17 @@ def shapes_of(
                 own = np.eye(ny)[model.output_names.index(RATE_OF[name])]
                 parts[NoisePart(Source.GYRO, name)] = own + 0.5 * (1.0 + before)[:, None] * summed
     return Shapes({k: v.reshape(-1, ny) for k, v in parts.items()}, count, linear.dt)
+
+
+def as_seen(shapes: Shapes, measured: Array) -> Shapes:
+    """The shapes of a record of which some samples were not measured, and count as zero: of white noise a share of the power is
+    seen, of what has a course that share of its amplitude. measured: (N, ny)."""
+    seen = measured.mean(axis=0)
+    if (seen[seen > 0.0] == 1.0).all():
+        return shapes
+    seen = np.where(seen > 0.0, seen, 1.0)
+    louder = seen if shapes.louder is None else shapes.louder * seen
+    return replace(shapes, parts={n: p * seen for n, p in shapes.parts.items()}, louder=louder)
 
 
 def spectral_matrix(noise: NoiseModel, shapes: Shapes) -> Complex:

@@ -34,7 +34,8 @@ class Record:
     input_noise: name -> standard deviation of the noise found on an input. louder: (ny,) variance of the outputs' white
     noise over the usual one, where this flight's is larger. raw: control -> (N,) where its measured value is used as it is.
     wrong: input -> (draws, N) of what its preparation may have left wrong. left: control -> (frequencies,) variance per sample of
-    what is wrong with it, once that is known.
+    what is wrong with it, once that is known. apart: (N, ny) measured outputs that are not compared, as the repeats of a slow
+    sensor; NaN elsewhere.
     """
 
     flight: int
@@ -48,6 +49,7 @@ class Record:
     raw: Mapping[str, NDArray[np.bool_]] = field(default_factory=dict)
     wrong: Mapping[str, NDArray[np.float32]] = field(default_factory=dict)
     left: Mapping[str, Array] = field(default_factory=dict)
+    apart: Array | None = None
 
     def __len__(self) -> int:
         return int(self.time.size)
@@ -131,9 +133,20 @@ def prepare_flights(
             inputs = {n: np.ascontiguousarray(segment.u[:, i]) for i, n in enumerate(probe.input_names)}
             raw, own = _raw_steps(base, flight, segment.first, inputs, noise, criteria)
             level = {**noise, **own}
-            wrong = _draws(probe, data, segment, level)
+            wrong, apart = _draws(probe, data, segment, level), _not_compared(base, flight, segment)
             records.append(
-                Record(index, segment.first, segment.time, inputs, segment.z, segment.x0, level, raw=raw, wrong=wrong)
+                Record(
+                    index,
+                    segment.first,
+                    segment.time,
+                    inputs,
+                    segment.z,
+                    segment.x0,
+                    level,
+                    raw=raw,
+                    wrong=wrong,
+                    apart=apart,
+                )
             )
     return FlightRecords(
         base=base,
@@ -177,6 +190,16 @@ def _raw_steps(
             )
             levels[signal.name] = noise_between_steps(measured, taken[signal.name], level)
     return taken, levels
+
+
+def _not_compared(base: Model, flight: Flight, segment: Segment) -> Array:
+    """(N, ny) measured outputs where the segment has none to compare."""
+    apart = np.full(segment.z.shape, np.nan)
+    for i, signal in enumerate(base.outputs):
+        if flight.measured(signal.source):
+            measured = flight.columns[signal.source][segment.first : segment.first + len(segment)]
+            apart[:, i] = np.where(np.isnan(segment.z[:, i]), measured, np.nan)
+    return apart
 
 
 def _draws(

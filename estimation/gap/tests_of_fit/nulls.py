@@ -183,16 +183,16 @@ class NullFlyer:
 def _modelled(problem: Problem, fit: Fit, index: int, errors: InputErrors) -> Modelled | None:
     """Courses of errors with which the model runs away are left out."""
     own, coarse = fit.locals[index], problem.coarse[index]
-    usual = problem.residual(index, fit.values, own)
+    usual = problem.modelled(index, fit.values, own)
     if usual is None:
         return None
     names = problem.model.input_names
     found = (
-        problem.residual(index, fit.values, own, inputs=coarse.u + errors.course(names, number))
+        problem.modelled(index, fit.values, own, inputs=coarse.u + errors.course(names, number))
         for number in range(errors.count)
     )
-    changes = [usual - residual for residual in found if residual is not None]
-    return Modelled(coarse.z - usual, np.array(changes).reshape(len(changes), *coarse.z.shape))
+    changes = [outputs - usual for outputs in found if outputs is not None]
+    return Modelled(usual, np.array(changes).reshape(len(changes), *coarse.z.shape))
 
 
 def _slow(white: Array, h: float, tau: float) -> Array:

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from estimation.gap.answer.result import Gap, GapResult, Histories, Rejected, Step, Verdict
-from estimation.gap.answer.shape import Late
+from estimation.gap.answer.shape import Held, Late
 from estimation.gap.answer.words import conclude, describe_step
 from estimation.gap.criteria import Criteria
 from estimation.gap.effects.base import Effect
@@ -19,6 +19,7 @@ from estimation.gap.tests_of_fit.measure import Floors, floors, on_holdout, rms_
 from estimation.gap.tests_of_fit.repeatability import repeatability
 from estimation.gap.verdict.decide import Decision, Facts, Named, decide, with_event, with_shape
 from estimation.gap.verdict.disagreement import views
+from estimation.gap.verdict.held import held_back, held_step
 from estimation.gap.verdict.lineage import fitted
 from estimation.gap.verdict.nameless import (
     event_step,
@@ -62,6 +63,8 @@ def concluded(setting: Setting, search: SearchState, check: KinematicCheck) -> G
         decision, unnamed = with_shape(decision), shaped_step(found.shape, standing, setting)
     elif event is not None:
         decision, unnamed = with_event(decision), event_step(event, Gap(left, left, floor.training_median))
+    elif decision.verdict is Verdict.NO_GAP and (held := held_back(first.baseline, prepared)):
+        decision, unnamed = with_event(decision), held_step(held[0], Gap(left, left, floor.training_median))
     steps = told(decision, named, search, check, left, floor, unnamed, late_of(found))
     after = standing if found.shape is None else found.shape.measured.child
     seen = views(first.baseline, after, prepared, after is not first.baseline)
@@ -70,10 +73,12 @@ def concluded(setting: Setting, search: SearchState, check: KinematicCheck) -> G
     asked = {h.effect.name for h in first.screen.hypotheses}
     tied = tuple(e for e in setting.effects if e.tied_to and e.name in asked)
     odd = [r.flight for r in repeats if r.odd]
+    told_of = [s.shape.channel for s in steps if isinstance(s.shape, Held)]
+    stale = [n for n in prepared.stale if n not in told_of]
     before_model, after_model = models(setting.base, first.baseline, kept, found.shape)
     return GapResult(
         verdict=decision.verdict,
-        text=conclude(decision.verdict, steps, detectable, cannot, tied, bool(prepared.holdout), odd, prepared.stale),
+        text=conclude(decision.verdict, steps, detectable, cannot, tied, bool(prepared.holdout), odd, stale),
         minimum_detectable=detectable,
         steps=steps,
         scores=effect_scores(first),

@@ -77,7 +77,7 @@ def with_shape(decision: Decision) -> Decision:
 
 
 def with_event(decision: Decision) -> Decision:
-    """The decision where something happened at one time: known when and where, and nothing of the model is wrong."""
+    """The decision where an instrument, or something that happened at one time, is known, and nothing of the model is wrong."""
     return replace(decision, verdict=Verdict.UNKNOWN)
 
 

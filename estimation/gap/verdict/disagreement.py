@@ -20,6 +20,7 @@ from estimation.gap.likelihood.whitening import (
     NoiseModel,
     NoisePart,
     Source,
+    as_seen,
     linear_motion,
     shapes_of,
     spectral_matrix,
@@ -94,7 +95,7 @@ def missing_coefficients(problem: Problem, found: Fit, index: int, residual: Arr
     values = {**problem.starts(), **found.values}
     linear = linear_motion(model, simulator, segment, values)
     states = force_states(problem.base)
-    shapes = shapes_of(model, linear, len(segment), problem.criteria, states)
+    shapes = as_seen(shapes_of(model, linear, len(segment), problem.criteria, states), np.isfinite(residual))
     strength = {}
     for name in states:
         power = (

@@ -264,3 +264,28 @@ def test_a_throttle_that_never_moves_hides_effects_of_thrust(flown: dict[str, li
     assert told.verdict.value == "no_gap"
     assert "rho_error cannot be told from CL_*" in told.text
     assert "errors of mass" not in told.text  # thrust steps do tell something of it
+
+
+@pytest.mark.parametrize(("samples", "verdict"), [(2, "no_gap"), (3, "unknown_effect")])
+def test_a_vane_that_holds_its_values_is_told_and_nothing_else_blamed(
+    flown: dict[str, list[Flight]], samples: int, verdict: str
+) -> None:
+    """The noise of a channel is known from its new values alone: taken over all samples it was 0.58 times the true one, and
+    scatter that nobody had hidden stood out of quiet nulls."""
+    held = [
+        Flight.build(
+            f.name,
+            f.time,
+            {n: c[np.arange(c.size) // samples * samples] if n == "alpha" else c for n, c in f.columns.items()},
+        )
+        for f in flown["none"]
+    ]
+    result = run_gap(PITCHING, held, (), asked(), options=QUICK)
+    assert result.verdict.value == verdict
+    if samples == 3:
+        (step,) = result.steps
+        told = step.to_json()["form"]
+        assert (told["kind"], told["channel"], told["every"]) == ("held", "alpha", 0.15)
+        assert step.effect == "unknown"
+        assert "alpha holds its values: a new one comes every 0.15 s" in result.text
+    assert ("alpha repeats the last value in many samples" in result.text) is (samples == 2)

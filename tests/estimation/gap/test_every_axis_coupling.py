@@ -100,9 +100,9 @@ def test_nulls_draw_what_courses_of_errors_in_the_inputs_do_to_the_model(
     for number in (0, 5):
         course = errors[1].course(names, number)
         assert set(np.flatnonzero(np.any(course != 0.0, axis=0))) == {names.index(n) for n in errors[1].bank}
-        opposite = problem.residual(1, found.values, own, inputs=coarse.u - course)
+        opposite = problem.modelled(1, found.values, own, inputs=coarse.u - course)
         assert opposite is not None
-        wrong = (coarse.z - opposite) - (modelled.outputs - modelled.changes[number])
+        wrong = opposite - (modelled.outputs - modelled.changes[number])
         assert np.all(np.std(wrong, axis=0) < 0.1 * np.std(modelled.changes[number], axis=0))
     rng = np.random.default_rng(3)
     drawn = [modelled.draw(rng) - modelled.outputs for _ in range(400)]

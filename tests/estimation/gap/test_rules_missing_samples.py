@@ -1,0 +1,95 @@
+"""Samples that were not measured: a channel that holds its values, noise and nulls where a part of a channel is missing."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from estimation.gap.answer.result import Gap
+from estimation.gap.answer.shape import Held
+from estimation.gap.answer.words import describe_step
+from estimation.gap.criteria import AS_SET
+from estimation.gap.likelihood.whitening import (
+    NoisePart,
+    Shapes,
+    Source,
+    as_seen,
+    estimate_noise,
+    spectrum_of,
+    whitener,
+)
+from estimation.gap.verdict.held import held_step, judged
+
+COUNT, STEP = 1200, 0.05
+GUST = NoisePart(Source.RATE, "p")
+
+
+def shapes() -> Shapes:
+    """Two outputs, of which the second also shows a slow motion that one gust makes."""
+    s = 2j * np.pi * np.fft.rfftfreq(COUNT, STEP)
+    slow = 4.0 / (s + 4.0)
+    return Shapes({GUST: np.column_stack([np.zeros_like(slow), slow])}, COUNT, STEP)
+
+
+def residuals(rng: np.random.Generator, held: int) -> np.ndarray:
+    """Noise of 2 and 3 and motion of strength 4; the first output new every `held` samples only."""
+    white = np.fft.rfft(rng.standard_normal(COUNT)) * 2.0
+    gust = np.fft.irfft(white * shapes().parts[GUST][:, 1], n=COUNT)
+    made = rng.standard_normal((COUNT, 2)) * (2.0, 3.0) + np.column_stack([np.zeros(COUNT), gust])
+    made[np.arange(COUNT) % held != 0, 0] = np.nan
+    return made
+
+
+@pytest.mark.parametrize("held", [1, 2, 6])
+def test_the_noise_of_a_channel_is_known_from_the_samples_it_has(held: int) -> None:
+    rng = np.random.default_rng(3)
+    records = [residuals(rng, held) for _ in range(6)]
+    seen = [as_seen(shapes(), np.isfinite(r)) for r in records]
+    found = estimate_noise(records, seen, np.full(2, 5.0), np.full(2, 1e-3))
+    assert np.sqrt(found.measurement) == pytest.approx([2.0, 3.0], rel=0.06)
+    energy = [whitener(found, s).energy(r) for s, r in zip(seen, records, strict=True)]
+    assert np.mean(energy) == pytest.approx(2 * COUNT, rel=0.03)  # zeros and all: the mean power is that of the matrix
+    rows = whitener(found, seen[0]).strict(spectrum_of(records[0]))[:, 0]
+    assert rows @ rows == pytest.approx(energy[0])
+
+
+def test_a_channel_measured_in_a_part_is_seen_in_a_part() -> None:
+    measured = np.ones((COUNT, 2), bool)
+    one = replace(shapes(), louder=np.array([1.0, 2.0]))
+    assert as_seen(one, measured) is one
+    measured[:300, 1] = False
+    part = as_seen(one, measured)
+    assert part.louder == pytest.approx([1.0, 1.5])
+    np.testing.assert_allclose(part.parts[GUST], one.parts[GUST] * (1.0, 0.75))
+    measured[:] = True
+    measured[:, 0] = False  # not measured on this flight at all: nothing is known, and nothing changed
+    assert as_seen(one, measured) is one
+
+
+@pytest.mark.parametrize(("times", "told"), [(1.7, False), (2.3, True)])
+def test_a_channel_twice_as_far_from_the_model_where_it_repeats_holds_its_values(times: float, told: bool) -> None:
+    rng = np.random.default_rng(1)
+    near = rng.standard_normal(200)
+    far = rng.standard_normal(600)
+    far *= times * np.sqrt(np.mean(near**2) / np.mean(far**2))
+    held = judged("beta", far, near, STEP, AS_SET)
+    assert (held is not None) is told
+    if held is not None:
+        assert (held.every, held.share, held.ratio) == pytest.approx((4 * STEP, 0.75, times))
+
+
+@pytest.mark.parametrize(("far", "near"), [([], [1.0, 2.0]), ([1.0, 2.0], []), ([1.0, 2.0], [0.0, 0.0])])
+def test_nothing_is_said_of_a_channel_without_both(far: list[float], near: list[float]) -> None:
+    assert judged("beta", np.array(far), np.array(near), STEP, AS_SET) is None
+
+
+def test_an_instrument_that_holds_its_values_is_an_unknown_and_no_term_of_the_model() -> None:
+    step = held_step(Held("beta", 0.3, 0.83, 4.7, 2.0), Gap(1.4, 1.4, 1.4))
+    assert step.effect == "unknown"
+    assert step.to_json()["form"] == {
+        "kind": "held", "nameless": True, "channel": "beta", "every": 0.3, "share": 0.83, "ratio": 4.7, "threshold": 2.0,
+    }  # fmt: skip
+    text = describe_step(step)
+    assert "beta holds its values: a new one comes every 0.3 s" in text
+    assert "83%" in text
+    assert "no model term is wrong" in text
