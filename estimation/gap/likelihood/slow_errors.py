@@ -26,8 +26,7 @@ MOST = 40  # cosines a control and record: a record in which more of them are sl
 @dataclass(frozen=True)
 class SlowErrors:
     """response: (N, ny, m) of the outputs by what is slowly wrong with the controls, each of one standard deviation, zero where
-    they were not measured. below: [Hz]
-    what a spectrum no longer has to describe."""
+    they were not measured. below: [Hz] what a spectrum no longer has to describe."""
 
     response: Array
     below: float

@@ -64,7 +64,7 @@ def concluded(setting: Setting, search: SearchState, check: KinematicCheck) -> G
     elif event is not None:
         decision, unnamed = with_event(decision), event_step(event, Gap(left, left, floor.training_median))
     elif decision.verdict is Verdict.NO_GAP and (held := held_back(first.baseline, prepared)):
-        decision, unnamed = with_event(decision), held_step(held[0], Gap(left, left, floor.training_median))
+        decision, unnamed = with_event(decision), held_step(held, Gap(left, left, floor.training_median))
     steps = told(decision, named, search, check, left, floor, unnamed, late_of(found))
     after = standing if found.shape is None else found.shape.measured.child
     seen = views(first.baseline, after, prepared, after is not first.baseline)

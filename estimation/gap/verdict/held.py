@@ -10,23 +10,20 @@ from estimation.gap.likelihood.baseline import Baseline
 from estimation.gap.records.flight_records import FlightRecords
 
 
-def held_back(baseline: Baseline, prepared: FlightRecords) -> tuple[Held, ...]:
-    """The stale outputs that are too far from the model where they repeat, the farthest first."""
-    problem, fit, criteria = baseline.problem, baseline.fit, baseline.criteria
-    far: dict[str, list[Array]] = {name: [] for name in prepared.stale}
-    near: dict[str, list[Array]] = {name: [] for name in prepared.stale}
-    steps = [float(np.median(np.diff(r.time))) for r in problem.records]
-    for index, record in enumerate(problem.records):
-        modelled = problem.modelled(index, fit.values, fit.locals[index])
-        if modelled is None or record.apart is None:
-            continue
-        for c, signal in enumerate(problem.model.outputs):
-            if signal.source in far:
-                off, at = record.apart[:, c] - modelled[:, c], fit.residuals[index][:, c]
-                far[signal.source].append(off[np.isfinite(off)])
-                near[signal.source].append(at[np.isfinite(at)])
-    found = [judged(n, np.concatenate(far[n]), np.concatenate(near[n]), max(steps), criteria) for n in far if far[n]]
-    return tuple(sorted((h for h in found if h is not None), key=lambda h: -h.ratio))
+def held_back(baseline: Baseline, prepared: FlightRecords) -> Held | None:
+    """The stale output that is farthest from the model where it repeats; None where none is too far."""
+    problem, fit = baseline.problem, baseline.fit
+    modelled = [problem.modelled(i, fit.values, local) for i, local in enumerate(fit.locals)]
+    seen = [(r, y) for r, y in zip(problem.records, modelled, strict=True) if y is not None and r.apart is not None]
+    step = max(float(np.median(np.diff(r.time))) for r in problem.records)
+    found = []
+    for c, signal in enumerate(problem.model.outputs):
+        if signal.source in prepared.stale and seen:
+            far = np.concatenate([r.apart[:, c] - y[:, c] for r, y in seen if r.apart is not None])
+            near = np.concatenate([r.z[:, c] - y[:, c] for r, y in seen])
+            held = judged(signal.source, far[np.isfinite(far)], near[np.isfinite(near)], step, baseline.criteria)
+            found += [held] if held is not None else []
+    return max(found, key=lambda h: h.ratio, default=None)
 
 
 def judged(channel: str, far: Array, near: Array, step: float, criteria: Criteria) -> Held | None:
