@@ -20,6 +20,7 @@ from estimation.gap.effects.cross_axis import CROSS_AXIS
 from estimation.gap.effects.cross_axis import INERTIAL as CROSS_INERTIAL
 from estimation.gap.effects.hardware import ACTUATOR, ENVIRONMENT, SENSOR
 from estimation.gap.effects.motion import INERTIAL, PROPULSION
+from estimation.gap.effects.sizes import at_size_of
 from estimation.gap.errors import EffectError
 from estimation.models.base import InputTransform, Model, Signal
 from estimation.models.expressions import parse
@@ -65,12 +66,12 @@ def built_in(model: Model | None = None) -> tuple[Effect, ...]:
 
 
 def catalogue(extra_files: Iterable[str | Path] = (), model: Model | None = None) -> tuple[Effect, ...]:
-    """Built-in effects of the axes of `model` (lateral where none is given), then those of installed packages, then those of
-    `extra_files`; a later name takes the place of an earlier one.
+    """Built-in effects of the axes of `model` (lateral where none is given) at the size of its aircraft, then those of installed
+    packages, then those of `extra_files`, as they are; a later name takes the place of an earlier one.
 
     Raises EffectError naming the file and key that does not fit.
     """
-    effects = {e.name: e for e in built_in(model)}
+    effects = {e.name: e for e in at_size_of(built_in(model), model)}
     for point in importlib.metadata.entry_points(group=ENTRY_POINTS):
         for effect in _checked(point.load(), f"entry point {point.name}"):
             effects[effect.name] = effect

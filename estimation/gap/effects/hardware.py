@@ -76,10 +76,10 @@ ACTUATOR = (
         "control derivatives estimated at different speeds disagree",
         {"airspeed_scale": "speed sweep with GPS", "slipstream_rudder": "throttle against speed"},
         "doublets at three speeds",
-        (Form("all surfaces", (EffectParameter("compliance", "1", 0.2, -0.9, 0.9, meaning="loss at 200 Pa"),),
+        (Form("all surfaces", (EffectParameter("compliance", "1/(200 Pa)", 0.2, -0.9, 0.9, meaning="loss"),),
               terms={f"C{x}": tuple(_SOFT.format(f"C{x}_{d}*delta_{d[1]}") for d in ("da", "dr")) for x in "Yln"},
               requires=("q_dyn",)),
-         Form("aileron", (EffectParameter("compliance_a", "1", 0.2, -0.9, 0.9, meaning="loss at 200 Pa"),),
+         Form("aileron", (EffectParameter("compliance_a", "1/(200 Pa)", 0.2, -0.9, 0.9, meaning="loss"),),
               terms={"Cl": ("-compliance_a*q_dyn/200*Cl_da*delta_a",)}, requires=("q_dyn", "Cl_da"))),
     ),
 )  # fmt: skip

@@ -238,7 +238,7 @@ DRAG = (
         "fixed",
                                                      "CL_alpha2": "pull-ups at one speed"},
         "pull-ups at three speeds with the throttle fixed",
-        one_term("wing_compliance", "CL", "(1 - q_dyn/200)*CL_alpha*alpha", 0.15, 0.6, "loss per 200 Pa", "1",
+        one_term("wing_compliance", "CL", "(1 - q_dyn/200)*CL_alpha*alpha", 0.15, 0.6, "loss", "1/(200 Pa)",
                  requires=("q_dyn", "CL_alpha", "alpha")),
     ),
 )  # fmt: skip

@@ -58,7 +58,7 @@ ACTUATOR = (
         "elevator derivatives estimated at different speeds disagree",
         {"V_scale": "speed sweep with GPS", "propwash_elevator": "speed sweep with the throttle fixed",
          "Cm_alpha_de": "load factor at one speed"}, "elevator doublets at three speeds with the throttle fixed",
-        (Form("elevator_compliance", (EffectParameter("elevator_compliance", "1", 0.15, -0.6, 0.6, meaning="loss per 200 Pa"),),
+        (Form("elevator_compliance", (EffectParameter("elevator_compliance", "1/(200 Pa)", 0.15, -0.6, 0.6, meaning="loss"),),
               terms={f"C{x}": (f"elevator_compliance*{_TWIST}*C{x}_de*delta_e",) for x in ("m", "L")},
               requires=("q_dyn", "delta_e", "Cm")),),
     ),

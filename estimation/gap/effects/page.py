@@ -17,6 +17,10 @@ Two kinds are listed and never named. *Exactly carried*: the derivatives that ar
 wrong density, a wrong moment of inertia). *Without excitation*: what a flight does not move leaves nothing behind; with a
 throttle that never moves the tilt of the thrust line and the lag of thrust cannot be told, and its height, slipstream and size
 only a fifth as well.
+
+Sizes and limits are those of the reference aircraft (3.5 kg, 1.5 m of span). For another they grow with it: lengths with its
+span, masses with its mass, products of inertia and angular momenta with both, what gives way to the airstream with the inverse of
+its wing loading. Numbers without a dimension and times of instruments and servos stay.
 """
 PARTS: Mapping[str, Sequence[Effect]] = {
     "Lateral": BUILT_IN,

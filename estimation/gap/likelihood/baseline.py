@@ -10,6 +10,7 @@ from estimation.engine.simulate import Simulator
 from estimation.gap.criteria import Criteria
 from estimation.gap.errors import GapError
 from estimation.gap.likelihood.channel_noise import channel_noise, filtered_attitudes
+from estimation.gap.likelihood.first_values import first_values
 from estimation.gap.likelihood.fitting import Fit, Problem, fit
 from estimation.gap.likelihood.slow_errors import slow_errors, without_slow
 from estimation.gap.likelihood.surface_steps import SurfaceSteps, displaced, find_surface_steps, freedom_of, loosened
@@ -192,7 +193,7 @@ def fit_afresh(baseline: Baseline, model: Model, clean: Model) -> Baseline | Non
 def _careful(problem: Problem, begun: Fit | None, afar: int) -> Fit:
     """A fit from afar (pass 0: white noise; pass 1: its own noise for the first time) without, then with what is only
     nuisance: far from the optimum a displacement in time is bent to serve for everything else, and does not come back."""
-    values, own = ({}, None) if begun is None else (begun.values, begun.locals)
+    values, own = (first_values(problem), None) if begun is None else (begun.values, begun.locals)
     if afar > 1:
         return fit(problem, values, own)
     first = fit(problem, values, own, enough=ROUGH, held=[n for n in problem.free if problem.nuisance(n)])

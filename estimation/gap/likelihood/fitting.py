@@ -304,6 +304,13 @@ class Unknowns:
         return Step(np.concatenate([shared, *own]), decrement + float(shared @ g - 0.5 * shared @ H @ shared))
 
 
+def cost_at(problem: Problem, values: Mapping[str, float]) -> float:
+    """Whitened cost at shared `values` (the model's own where not given), every record from its measured initial state; infinite
+    where the motion runs away."""
+    view = Unknowns(problem, {**problem.starts(), **values}, 0, (), np.zeros((0, 0)))
+    return view.evaluate(view.packed(problem.starting_locals()), False).cost
+
+
 def record_blocks(
     problem: Problem, index: int, values: Mapping[str, float], local: Local, n: int
 ) -> FlightBlocks | None:

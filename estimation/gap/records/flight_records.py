@@ -35,7 +35,7 @@ class Record:
     noise over the usual one, where this flight's is larger. raw: control -> (N,) where its measured value is used as it is.
     wrong: input -> (draws, N) of what its preparation may have left wrong. left: control -> (frequencies,) variance per sample of
     what is wrong with it, once that is known. apart: (N, ny) measured outputs that are not compared, as the repeats of a slow
-    sensor; NaN elsewhere.
+    sensor; NaN elsewhere. states: (N, nx) measured states without their noise.
     """
 
     flight: int
@@ -50,6 +50,7 @@ class Record:
     wrong: Mapping[str, NDArray[np.float32]] = field(default_factory=dict)
     left: Mapping[str, Array] = field(default_factory=dict)
     apart: Array | None = None
+    states: Array | None = None
 
     def __len__(self) -> int:
         return int(self.time.size)
@@ -146,6 +147,7 @@ def prepare_flights(
                     raw=raw,
                     wrong=wrong,
                     apart=apart,
+                    states=data.states[segment.first : segment.first + kept],
                 )
             )
     return FlightRecords(

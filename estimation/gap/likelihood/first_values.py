@@ -1,0 +1,33 @@
+"""Where the first fit begins: at what the model states, or at a regression of the measured motion where that is nearer.
+
+An aircraft that was never written down has no beliefs, or those of its shape alone. From there the motion runs away, or the
+search ends in a valley that is not the one of these flights.
+"""
+
+from dataclasses import replace
+
+from estimation.engine.data import FlightData
+from estimation.engine.simulate import Simulator
+from estimation.estimators.equation_error import start_values
+from estimation.gap.likelihood.fitting import Problem, cost_at
+
+
+def first_values(problem: Problem) -> dict[str, float]:
+    """Shared values at which the first fit begins; none where the model's own starts are nearer, or a state is not measured."""
+    found = by_regression(problem)
+    return found if cost_at(problem, found) < cost_at(problem, {}) else {}
+
+
+def by_regression(problem: Problem) -> dict[str, float]:
+    """Derivatives of the model by equation error over the records, what is only nuisance at rest; none where a state is not
+    measured."""
+    asked = tuple(n for n in problem.parameters if not problem.nuisance(n))
+    flights = [
+        FlightData(f"record {i}", len(r), (replace(s, first=0),), r.states, {}, (), ())
+        for i, (r, s) in enumerate(zip(problem.records, problem.coarse, strict=True))
+        if r.states is not None
+    ]
+    if len(flights) < len(problem.records):
+        return {}
+    found = start_values(Simulator.build(problem.model, asked, substeps=1, hold="linear"), flights)
+    return {} if found is None else {n: found[n] for n in asked}

@@ -1,0 +1,125 @@
+"""Aircraft that nobody wrote down: sizes of effects grow with them, and the first fit needs no beliefs."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from estimation.aircraft import load_aircraft
+from estimation.gap.criteria import AS_SET
+from estimation.gap.effects import catalogue
+from estimation.gap.effects.base import Effect, EffectParameter
+from estimation.gap.effects.catalogue import built_in
+from estimation.gap.effects.sizes import REFERENCE, at_size_of
+from estimation.gap.likelihood.baseline import Baseline, fit_baseline
+from estimation.gap.likelihood.channel_noise import channel_noise, sample_interval
+from estimation.gap.likelihood.first_values import first_values
+from estimation.gap.records.flight_records import FlightRecords, prepare_flights
+from estimation.gap.records.nuisance import with_nuisance
+from estimation.models.base import Model
+from estimation.models.load import load_model
+from groundstation.flight import Flight
+from tests.estimation.gap.roll import ROLL
+from tests.studies import second_truth as truth
+
+LATERAL = load_model("lateral", "cdfp")
+
+
+def _parameter(effects: tuple[Effect, ...], name: str) -> EffectParameter:
+    return next(p for e in effects for f in e.forms for p in f.parameters if p.name == name)
+
+
+def _of(**constants: float) -> Model:
+    return replace(LATERAL, constants={**LATERAL.constants, **constants})
+
+
+def test_the_reference_aircraft_keeps_the_sizes_of_the_catalogue() -> None:
+    for name in ("lateral", "longitudinal", "six-dof"):
+        model = load_model(name, "cdfp")
+        assert all(model.constants[n] == v for n, v in REFERENCE.items())
+        assert at_size_of(built_in(model), model) == built_in(model)
+
+
+def test_lengths_inertia_and_pressure_grow_with_an_aircraft() -> None:
+    heavy = _of(
+        m=3.5 * 1000.0, b=1.5 * 10.0, S=0.787 * 100.0
+    )  # a thousand times as heavy, ten times as long: Froude's own
+    before, after = built_in(heavy), catalogue(model=heavy)
+    for name, factor in (
+        ("x_vane", 10.0),
+        ("z_imu", 10.0),
+        ("y_cg", 10.0),
+        ("k_torque", 10.0),
+        ("k_p_factor", 10.0),
+        ("Ixz", 1e5),
+        ("H_prop", 1000.0 * 10.0**1.5),
+        ("compliance_a", 0.1),
+        ("Cl_beta3", 1.0),
+        ("beta_scale", 1.0),
+        ("aileron_lag", 1.0),
+        ("epsilon_x", 1.0),
+    ):
+        one, other = _parameter(before, name), _parameter(after, name)
+        for part in ("typical", "lower", "upper"):
+            assert getattr(other, part) == pytest.approx(factor * getattr(one, part)), (name, part)
+
+
+def test_a_model_without_mass_span_or_area_keeps_them() -> None:
+    assert at_size_of(built_in(ROLL), ROLL) == built_in(ROLL)
+    assert at_size_of(built_in(), None) == built_in()
+
+
+def test_effects_of_ones_own_are_taken_as_they_are_written(tmp_path: Path) -> None:
+    file = tmp_path / "mine.toml"
+    file.write_text(
+        '[[effect]]\nname = "tail_vane"\ntitle = "vane at the tail"\n[[effect.form]]\noutputs = { beta = "beta - x_tail*r/V" }\n'
+        'requires = ["r", "V"]\nparameters = [{ name = "x_tail", unit = "m", typical = 2.0, lower = 0.0, upper = 9.0 }]\n'
+    )
+    assert _parameter(catalogue([file], _of(b=15.0)), "x_tail").typical == 2.0
+
+
+@pytest.fixture(scope="module")
+def flights() -> list[Flight]:
+    asked = [truth.Request(700 + i, speed, gust=0.0, duration=20.0) for i, speed in enumerate((15.0, 18.0))]
+    return [
+        Flight.build(f"f{i}", c["time"], {k: v for k, v in c.items() if k != "time"})
+        for i, c in enumerate(truth.fly(asked))
+    ]
+
+
+def _baseline(model: Model, flights: list[Flight]) -> tuple[FlightRecords, Baseline]:
+    prepared = prepare_flights(model, (), flights, (), AS_SET)
+    scatter = channel_noise(prepared.records)
+    noise = dict(zip(model.output_names, scatter, strict=True))
+    clean = with_nuisance(model, noise, sample_interval(prepared.records), AS_SET)
+    return prepared, fit_baseline(clean, clean, prepared, scatter)
+
+
+def _with_beliefs(factor: float) -> Model:
+    """`lateral` with derivatives that are believed so many times as large as they are, or not at all."""
+    known = load_aircraft("cdfp")
+    if factor == 0.0:
+        return load_model("lateral", replace(known, derivatives={}))
+    return LATERAL.with_starts({n: factor * v for n, v in LATERAL.starts().items() if n in truth.TRUE_DERIVATIVES})
+
+
+@pytest.mark.parametrize("factor", [0.0, -1.0, 10.0])
+def test_the_baseline_is_the_same_whatever_is_believed(factor: float, flights: list[Flight]) -> None:
+    _, right = _baseline(LATERAL, flights)
+    _, other = _baseline(_with_beliefs(factor), flights)
+    std = right.fit.std()
+    off = {n: (other.fit.values[n] - right.fit.values[n]) / std[n] for n in truth.TRUE_DERIVATIVES if n in std}
+    assert len(off) == 16
+    assert max(map(abs, off.values())) < 0.1, off
+    assert other.fit.cost == pytest.approx(right.fit.cost, abs=0.5)
+
+
+def test_good_beliefs_are_left_where_a_regression_is_no_nearer(flights: list[Flight]) -> None:
+    _, right = _baseline(LATERAL, flights)
+    at_best = replace(
+        right.problem, model=right.model.with_starts({n: right.fit.values[n] for n in right.problem.parameters})
+    )
+    assert first_values(at_best) == {}
+    assert first_values(right.problem) != {}  # off by up to 15 %, as flown here: the regression is nearer
+    assert all(np.isfinite(v) for v in first_values(right.problem).values())
