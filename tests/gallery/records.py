@@ -49,14 +49,23 @@ class Flown:
 
 
 def fly(
-    kind: Kind, folder: Path, seed: int, *, rate: int, gust: float = 0.0, duration: float = 30.0, rest: bool = False
+    kind: Kind,
+    folder: Path,
+    seed: int,
+    *,
+    rate: int,
+    gust: float = 0.0,
+    duration: float = 30.0,
+    rest: bool = False,
+    pitching: float = 0.0,
 ) -> Flown:
-    """Columns at `rate` [Hz], without noise. gust: rms [m/s] of side and vertical gusts; rest: the rudder never moves."""
+    """Columns at `rate` [Hz], without noise. gust: rms [m/s] of side and vertical gusts; rest: the rudder never moves; pitching:
+    peaks of the elevator [rad], in place of aileron and rudder."""
     rng = np.random.default_rng([seed, 20261123])
     fdm, steps = executive(kind.name, folder), round(duration * RATE) + 1
     trim = glide(fdm, kind.speed)
     surfaces, level = trim[3:].copy(), float(trim[1])
-    added = _pilot(kind, rng, steps, rest)
+    added = _pilot(kind, rng, steps, rest, pitching)
     air = _gusts(gust, kind.speed, rng, steps)
     rows = []
     for k in range(steps):
@@ -77,7 +86,7 @@ def fly(
     return Flown(kind, columns, Aircraft(kind.name.lower(), **shape), truth)
 
 
-def _pilot(kind: Kind, rng: np.random.Generator, steps: int, rest: bool) -> Array:
+def _pilot(kind: Kind, rng: np.random.Generator, steps: int, rest: bool, pitching: float = 0.0) -> Array:
     """(3, steps) added elevator, aileron, rudder: doublets and 3-2-1-1 of the aircraft's own pace, no two alike."""
     u, t = np.zeros((3, steps)), np.arange(steps) / RATE
     at = 1.5
@@ -91,6 +100,8 @@ def _pilot(kind: Kind, rng: np.random.Generator, steps: int, rest: bool) -> Arra
     ]
     for row, widths in patterns * 3:
         peak = (kind.aileron if row == 1 else kind.rudder) * rng.uniform(0.7, 1.0)
+        if pitching > 0.0:
+            row, peak = 0, pitching * rng.uniform(0.5, 1.0)
         sign, scale = rng.choice((-1.0, 1.0)), kind.pace * rng.uniform(0.9, 1.1)
         for width in widths:
             if not (rest and row == 2):

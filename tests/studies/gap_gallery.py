@@ -53,13 +53,13 @@ def commanded(columns: Columns, flown: Flown) -> Columns:
     """Servo commands in place of positions: what moved is a first-order lag behind them."""
     step = float(columns["time"][1] - columns["time"][0])
     out = dict(columns)
-    for name in ("delta_a", "delta_r"):
+    for name in ("delta_e", "delta_a", "delta_r"):
         out[name] = columns[name] + records.SERVO * np.gradient(columns[name], step)
     return out
 
 
-LATE = ("attitude_lag", "time_skew", "unknown")
-AHEAD = ("vane_position", "imu_lever_arm", "beta_lag", "time_skew")
+LATE = ("attitude_lag", "time_skew", "theta_lag", "unknown")
+AHEAD = ("vane_position", "imu_lever_arm", "beta_lag", "time_skew", "alpha_position", "imu_x", "imu_z")
 ROWS = (
     Row("plain"),
     Row("12 bits", records.quantised),
@@ -113,6 +113,7 @@ class Hidden:
     names: tuple[str, ...] = ()
     aircraft: Callable[[Path], None] | None = None
     columns: Change | None = None
+    plane: str = "lateral"
 
 
 HIDDEN: Mapping[str, Hidden] = {
@@ -123,32 +124,41 @@ HIDDEN: Mapping[str, Hidden] = {
     "beta_scale": Hidden(("beta_scale",), columns=scaled("beta", 1.2)),
     "gyro_scale": Hidden(("gyro_scale",), columns=scaled("r", 1.08)),
     "commands": Hidden(("aileron_lag", "rudder_lag", "aileron_delay", "rudder_delay"), columns=commanded),
+    "nothing in pitch": Hidden(plane="longitudinal"),
+    "alpha_lag": Hidden(("alpha_lag",), columns=late("alpha", 0.12), plane="longitudinal"),
+    "alpha_scale": Hidden(("alpha_scale",), columns=scaled("alpha", 1.2), plane="longitudinal"),
+    "V_scale": Hidden(("V_scale",), columns=scaled("V", 1.06), plane="longitudinal"),
+    "elevator commands": Hidden(("elevator_lag", "elevator_delay"), columns=commanded, plane="longitudinal"),
 }
 
 
-TERMS: Mapping[str, tuple[tuple[str, str], ...]] = {
-    "CY_da": (("CY", "da"),), "Cn_da": (("Cn", "da"),), "Cl_alpha_beta": (("Cl", "alpha beta"),),
-    "Cn_alpha_beta": (("Cn", "alpha beta"),), "Cl_da_de": (("Cl", "da de"),), "Cl_beta3": (("Cl", "beta beta beta"),),
-    "Cn_beta3": (("Cn", "beta beta beta"),), "CY_beta3": (("CY", "beta beta beta"),), "Cl_da3": (("Cl", "da da da"),),
-    "Cn_dr3": (("Cn", "dr dr dr"),), "Cl_p_abs_p": (("Cl", "ph size_ph"),), 
-    "surface_compliance": (("Cl", "da V V"), ("Cn", "dr V V")),
-    "Cl_betadot": (("Cl", "bdot"),), "Cn_betadot": (("Cn", "bdot"),), "stall_separation": (("Cl", "ph alpha"),),
-    "Cl by r_hat alpha": (("Cl", "rh alpha"),), "Cn by p_hat alpha": (("Cn", "ph alpha"),),
+TERMS: Mapping[str, str] = {
+    "CY_da": "CY da", "Cn_da": "Cn da", "Cl_alpha_beta": "Cl alpha beta", "Cn_alpha_beta": "Cn alpha beta",
+    "Cl_da_de": "Cl da de", "Cl_beta3": "Cl beta beta beta", "Cn_beta3": "Cn beta beta beta",
+    "CY_beta3": "CY beta beta beta", "Cl_da3": "Cl da da da",
+    "Cn_dr3": "Cn dr dr dr", "Cl_p_abs_p": "Cl ph size_ph", "surface_compliance": "Cl da V V", "Cl_betadot": "Cl bdot",
+    "Cn_betadot": "Cn bdot", "stall_separation": "Cl ph alpha",
 }  # fmt: skip
-"""What names of aerodynamic effects add to a coefficient."""
-BASE: Mapping[str, str] = {"CY": "1 beta ph rh dr", "Cl": "1 beta ph rh da dr", "Cn": "1 beta ph rh dr"}
-PRESENT = 0.5  # of what the best of the terms explains in a coefficient
+TERMS_IN_PITCH: Mapping[str, str] = {
+    "CL_alphadot": "CL adot", "Cm_alphadot": "Cm adot", "CL_alpha2": "CL alpha alpha", "Cm_alpha2": "Cm alpha alpha",
+    "CL_alpha3": "CL alpha alpha alpha", "Cm_alpha3": "Cm alpha alpha alpha", "CL_de3": "CL de de de", "Cm_de3": "Cm de de de",
+    "Cm_alpha_de": "Cm alpha de", "CD_CL": "CD CL", "CD_alpha4": "CD alpha alpha alpha alpha", "CD_de2": "CD de de",
+    "CD_q": "CD qh", "wing_compliance": "CL alpha V V", "elevator_compliance": "Cm de V V",
+    "stall_separation": "CL alpha alpha alpha",
+}  # fmt: skip
+"""Name of an effect -> the coefficient and the product of signals that it adds to it."""
+BASE: Mapping[str, str] = {
+    "CY": "1,beta,ph,rh,dr", "Cl": "1,beta,ph,rh,da,dr", "Cn": "1,beta,ph,rh,dr",
+    "CL": "1,alpha,qh,de", "CD": "1,CL CL", "Cm": "1,alpha,qh,de",
+}  # fmt: skip
+PRESENT = 0.1  # of what the linear coefficient leaves
 
 
-def present(flown: Sequence[Flown]) -> dict[str, float]:
-    """Names of terms that are in the aircraft: share of what the linear coefficient leaves, in the motion without noise, that the
-    term explains, where that is at least half of what the best one does."""
-    found: dict[str, float] = {}
-    for line in BASE:
-        shares = {n: _explained(flown, line, t) for n, terms in TERMS.items() for where, t in terms if where == line}
-        best = max(shares.values())
-        found |= {n: round(s, 2) for n, s in shares.items() if s > PRESENT * best and s > 0.1}
-    return found
+def present(flown: Sequence[Flown], terms: Mapping[str, str]) -> dict[str, float]:
+    """Names of terms that are in the aircraft: the share that a term explains of what the linear coefficient leaves, in the
+    motion without noise, where it is more than a little."""
+    shares = {n: _explained(flown, *of.split(maxsplit=1)) for n, of in terms.items()}
+    return {n: round(s, 2) for n, s in shares.items() if s > PRESENT}
 
 
 def _explained(flown: Sequence[Flown], line: str, more: str) -> float:
@@ -159,14 +169,19 @@ def _explained(flown: Sequence[Flown], line: str, more: str) -> float:
         roll = a.Ixx * c["p_dot"] - a.Ixz * (c["r_dot"] + c["p"] * c["q"]) + (a.Izz - a.Iyy) * c["q"] * c["r"]
         yaw = a.Izz * c["r_dot"] - a.Ixz * (c["p_dot"] - c["q"] * c["r"]) + (a.Iyy - a.Ixx) * c["p"] * c["q"]
         made = {"CY": a.mass * c["ay"] / pressure, "Cl": roll / (pressure * a.span), "Cn": yaw / (pressure * a.span)}
+        sin, cos = np.sin(c["alpha"]), np.cos(c["alpha"])
+        made["CL"] = a.mass * (c["ax"] * sin - c["az"] * cos) / pressure
+        made["CD"] = -a.mass * (c["ax"] * cos + c["az"] * sin) / pressure
+        made["Cm"] = a.Iyy * c["q_dot"] / (pressure * a.chord)
         signals = {
-            "beta": c["beta"], "alpha": c["alpha"], "V": c["V"] / one.kind.speed, 
+            "beta": c["beta"], "alpha": c["alpha"], "V": c["V"] / one.kind.speed,
             "da": c["delta_a"], "dr": c["delta_r"], "de": c["delta_e"],
             "ph": c["p"] * a.span / (2 * c["V"]), "rh": c["r"] * a.span / (2 * c["V"]),
-            "bdot": np.gradient(c["beta"], c["time"]) * a.span / (2 * c["V"]), "1": np.ones_like(c["V"]),
+            "bdot": np.gradient(c["beta"], c["time"]) * a.span / (2 * c["V"]), "1": np.ones_like(c["V"]), "CL": made["CL"],
+            "qh": c["q"] * a.chord / (2 * c["V"]), "adot": np.gradient(c["alpha"], c["time"]) * a.chord / (2 * c["V"]),
         }  # fmt: skip
         signals["size_ph"] = np.abs(signals["ph"])
-        terms = [np.prod([signals[f] for f in t.split()], axis=0) for t in (*BASE[line].split(), more)]
+        terms = [np.prod([signals[f] for f in t.split()], axis=0) for t in (*BASE[line].split(","), more)]
         columns.append(np.column_stack(terms))
         wanted.append(made[line])
     A, y = np.concatenate(columns), np.concatenate(wanted)
@@ -187,8 +202,8 @@ def judged(r: Mapping[str, Any]) -> str:
     return "right"
 
 
-def model_for(flown: Flown) -> Model:
-    return load_model("lateral", flown.craft)
+def model_for(flown: Flown, plane: str = "lateral") -> Model:
+    return load_model(plane, flown.craft)
 
 
 def flights_of(kind: Kind, row: Row, hidden: Hidden, seed: int, folder: Path) -> tuple[list[Flight], list[Flown]]:
@@ -200,8 +215,10 @@ def flights_of(kind: Kind, row: Row, hidden: Hidden, seed: int, folder: Path) ->
     for i, share in enumerate(SPEEDS):
         one = fly(
             replace(kind, speed=share * kind.speed), folder, 10 * seed + i, rate=RATES[kind.name],
-            duration=60.0 if kind.pace > 1.0 else 30.0, **row.flight,
+            duration=60.0 if kind.pace > 1.0 else 30.0, pitching=0.5 * kind.aileron if hidden.plane == "longitudinal" else 0.0,
+            **row.flight,
         )  # fmt: skip
+        one = replace(one, columns={**one.columns, "thrust": np.zeros_like(one.columns["time"])})
         if hidden.columns is not None:
             one = replace(one, columns=hidden.columns(dict(one.columns), one))
         flown.append(one)
@@ -219,10 +236,10 @@ def outcome(kind: Kind, row: Row, label: str, seed: int, nulls: int) -> dict[str
         "row": row.title,
         "hidden": label,
         "seed": seed,
-        "present": present(flown),
+        "present": present(flown, TERMS if hidden.plane == "lateral" else TERMS_IN_PITCH),
     }
     try:
-        result = run_gap(model_for(flown[0]), four[:3], four[3:], options=Options(seed=1, nulls=nulls))
+        result = run_gap(model_for(flown[0], hidden.plane), four[:3], four[3:], options=Options(seed=1, nulls=nulls))
     except UserError as error:
         return {
             **made,
