@@ -25,7 +25,8 @@ from tests.firmware_sim.plants import QUIET, fly, level_state, motion_of, plain_
 LISTED = """
 CY_da Cn_da CY_p_r Cl_alpha_beta Cn_alpha_beta Cl_da_de Cl_beta3 Cn_beta3 CY_beta3 Cl_da3 Cn_dr3 Cl_p_abs_p stall_separation
 Cl_betadot Cn_betadot indicial_lag Ixz_error lateral_cg prop_gyroscopic motor_torque slipstream_rudder p_factor
-aileron_delay rudder_delay aileron_lag rudder_lag aileron_deadzone aileron_backlash rudder_backlash surface_compliance
+aileron_delay rudder_delay aileron_lag rudder_lag servo_delay servo_lag aileron_deadzone aileron_backlash rudder_backlash
+surface_compliance
 beta_scale beta_bias beta_lag vane_position imu_lever_arm gyro_misalignment gyro_scale attitude_lag airspeed_scale time_skew
 gust wind_shear
 """.split()
@@ -181,6 +182,7 @@ def test_instrument_errors_bend_the_channel_they_name(
     [
         ("aileron_lag", "surface_a", AILERON, 0.06),
         ("rudder_lag", "surface_r", {"rudder": ANGLE}, 0.06),
+        ("servo_lag", "surface_r", {"rudder": ANGLE}, 0.06),
     ],
 )
 def test_a_lagging_surface_starts_where_it_was_at_the_rate_of_its_time_constant(

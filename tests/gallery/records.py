@@ -1,7 +1,7 @@
 """Flights of the gallery: hand-flown lateral manoeuvres in a glide, gusts, and what awkward instruments make of them."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -40,12 +40,14 @@ FULL_SCALE: Mapping[str, float] = {
 
 @dataclass(frozen=True)
 class Flown:
-    """One flight: the exact columns at the centre of gravity, the aircraft as a person would write it down, true derivatives."""
+    """One flight: the exact columns at the centre of gravity, the aircraft as a person would write it down, true derivatives.
+    deflections: what the surfaces did, where something else is recorded for it."""
 
     kind: Kind
     columns: Mapping[str, Array]
     craft: Aircraft
     truth: Mapping[str, float]
+    deflections: Mapping[str, Array] = field(default_factory=dict)
 
 
 def fly(
@@ -58,23 +60,26 @@ def fly(
     duration: float = 30.0,
     rest: bool = False,
     pitching: float = 0.0,
+    commands: bool = False,
 ) -> Flown:
     """Columns at `rate` [Hz], without noise. gust: rms [m/s] of side and vertical gusts; rest: the rudder never moves; pitching:
-    peaks of the elevator [rad], in place of aileron and rudder."""
+    peaks of the elevator [rad], in place of aileron and rudder; commands: what servos are told is recorded for what they do."""
     rng = np.random.default_rng([seed, 20261123])
     fdm, steps = executive(kind.name, folder), round(duration * RATE) + 1
     trim = glide(fdm, kind.speed)
     surfaces, level = trim[3:].copy(), float(trim[1])
     added = _pilot(kind, rng, steps, rest, pitching)
     air = _gusts(gust, kind.speed, rng, steps)
-    rows = []
+    rows, moved = [], []
     for k in range(steps):
         phi, theta = fdm["attitude/phi-rad"], fdm["attitude/theta-rad"]
         p, q = fdm["velocities/p-rad_sec"], fdm["velocities/q-rad_sec"]
-        if k % (RATE // rate) == 0:
-            rows.append(_seen(fdm, k, surfaces))
         hold = np.array([0.15 * (theta - level) + 0.1 * q, 0.15 * phi + 0.02 * p, 0.0])
-        surfaces = surfaces + (trim[3:] + added[:, k] + hold - surfaces) / (SERVO * RATE)
+        wanted = trim[3:] + added[:, k] + hold
+        if k % (RATE // rate) == 0:
+            rows.append(_seen(fdm, k, wanted if commands else surfaces))
+            moved.append(surfaces)
+        surfaces = surfaces + (wanted - surfaces) / (SERVO * RATE)
         if rest:
             surfaces[2] = trim[5]
         put_surfaces(fdm, *surfaces)
@@ -83,7 +88,8 @@ def fly(
     columns = {n: v.copy() for n, v in zip(SEEN, np.array(rows).T, strict=True)}
     shape = properties(fdm)
     truth = lateral_derivatives(fdm, columns, np.linspace(0, len(rows) - 1, 7).astype(np.int64))
-    return Flown(kind, columns, Aircraft(kind.name.lower(), **shape), truth)
+    deflections = dict(zip(("delta_e", "delta_a", "delta_r"), np.array(moved).T, strict=True))
+    return Flown(kind, columns, Aircraft(kind.name.lower(), **shape), truth, deflections)
 
 
 def _pilot(kind: Kind, rng: np.random.Generator, steps: int, rest: bool, pitching: float = 0.0) -> Array:

@@ -36,6 +36,7 @@ CLASSES: tuple[frozenset[str], ...] = (
     ),  # one error under two names: V is an input of `lateral`, an output of `six-dof`
     frozenset({"aileron_delay", "aileron_lag", "Cl_betadot"}),
     frozenset({"rudder_delay", "rudder_lag"}),
+    frozenset({"servo_delay", "servo_lag", "time_skew"}),
     frozenset({"Cl_da3", "aileron_deadzone", "Cl_p_abs_p", "aileron_backlash"}),
     frozenset({"surface_compliance", "Cl_da_de"}),
     frozenset({"motor_torque", "p_factor", "lateral_cg"}),

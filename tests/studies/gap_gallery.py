@@ -49,15 +49,6 @@ class Row:
     names: tuple[str, ...] = ()
 
 
-def commanded(columns: Columns, flown: Flown) -> Columns:
-    """Servo commands in place of positions: what moved is a first-order lag behind them."""
-    step = float(columns["time"][1] - columns["time"][0])
-    out = dict(columns)
-    for name in ("delta_e", "delta_a", "delta_r"):
-        out[name] = columns[name] + records.SERVO * np.gradient(columns[name], step)
-    return out
-
-
 LATE = ("attitude_lag", "time_skew", "theta_lag", "unknown")
 AHEAD = ("vane_position", "imu_lever_arm", "beta_lag", "time_skew", "alpha_position", "imu_x", "imu_z")
 ROWS = (
@@ -108,9 +99,10 @@ def scaled(name: str, by: float) -> Change:
 
 @dataclass(frozen=True)
 class Hidden:
-    """Something to find. names: what it may be called."""
+    """Something to find. names: what it may be called; flight: how it is flown; columns: what the instruments show."""
 
     names: tuple[str, ...] = ()
+    flight: Mapping[str, Any] = field(default_factory=dict)
     aircraft: Callable[[Path], None] | None = None
     columns: Change | None = None
     plane: str = "lateral"
@@ -118,17 +110,17 @@ class Hidden:
 
 HIDDEN: Mapping[str, Hidden] = {
     "nothing": Hidden(),
-    "Cn_da": Hidden(("Cn_da", "Ixz_error"), term("YAW", "fcs/left-aileron-pos-rad", 0.02)),
-    "Cl_beta3": Hidden(("Cl_beta3",), term("ROLL", "aero/beta-rad", "aero/beta-rad", "aero/beta-rad", 4.0)),
+    "Cn_da": Hidden(("Cn_da", "Ixz_error"), aircraft=term("YAW", "fcs/left-aileron-pos-rad", 0.02)),
+    "Cl_beta3": Hidden(("Cl_beta3",), aircraft=term("ROLL", "aero/beta-rad", "aero/beta-rad", "aero/beta-rad", 4.0)),
     "beta_lag": Hidden(("beta_lag", "time_skew", "vane_position"), columns=late("beta", 0.12)),
     "beta_scale": Hidden(("beta_scale",), columns=scaled("beta", 1.2)),
     "gyro_scale": Hidden(("gyro_scale",), columns=scaled("r", 1.08)),
-    "commands": Hidden(("aileron_lag", "rudder_lag", "aileron_delay", "rudder_delay"), columns=commanded),
+    "commands": Hidden(("servo_lag", "servo_delay"), {"commands": True}),
     "nothing in pitch": Hidden(plane="longitudinal"),
     "alpha_lag": Hidden(("alpha_lag",), columns=late("alpha", 0.12), plane="longitudinal"),
     "alpha_scale": Hidden(("alpha_scale",), columns=scaled("alpha", 1.2), plane="longitudinal"),
     "V_scale": Hidden(("V_scale",), columns=scaled("V", 1.06), plane="longitudinal"),
-    "elevator commands": Hidden(("elevator_lag", "elevator_delay"), columns=commanded, plane="longitudinal"),
+    "elevator commands": Hidden(("elevator_lag", "elevator_delay"), {"commands": True}, plane="longitudinal"),
 }
 
 
@@ -174,7 +166,7 @@ def _explained(flown: Sequence[Flown], line: str, more: str) -> float:
         made["CD"] = -a.mass * (c["ax"] * cos + c["az"] * sin) / pressure
         made["Cm"] = a.Iyy * c["q_dot"] / (pressure * a.chord)
         signals = {
-            "beta": c["beta"], "alpha": c["alpha"], "V": c["V"] / one.kind.speed,
+            "beta": c["beta"], "alpha": c["alpha"], "V": c["V"] / 100.0,
             "da": c["delta_a"], "dr": c["delta_r"], "de": c["delta_e"],
             "ph": c["p"] * a.span / (2 * c["V"]), "rh": c["r"] * a.span / (2 * c["V"]),
             "bdot": np.gradient(c["beta"], c["time"]) * a.span / (2 * c["V"]), "1": np.ones_like(c["V"]), "CL": made["CL"],
@@ -216,12 +208,12 @@ def flights_of(kind: Kind, row: Row, hidden: Hidden, seed: int, folder: Path) ->
         one = fly(
             replace(kind, speed=share * kind.speed), folder, 10 * seed + i, rate=RATES[kind.name],
             duration=60.0 if kind.pace > 1.0 else 30.0, pitching=0.5 * kind.aileron if hidden.plane == "longitudinal" else 0.0,
-            **row.flight,
+            **row.flight, **hidden.flight,
         )  # fmt: skip
         one = replace(one, columns={**one.columns, "thrust": np.zeros_like(one.columns["time"])})
+        flown.append(replace(one, columns={**one.columns, **one.deflections}))
         if hidden.columns is not None:
             one = replace(one, columns=hidden.columns(dict(one.columns), one))
-        flown.append(one)
         four.append(replace(recorded(one, 10 * seed + i, row.change), name=f"f{i}"))
     return four, flown
 

@@ -45,6 +45,7 @@ TYPICAL: Mapping[str, float] = {
     "stall_separation": 9.0 * DEG, "Cl_betadot": -0.10, "Cn_betadot": -0.03, "indicial_lag": 0.05,
     "Ixz_error": 0.03, "lateral_cg": 0.010, "prop_gyroscopic": 0.15, "motor_torque": 0.04, "slipstream_rudder": 4.0,
     "p_factor": 0.15, "aileron_delay": 0.06, "rudder_delay": 0.06, "aileron_lag": 0.06, "rudder_lag": 0.06,
+    "servo_delay": 0.06, "servo_lag": 0.06,
     "aileron_deadzone": 0.8 * DEG, "aileron_backlash": 1.0 * DEG, "rudder_backlash": 1.0 * DEG,
     "surface_compliance": 0.25, "beta_scale": 0.10, "beta_lag": 0.07, "vane_position": 0.35, "imu_lever_arm": 0.08,
     "gyro_misalignment": 1.7 * DEG, "gyro_scale": 0.03, "attitude_lag": 0.10, "airspeed_scale": 0.06,
@@ -211,7 +212,7 @@ def _integrate(d: Mapping[str, Array], inertia: Mapping[str, Array], V0: Array, 
     post = servo[:2].copy()  # surface after any lag
     loose = servo[:2].copy()  # backlash
     pilot = np.zeros((2, n))
-    delay = np.round(np.stack([e["aileron_delay"], e["rudder_delay"]]) * RATE).astype(int)
+    delay = np.round((np.stack([e["aileron_delay"], e["rudder_delay"]]) + e["servo_delay"]) * RATE).astype(int)
     line = np.zeros((2, steps, n))
     thrust, pull = T0.copy(), T0.copy()
     elevator = pitch.Elevator(e, de0, RATE, steps)
@@ -330,7 +331,7 @@ def _integrate(d: Mapping[str, Array], inertia: Mapping[str, Array], V0: Array, 
         line[:, k] = servo[:2]
         back = np.maximum(k - delay, 0)
         late = np.take_along_axis(line, back[:, None, :], axis=1)[:, 0]
-        taus = np.stack([e["aileron_lag"], e["rudder_lag"]])
+        taus = np.stack([e["aileron_lag"], e["rudder_lag"]]) + e["servo_lag"]
         post = np.where(taus > 0, post + dt / np.maximum(taus, 1e-3) * (late - post), late)
         half = 0.5 * np.stack([e["aileron_backlash"], e["rudder_backlash"]])
         loose = np.clip(loose, post - half, post + half)

@@ -44,14 +44,14 @@ class Elevator:
     def __init__(self, e: Mapping[str, Array], first: Array, rate: int, steps: int) -> None:
         self.e, self.h = e, 1.0 / rate
         self.past = np.zeros((steps, first.size))
-        self.late = np.round(e["elevator_delay"] * rate).astype(int)
+        self.late = np.round((e["elevator_delay"] + e["servo_delay"]) * rate).astype(int)
         self.follows, self.rests = first.copy(), first.copy()
 
     def step(self, k: int, arm: Array) -> Array:
         """(flights,) elevator at step k for the position of its arm."""
         self.past[k] = arm
         seen = self.past[np.maximum(k - self.late, 0), np.arange(arm.size)]
-        tau = self.e["elevator_lag"]
+        tau = self.e["elevator_lag"] + self.e["servo_lag"]
         self.follows = np.where(tau > 0, self.follows + self.h / np.maximum(tau, 1e-3) * (seen - self.follows), seen)
         half = 0.5 * self.e["elevator_backlash"]
         self.rests = np.clip(self.rests, self.follows - half, self.follows + half)

@@ -50,6 +50,34 @@ def _slack(name: str, title: str, surface: str, word: str) -> Effect:
     )
 
 
+def _all_late(name: str, kind: str) -> Effect:
+    delay = kind == "delay"
+    other = "servo_lag" if delay else "servo_delay"
+    transforms = tuple(InputTransform(kind, s, (name,)) for s in ("delta_a", "delta_r", "delta_e"))
+    parameter = EffectParameter(name, "s", 0.06, 0.0, 0.3, meaning="transport delay" if delay else "time constant")
+    return Effect(
+        name,
+        f"all controls acting {'late' if delay else 'slowly'}",
+        Group.ACTUATOR,
+        "What is recorded is what the servos are told and not where they are, or one clock stamps all surfaces early: every "
+        + (
+            "surface acts the same time after its record."
+            if delay
+            else "surface follows its record with the lag of one kind of servo."
+        ),
+        "δ(t) → δ(t − T)" if delay else "τ δ̇_eff = δ − δ_eff",
+        "0.02 to 0.1 s, servo data sheets",
+        "residuals like minus the rates of all controls; the fit moves all of them in time",
+        {
+            other: "steps show the shape: a lag rounds, a delay shifts",
+            "time_skew": "compare pulse width, potentiometer and gyro",
+            **{n: f"{n.partition('_')[0]} steps with the others still" for n in ("aileron_lag", "rudder_lag")},
+        },
+        "potentiometers on the surfaces, or a servo's step filmed on the bench",
+        (Form(name, (parameter,), transforms=transforms, requires=("delta_a", "delta_r")),),
+    )
+
+
 _SOFT = "-compliance*q_dyn/200*{0}"
 
 ACTUATOR = (
@@ -57,6 +85,8 @@ ACTUATOR = (
     _late("rudder_delay", "rudder acting late", "delay", "delta_r", "rudder", "rudder_lag"),
     _late("aileron_lag", "aileron acting slowly", "lag", "delta_a", "aileron", "aileron_delay"),
     _late("rudder_lag", "rudder acting slowly", "lag", "delta_r", "rudder", "rudder_delay"),
+    _all_late("servo_delay", "delay"),
+    _all_late("servo_lag", "lag"),
     Effect(
         "aileron_deadzone", "aileron dead around neutral", Group.ACTUATOR,
         "Small deflections do nothing: flow inside a thick boundary layer, or a slotted linkage around neutral.",
@@ -71,11 +101,12 @@ ACTUATOR = (
     _slack("rudder_backlash", "play in the rudder linkage", "delta_r", "rudder"),
     Effect(
         "surface_compliance", "control surfaces that give way to the airstream", Group.ACTUATOR,
-        "Linkage and surface twist under load: effectiveness falls with dynamic pressure.",
+        "Linkage and surface twist under load: effectiveness falls with dynamic pressure. A coefficient that falls with Mach "
+        "number looks the same in flights at one height.",
         "δ → δ (1 − k q/200 Pa)", "5 to 20 % at 20 m/s",
         "control derivatives estimated at different speeds disagree",
         {"airspeed_scale": "speed sweep with GPS", "slipstream_rudder": "throttle against speed"},
-        "doublets at three speeds",
+        "doublets at three speeds, and at one speed at two heights",
         (Form("all surfaces", (EffectParameter("compliance", "1/(200 Pa)", 0.2, -0.9, 0.9, meaning="loss"),),
               terms={f"C{x}": tuple(_SOFT.format(f"C{x}_{d}*delta_{d[1]}") for d in ("da", "dr")) for x in "Yln"},
               requires=("q_dyn",)),

@@ -197,14 +197,14 @@ NONLINEAR = (
 
 
 def _drag(name: str, title: str, term: str, typical: float, lower: float, upper: float, unit: str, physics: str,
-          equation: str, confusions: dict[str, str], separate_by: str) -> Effect:  # fmt: skip
+          equation: str, confusions: dict[str, str], separate_by: str, more: tuple[Form, ...] = ()) -> Effect:  # fmt: skip
     parameter = EffectParameter(
         name, unit, typical, lower, upper, meaning="drag per " + equation.rsplit("·", maxsplit=1)[-1].strip()
     )
     symbols = {"CL": "CL", "alpha^4": "alpha", "delta_e^2": "delta_e", "q_hat": "q_hat"}
     form = Form(name, (parameter,), terms={"CD": (f"{name}*{term}",)}, requires=("CD", symbols[term]))
     return Effect(name, title, Group.NONLINEAR, physics, equation, "engineering estimate; Hoerner 1965 for the orders of size",
-                  "a_x and V, with nothing in q", confusions, separate_by, (form,), family="drag")  # fmt: skip
+                  "a_x and V, with nothing in q", confusions, separate_by, (form, *more), family="drag")  # fmt: skip
 
 
 DRAG = (
@@ -216,8 +216,12 @@ DRAG = (
           "Separation adds drag long before lift breaks.", "C_D = ... + k · α⁴",
           {"CD_CL": GLIDES, "thrust_scale": "glide against climb"}, "slow flight with the throttle fixed"),
     _drag("CD_de2", "drag of the deflected elevator", "delta_e^2", 0.5, -1.0, 3.0, "1/rad2",
-          "Deflected trailing edges drag.", "C_D = ... + k · δe²",
-          {"CD_alpha4": "two centre-of-gravity trims", "thrust_scale": GLIDES}, "large elevator doublets in a glide"),
+          "Deflected trailing edges drag. About an elevator that is never near neutral a parabola is nearly a straight line.",
+          "C_D = ... + k · δe²",
+          {"CD_alpha4": "two centre-of-gravity trims", "thrust_scale": GLIDES, "imu_z": "tape measure"},
+          "large elevator doublets in a glide",
+          (Form("in proportion", (EffectParameter("CD_de", "1/rad", 0.05, -0.3, 0.3, meaning="drag per δe"),),
+                terms={"CD": ("CD_de*delta_e",)}, requires=("CD", "delta_e")),)),
     _drag("CD_q", "drag from pitch rate", "q_hat", 0.2, -2.0, 2.0, "1/rad",
           "Pitching turns the lift of tail and tips backward.", "C_D = ... + k · q̂",
           {"imu_z": "tape measure", "imu_x": "tape measure"}, "pull-ups at one speed with the throttle fixed"),

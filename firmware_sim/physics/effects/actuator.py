@@ -116,6 +116,31 @@ class RudderLag(Effect):
         dx[self.at] = (m.arm_r - x[self.at]) / self.xp.maximum(self.size, 1e-3)
 
 
+class ServoDelay(_Delay):
+    """All surfaces move a dead time after what is recorded of them."""
+
+    name, title = "servo_delay", "dead time of all surfaces"
+    arms = (("arm_left", "surface_left"), ("arm_right", "surface_right"), ("arm_r", "surface_r"))
+
+
+class ServoLag(Effect):
+    """What is recorded is what the servos are told: all surfaces follow it with a first-order lag of `size` s."""
+
+    name, title, group, unit, typical = "servo_lag", "lag of all surfaces", "actuator", "s", 0.06
+    states = 3
+
+    def start(self, m: "Motion", x: State) -> None:
+        x[self.at], x[self.at + 1], x[self.at + 2] = m.arm_left, m.arm_right, m.arm_r
+
+    def linkage(self, m: "Motion", x: State) -> None:
+        m.surface_left, m.surface_right, m.surface_r = x[self.at], x[self.at + 1], x[self.at + 2]
+
+    def derivatives(self, m: "Motion", x: State, dx: State) -> None:
+        tau = self.xp.maximum(self.size, 1e-3)
+        for k, arm in enumerate((m.arm_left, m.arm_right, m.arm_r)):
+            dx[self.at + k] = (arm - x[self.at + k]) / tau
+
+
 def _dead(value: Value, half_width: Value, xp: Maths) -> Value:
     """Nothing within the dead zone, the rest beyond it."""
     return value - xp.clip(value, -half_width, half_width)

@@ -22,7 +22,7 @@ moved = partial(simulate, compile_="never")  # each model is asked once: compili
 
 NAMES = """CY_da Cn_da CY_p_r Cl_alpha_beta Cn_alpha_beta Cl_da_de Cl_beta3 Cn_beta3 CY_beta3 Cl_da3 Cn_dr3 Cl_p_abs_p
 stall_separation Cl_betadot Cn_betadot indicial_lag p_sin_alpha roll_kinematics inertial_coupling Ixz_error lateral_cg
-prop_gyroscopic motor_torque slipstream_rudder p_factor aileron_delay rudder_delay aileron_lag rudder_lag
+prop_gyroscopic motor_torque slipstream_rudder p_factor aileron_delay rudder_delay aileron_lag rudder_lag servo_delay servo_lag
 aileron_deadzone aileron_backlash rudder_backlash surface_compliance beta_scale beta_bias beta_lag vane_position
 imu_lever_arm gyro_misalignment gyro_scale attitude_lag airspeed_scale time_skew gust wind_shear""".split()
 

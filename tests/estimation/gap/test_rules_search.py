@@ -149,7 +149,13 @@ def test_inflation_divides_what_residuals_gain_and_not_what_priors_do() -> None:
 
 
 def test_the_price_of_an_estimate_is_its_distance_and_the_width_of_the_prior() -> None:
-    assert price(3.0, 0.3, 3.0) == pytest.approx(0.5 + np.log(10.0))
+    assert price(3.0, 0.3, 3.0) == pytest.approx(
+        2.0 * np.log(4.0 / 3.0) + np.log(10.0)
+    )  # Student's t, three degrees of freedom
+    assert price(0.3, 0.3, 3.0) == pytest.approx(
+        0.5 * 0.1**2 * 4.0 / 3.0 + np.log(10.0), abs=1e-4
+    )  # near none as a Gaussian
+    assert price(30.0, 0.3, 3.0) < np.log(10.0) + 8.0  # ten times the width is dear, not impossible
     assert price(0.0, 30.0, 3.0) == 0.0
     assert price(3.0, np.inf, 3.0) == 0.0
 
@@ -166,7 +172,7 @@ def test_evidence_is_the_gain_over_the_inflation_less_the_price_of_the_size() ->
     assert found.gain == pytest.approx(120.0)
     assert found.score == pytest.approx(np.sqrt(120.0))
     assert found.size == 1.5
-    assert found.evidence == pytest.approx(0.5 * 120.0 / 4.0 - 0.5 - np.log(3.0 / 0.06))
+    assert found.evidence == pytest.approx(0.5 * 120.0 / 4.0 - 2.0 * np.log(4.0 / 3.0) - np.log(3.0 / 0.06))
     assert found.evidence - assessed(3.0, forms=2).evidence == pytest.approx(np.log(2.0))
 
 
