@@ -16,10 +16,12 @@ from estimation.gap.search.search_state import Finding, SearchState, Setting
 from estimation.gap.tests_of_fit.calibration import Round
 from estimation.gap.tests_of_fit.kinematic_check import KinematicCheck
 from estimation.gap.tests_of_fit.measure import Floors, floors, on_holdout, rms_over_noise
+from estimation.gap.tests_of_fit.omnibus import Omnibus, examine
 from estimation.gap.tests_of_fit.repeatability import repeatability
 from estimation.gap.verdict.decide import Decision, Facts, Named, decide, with_event, with_shape
 from estimation.gap.verdict.disagreement import views
 from estimation.gap.verdict.held import held_back, held_step
+from estimation.gap.verdict.late_rest import beside_memory, late_rest
 from estimation.gap.verdict.lineage import fitted
 from estimation.gap.verdict.nameless import (
     event_step,
@@ -55,7 +57,20 @@ def concluded(setting: Setting, search: SearchState, check: KinematicCheck) -> G
         again = searched(setting, search, first, replace(decision, verdict=Verdict.UNKNOWN))
         if again.shape is not None and as_good(again.shape, named[0], setting.options.criteria):
             decision, kept, standing, found = without_name(decision, kept[0], again.shape), (), first.baseline, again
-    if found.shape is None and (not kept or decision.verdict is Verdict.UNKNOWN):
+    rest = search.omnibus
+    if (
+        kept
+        and found.shape is None
+        and (late := late_rest(setting, search, kept, standing_round(setting, search, kept)))
+    ):
+        decision = beside_memory(with_event(decision), [n.effect for n in named], late)
+        if decision.kept < len(kept):
+            kept = kept[: decision.kept]
+            about = standing_round(setting, search, kept)
+            standing, rest = about.baseline, examine(about)
+            left = rms_over_noise(standing.problem, standing.fit, setting.scatter)
+        found = ShapeSearch(None, (), late.memory)
+    elif found.shape is None and (not kept or decision.verdict is Verdict.UNKNOWN):
         about = standing_round(setting, search, kept)
         found = searched(setting, search, about, decision)
         event = happened(setting, about) if found.shape is None else None
@@ -65,7 +80,7 @@ def concluded(setting: Setting, search: SearchState, check: KinematicCheck) -> G
         decision, unnamed = with_event(decision), event_step(event, Gap(left, left, floor.training_median))
     elif decision.verdict is Verdict.NO_GAP and (held := held_back(first.baseline, prepared)):
         decision, unnamed = with_event(decision), held_step(held, Gap(left, left, floor.training_median))
-    steps = told(decision, named, search, check, left, floor, unnamed, late_of(found))
+    steps = told(decision, named, rest, check, left, floor, unnamed, late_of(found))
     after = standing if found.shape is None else found.shape.measured.child
     seen = views(first.baseline, after, prepared, after is not first.baseline)
     detectable = detectable_sizes(last)
@@ -101,9 +116,9 @@ def concluded(setting: Setting, search: SearchState, check: KinematicCheck) -> G
             "cannot_tell": [{"effect": e.name, "separate_by": e.separate_by} for e in cannot],
             "left": [
                 {"kind": s.kind, "place": s.place, "what": s.what, "score": round(s.score, 2)}
-                for s in search.omnibus.leading[:LEFT]
+                for s in rest.leading[:LEFT]
             ],
-            "left_threshold": round(float(search.omnibus.threshold), 2),
+            "left_threshold": round(float(rest.threshold), 2),
             "where": [v.to_json() for v in seen],
             "repeatability": [r.to_json() for r in repeats],
             "nulls": setting.options.nulls,
@@ -147,7 +162,7 @@ def facts_of(search: SearchState, named: Sequence[Step], covered: bool, cannot: 
 def told(
     decision: Decision,
     named: Sequence[Step],
-    search: SearchState,
+    rest: Omnibus,
     check: KinematicCheck,
     left: float,
     floor: Floors,
@@ -156,14 +171,14 @@ def told(
 ) -> tuple[Step, ...]:
     """The steps of the answer in words: those of the names that stand, and the nameless rest where that is the verdict.
 
-    unnamed: the rest with a shape or a time, where one was found; late: a lag that gains where none was. The kinematic check saw
-    the flights as they are: it speaks of the first.
+    rest: what stands out without a name; unnamed: it with a shape or a time, where one was found; late: a lag that gains where
+    none was. The kinematic check saw the flights as they are: it speaks of the first.
     """
     steps = list(named[: decision.kept])
     if unnamed is not None:
         steps.append(unnamed)
     elif decision.verdict is Verdict.UNKNOWN:
-        steps.append(replace(unknown_step(search.omnibus, Gap(left, left, floor.training_median)), shape=late))
+        steps.append(replace(unknown_step(rest, Gap(left, left, floor.training_median)), shape=late))
     if steps:
         steps[0] = replace(steps[0], where=replace(steps[0].where, origin=check.origin))
     return tuple(replace(s, text=describe_step(s)) for s in steps)
