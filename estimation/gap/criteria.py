@@ -210,7 +210,14 @@ class Criteria:
     common_inflation: float = criterion(
         2.0, "common inflation", "rivals share one unless their own is larger than this"
     )
-    prior_width: float = criterion(1.5, "usual sizes", "standard deviation of what is believed of an effect's size")
+    prior_width: float = criterion(1.5, "usual sizes", "scale of Student's t, by which an effect's size is believed")
+    prior_tail: float = criterion(
+        3.0,
+        "degrees of freedom",
+        "of the same",
+        "by hand: near the usual size as a Gaussian, and ten times it costs 6 of log evidence and not 35, which had given "
+        "elevator_compliance for Cm_alphadot of a tailed aircraft (2026-11-25)",
+    )
     immaterial: float = criterion(
         0.15,
         "usual sizes",

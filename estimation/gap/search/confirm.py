@@ -24,7 +24,6 @@ STEPS = 12  # in all: a candidate that takes more is no explanation anyone would
 ENOUGH = 0.02  # of the log-likelihood: rivals are weighed by whole units of it
 NEAREST, FARTHEST = 0.3, 3.0  # usual sizes from no effect, between which a fit starts: at none a play has no slope
 SHORTER = (0.3, 0.03)  # of the first start, where the motion runs away from it
-TAIL = 3.0  # degrees of freedom of what is believed of a size
 AT_LIMIT = 1e-6  # of a parameter's range: an estimate so near its end was stopped there
 AT_NOTHING = 1e-3  # usual sizes: so near to none it has shrunk to nothing, and the words say so
 
@@ -142,7 +141,7 @@ def assess(
         value, bound = float(found.values[p.name]), float(std.get(p.name, np.inf)) * np.sqrt(inflation)
         estimates[p.name] = (value, bound)
         size = max(size, abs(value - none) / p.typical)
-        evidence -= price(value - none, bound, criteria.prior_width * p.typical)
+        evidence -= price(value - none, bound, criteria.prior_width * p.typical, criteria.prior_tail)
         why_not = why_not or impossible(p, value, none)
     score = equivalent_z(deflated(gain, freed, inflation if own is None else own), len(hypothesis.form.parameters))
     return Candidate(hypothesis, found, gain, score, evidence, estimates, size, why_not)
@@ -159,16 +158,16 @@ def deflated(gain: float, freed: float, inflation: float) -> float:
     return (gain - freed) / inflation + freed
 
 
-def price(distance: float, bound: float, width: float) -> float:
+def price(distance: float, bound: float, width: float, tail: float) -> float:
     """What an estimate costs in log evidence (Laplace): its distance from no effect in widths of the prior, and the width of
     the prior against the bound.
 
-    The prior is Student's t with three degrees of freedom: the usual size of an effect is known from some aircraft, and another
+    The prior is Student's t with `tail` degrees of freedom: the usual size of an effect is known from some aircraft, and another
     kind of aircraft may have ten times as much of it. A Gaussian one made that cost more than any flight could tell.
     """
     if not np.isfinite(bound):
         return 0.0
-    far = 0.5 * (TAIL + 1.0) * np.log1p((distance / width) ** 2 / TAIL)
+    far = 0.5 * (tail + 1.0) * np.log1p((distance / width) ** 2 / tail)
     return float(far + max(np.log(width / max(bound, 1e-12)), 0.0))
 
 

@@ -111,16 +111,18 @@ def test_facts_know_whose_instrument_a_name_blames_and_how_many_effects_were_ask
 def test_an_answer_tells_the_names_that_stand_and_then_the_rest() -> None:
     named = [step("Cn_da"), step("beta_lag")]
     check, floor = stub(origin="sensor"), stub(training_median=1.0)
-    steps = told(Decision(Verdict.UNKNOWN, 1, ()), named, search("Cn_da", "beta_lag"), check, 1.4, floor)
+    steps = told(Decision(Verdict.UNKNOWN, 1, ()), named, search("Cn_da", "beta_lag").omnibus, check, 1.4, floor)
     assert [s.effect for s in steps] == ["Cn_da", "unknown"]
     assert [s.where.origin for s in steps] == ["sensor", ""]
     assert all(s.text for s in steps)
     assert steps[1].gap == Gap(1.4, 1.4, 1.0)
-    assert [s.effect for s in told(Decision(Verdict.GAP_CLOSED, 2, ()), named, search(), check, 1.0, floor)] == [
+    assert [
+        s.effect for s in told(Decision(Verdict.GAP_CLOSED, 2, ()), named, search().omnibus, check, 1.0, floor)
+    ] == [
         "Cn_da",
         "beta_lag",
     ]
-    assert told(Decision(Verdict.NO_GAP, 0, ()), [], search(), check, 1.0, floor) == ()
+    assert told(Decision(Verdict.NO_GAP, 0, ()), [], search().omnibus, check, 1.0, floor) == ()
 
 
 def test_the_rest_is_placed_by_the_signals_above_the_threshold() -> None:

@@ -149,15 +149,15 @@ def test_inflation_divides_what_residuals_gain_and_not_what_priors_do() -> None:
 
 
 def test_the_price_of_an_estimate_is_its_distance_and_the_width_of_the_prior() -> None:
-    assert price(3.0, 0.3, 3.0) == pytest.approx(
+    assert price(3.0, 0.3, 3.0, 3.0) == pytest.approx(
         2.0 * np.log(4.0 / 3.0) + np.log(10.0)
     )  # Student's t, three degrees of freedom
-    assert price(0.3, 0.3, 3.0) == pytest.approx(
+    assert price(0.3, 0.3, 3.0, 3.0) == pytest.approx(
         0.5 * 0.1**2 * 4.0 / 3.0 + np.log(10.0), abs=1e-4
     )  # near none as a Gaussian
-    assert price(30.0, 0.3, 3.0) < np.log(10.0) + 8.0  # ten times the width is dear, not impossible
-    assert price(0.0, 30.0, 3.0) == 0.0
-    assert price(3.0, np.inf, 3.0) == 0.0
+    assert price(30.0, 0.3, 3.0, 3.0) < np.log(10.0) + 8.0  # ten times the width is dear, not impossible
+    assert price(0.0, 30.0, 3.0, 3.0) == 0.0
+    assert price(3.0, np.inf, 3.0, 3.0) == 0.0
 
 
 def assessed(value: float, forms: int = 1) -> Candidate:
