@@ -153,6 +153,18 @@ class Criteria:
         "equations and the sampling get a little wrong",
         BENCHMARK,
     )
+    null_energy: float = criterion(
+        1.15,
+        "energy of the flights",
+        "a null with more of it, with all that the base can absorb taken out, ran away and is none",
+        "between nulls of stable bases (0.93 to 1.03) and of one whose spiral diverges (two in three above 1.2), 2026-11-25",
+    )
+    nulls_least: float = criterion(
+        0.2,
+        "nulls",
+        "with fewer of them left, those that ran away count too",
+        "by hand: 40 of 200 still know a threshold to 5 %",
+    )
     one_sided: float = criterion(
         0.25, "usual sizes", "an effect that may go less far than this to the other side has one sign"
     )

@@ -6,9 +6,10 @@ eliminated. From then on scores, ties, detectable sizes, pairs, nulls and held-o
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.stats import chi2, norm
 
 from estimation.engine.kernel import Array
@@ -55,6 +56,13 @@ class Screen:
     def projected(self, flights: Sequence[int] | None = None) -> "Projected":
         """Hypotheses and residuals with the shared parameters projected out."""
         return Projected.of(self.total(flights), self.n, self.k)
+
+    def with_nulls(self, kept: NDArray[np.bool_]) -> "Screen":
+        """The same with some of the residual columns behind the data's. kept: (nulls,)."""
+        index = np.flatnonzero(np.concatenate([np.ones(self.n + self.k + 1, dtype=bool), kept]))
+        pick = np.ix_(index, index)
+        reduced = tuple(Reduced(r.gram[pick]) for r in self.reduced)
+        return replace(self, reduced=reduced, prior=self.prior[pick])
 
     def cross_gain(self, hypothesis: int, column: int = 0) -> float | None:
         """Twice the log-likelihood gained on each flight by a hypothesis fitted to all the others, summed; linear theory.

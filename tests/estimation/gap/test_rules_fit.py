@@ -10,8 +10,13 @@ from scipy.stats import gumbel_r
 from estimation.engine.kernel import Array
 from estimation.gap.criteria import AS_SET
 from estimation.gap.effects.base import EffectParameter
-from estimation.gap.tests_of_fit.calibration import kinematic_threshold, name_threshold, null_inflation
-from estimation.gap.tests_of_fit.hypotheses import one_sided
+from estimation.gap.tests_of_fit.calibration import (
+    kinematic_threshold,
+    like_the_flights,
+    name_threshold,
+    null_inflation,
+)
+from estimation.gap.tests_of_fit.hypotheses import Column, one_sided
 from estimation.gap.tests_of_fit.kinematic_check import judged, kinematic_model, null_count
 from estimation.gap.tests_of_fit.measure import Floors
 from estimation.gap.tests_of_fit.omnibus import (
@@ -24,7 +29,7 @@ from estimation.gap.tests_of_fit.omnibus import (
     window_energy,
 )
 from estimation.gap.tests_of_fit.repeatability import usual_and_limit
-from estimation.gap.tests_of_fit.screen import Projected
+from estimation.gap.tests_of_fit.screen import Projected, Reduced, Screen
 
 
 def stub(**fields: Any) -> Any:
@@ -34,6 +39,36 @@ def stub(**fields: Any) -> Any:
 
 GRID = (np.arange(4000) + 0.5) / 4000
 LARGEST = np.asarray(gumbel_r.ppf(GRID, loc=3.0, scale=0.3))  # largest scores of nulls, exactly of that law
+
+
+# ------------------------------------------------------------------------------------------------ nulls that ran away
+def test_nulls_with_a_seventh_more_energy_than_the_flights_ran_away() -> None:
+    energy = np.array([3000.0, *np.linspace(2800.0, 3090.0, 30), 3400.0, 3500.0, 9e4])
+    assert like_the_flights(energy, AS_SET).tolist() == [True] * 31 + [False, False]
+    assert like_the_flights(energy[:31], AS_SET).all()  # nothing is left out of ordinary ones
+
+
+def test_where_hardly_a_null_stays_all_of_them_count() -> None:
+    few = np.array([3000.0, *[2900.0] * 21, *[9e4] * 79])
+    assert np.count_nonzero(like_the_flights(few, AS_SET)) == 21
+    assert like_the_flights(np.array([3000.0, *[2900.0] * 19, *[9e4] * 81]), AS_SET).all()
+    assert like_the_flights(np.array([3000.0, *[2900.0] * 25, *[9e4] * 75]), AS_SET).sum() == 25
+    assert like_the_flights(np.array([3000.0, 9e4, 9e4]), AS_SET).all()
+
+
+def test_a_screen_without_some_nulls_is_what_it_would_have_been_without_them() -> None:
+    rng = np.random.default_rng(4)
+    columns = rng.standard_normal((60, 3 + 2 + 1 + 5))  # shared, hypotheses, the flights, nulls
+    kept = np.array([True, False, True, True, False])
+    index = np.flatnonzero(np.concatenate([np.ones(6, dtype=bool), kept]))
+    parameter = EffectParameter("x", "1", 1.0, -9.0, 9.0)
+    hypotheses = (Column(0, parameter), Column(1, parameter))
+    whole, fewer = (
+        Screen(("a", "b", "c"), (), hypotheses, (Reduced(c.T @ c),), np.eye(c.shape[1]), (0,))
+        for c in (columns, columns[:, index])
+    )
+    np.testing.assert_allclose(whole.with_nulls(kept).projected().scores(), fewer.projected().scores(), rtol=1e-12)
+    np.testing.assert_allclose(whole.with_nulls(kept).projected().energy, fewer.projected().energy, rtol=1e-12)
 
 
 # ------------------------------------------------------------------------------------------------ thresholds
