@@ -82,8 +82,11 @@ def with_event(decision: Decision) -> Decision:
 
 
 def rest_matters(facts: Facts, criteria: Criteria) -> bool:
-    """Whether a nameless rest is an unknown effect, and not restless scatter beside names that close the gap."""
-    restless = bool(facts.named) and facts.covered and facts.rest < criteria.restless_margin * facts.rest_threshold
+    """Whether a nameless rest is an unknown effect, and not restless scatter beside names that close the gap: in another place than
+    the very instrument that one of them blames, of which it says that something else is wrong."""
+    elsewhere = all(facts.rest_place not in n.instruments for n in facts.named)
+    small = facts.rest < criteria.restless_margin * facts.rest_threshold
+    restless = bool(facts.named) and facts.covered and small and elsewhere
     return facts.rest > criteria.unknown_margin * facts.rest_threshold and not restless
 
 

@@ -77,6 +77,16 @@ def test_beside_names_that_close_the_gap_a_rest_is_restless_scatter_up_to_twice_
     assert verdict(replace(facts, named=())) is Verdict.UNKNOWN
 
 
+def test_a_rest_in_the_very_instrument_that_a_name_blames_is_no_restless_scatter() -> None:
+    """A vane that sticks, named as one that is late and ahead, which leaves 1.8 thresholds in that vane."""
+    two = (named("alpha_lag", 19.4, 0.36, None, "alpha"), named("alpha_position", 16.7, 0.30, None, "alpha"))
+    decision = decide(replace(QUIET, rest=9.2, rest_place="alpha", named=two), AS_SET)
+    assert (decision.verdict, decision.kept) == (Verdict.UNKNOWN, 0)
+    assert verdict(replace(QUIET, rest=9.2, rest_place="q", named=two)) is not Verdict.UNKNOWN
+    strong = replace(QUIET, rest=9.2, rest_place="alpha", named=(named("alpha_lag", 40.0, 0.9, None, "alpha"),))
+    assert decide(strong, AS_SET).kept == 1
+
+
 @pytest.mark.parametrize(("closed", "word"), [(0.68, Verdict.GAP_REDUCED), (0.72, Verdict.GAP_CLOSED)])
 def test_a_gap_is_closed_where_seven_tenths_of_it_are_gone(closed: float, word: Verdict) -> None:
     assert verdict(replace(QUIET, named=(named(closed=closed),))) is word
