@@ -315,7 +315,10 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=1)
     parser.add_argument("--gust", type=float, default=0.15)
     parser.add_argument("--model", default="lateral", choices=SUBJECTS)
-    parser.add_argument("--manoeuvres", help="rich, aileron_only, longitudinal or all; default: what suits the model")
+    parser.add_argument(
+        "--manoeuvres",
+        help="rich, aileron_only, longitudinal or all, these two also with -advised; default: by the model",
+    )
     parser.add_argument("--nulls", type=int, default=100)
     parser.add_argument("--only", nargs="*", default=[])
     parser.add_argument("--out", type=Path, default=Path("build/gap_benchmark.jsonl"))

@@ -89,7 +89,7 @@ class Request:
     speed: float = 16.5
     effects: Mapping[str, float] = field(default_factory=dict)
     gust: float = 0.15 * DEG  # rms sideslip angle of the gusts [rad]
-    manoeuvres: str = "rich"  # rich | aileron_only | longitudinal | all
+    manoeuvres: str = "rich"  # rich | aileron_only | longitudinal[-advised] | all[-advised]
     derivatives: Mapping[str, float] = field(default_factory=dict)
     duration: float = 30.0
     jitter: float = 1.0
@@ -117,8 +117,8 @@ def _schedule(request: Request, rng: np.random.Generator, steps: int) -> Array:
             u[row, (t >= a) & (t < a + w)] += sign * amplitude
             a, sign = a + w, -sign
 
-    if request.manoeuvres == "longitudinal":
-        pitch.schedule(u, t, rng, "longitudinal", multistep)
+    if request.manoeuvres.startswith("longitudinal"):
+        pitch.schedule(u, t, rng, request.manoeuvres, multistep)
         return u
     s = 1 if rng.uniform() < 0.5 else -1
     j = lambda x: x + rng.uniform(-0.4, 0.4)  # noqa: E731
@@ -126,12 +126,12 @@ def _schedule(request: Request, rng: np.random.Generator, steps: int) -> Array:
     multistep(0, j(1.6), [0.6 * w, 0.6 * w], rng.uniform(5, 7) * DEG, s)
     multistep(0, j(12.2), [1.0 * w, 0.66 * w, 0.33 * w, 0.33 * w], rng.uniform(4, 6) * DEG, -s)
     multistep(0, j(21.6), [0.35 * w] * 4, rng.uniform(2.5, 3.5) * DEG, s)
-    if request.manoeuvres in ("rich", "all"):
+    if request.manoeuvres == "rich" or request.manoeuvres.startswith("all"):
         multistep(1, j(5.8), [0.7 * w, 0.7 * w], rng.uniform(1.4, 3.2) * DEG, -s)
         multistep(1, j(16.6), [0.9 * w, 0.6 * w, 0.3 * w, 0.3 * w], rng.uniform(2.6, 3.4) * DEG, s)
         multistep(1, j(25.2), [0.5 * w, 0.5 * w], rng.uniform(2.0, 3.0) * DEG, s)
-    if request.manoeuvres == "all":
-        pitch.schedule(u, t, rng, "all", multistep)
+    if request.manoeuvres.startswith("all"):
+        pitch.schedule(u, t, rng, request.manoeuvres, multistep)
         return u
     if request.manoeuvres == "rich":
         multistep(2, j(9.1), [0.4, 0.4], 0.9 * DEG, -1)

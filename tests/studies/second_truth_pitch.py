@@ -111,21 +111,23 @@ def schedule(
     multistep: Callable[[int, float, Sequence[float], float, int], None],
 ) -> None:
     """Elevator and throttle of `longitudinal` flights: 3-2-1-1, doublets of three sizes, a pull-up, throttle steps apart from
-    them; of `all` flights what finds room between the lateral inputs. Commands are rows 2 [rad] and 3 [N] of u."""
+    them; of `all` flights what finds room between the lateral inputs. With `-advised` behind it short doublets are three times as
+    large, up to 9 deg, as the answer asks for where it cannot tell a cube. Commands are rows 2 [rad] and 3 [N] of u."""
     w, s = rng.uniform(0.9, 1.1), 1 if rng.uniform() < 0.5 else -1
     jump = lambda x: x + rng.uniform(-0.3, 0.3)  # noqa: E731
-    if kind == "longitudinal":
+    large = 3.0 if kind.endswith("-advised") else 1.0
+    if kind.startswith("longitudinal"):
         multistep(2, jump(1.5), [0.9 * w, 0.6 * w, 0.3 * w, 0.3 * w], rng.uniform(1.4, 2.0) * DEG, s)
-        multistep(2, jump(6.3), [0.4 * w, 0.4 * w], rng.uniform(2.4, 3.0) * DEG, -s)
+        multistep(2, jump(6.3), [0.4 * w, 0.4 * w], large * rng.uniform(2.4, 3.0) * DEG, -s)
         multistep(2, jump(10.6), [1.1 * w, 0.5 * w], rng.uniform(1.6, 2.2) * DEG, -1)
-        multistep(2, jump(15.2), [0.35 * w] * 4, rng.uniform(1.2, 1.8) * DEG, s)
+        multistep(2, jump(15.2), [0.35 * w] * 4, large * rng.uniform(1.2, 1.8) * DEG, s)
         multistep(2, jump(19.4), [0.9 * w, 0.6 * w, 0.3 * w, 0.3 * w], rng.uniform(1.8, 2.4) * DEG, -s)
-        multistep(2, jump(24.6), [0.5 * w, 0.5 * w], rng.uniform(1.0, 1.6) * DEG, s)
+        multistep(2, jump(24.6), [0.5 * w, 0.5 * w], large * rng.uniform(1.0, 1.6) * DEG, s)
         steps = ((4.0, 3.0), (8.6, -2.6), (13.4, 1.6), (17.4, -1.2), (22.6, 3.4), (27.0, -2.8))
     else:
         multistep(2, jump(9.0), [0.6 * w, 0.4 * w, 0.2 * w, 0.2 * w], rng.uniform(1.4, 2.0) * DEG, s)
-        multistep(2, jump(19.9), [0.4 * w, 0.4 * w], rng.uniform(1.8, 2.4) * DEG, -1)
-        multistep(2, jump(27.6), [0.35 * w, 0.35 * w], rng.uniform(1.4, 2.0) * DEG, s)
+        multistep(2, jump(19.9), [0.4 * w, 0.4 * w], large * rng.uniform(1.8, 2.4) * DEG, -1)
+        multistep(2, jump(27.6), [0.35 * w, 0.35 * w], large * rng.uniform(1.4, 2.0) * DEG, s)
         steps = ((3.6, 2.6), (8.2, -2.4), (11.3, 1.4), (15.4, -1.8), (19.0, 2.8), (24.0, -2.2))
     for a, force in steps:
         u[3, t >= a] = force * rng.uniform(0.8, 1.2)

@@ -82,8 +82,10 @@ def with_event(decision: Decision) -> Decision:
 
 
 def rest_matters(facts: Facts, criteria: Criteria) -> bool:
-    """Whether a nameless rest is an unknown effect, and not restless scatter beside names that close the gap: in another place than
-    the very instrument that one of them blames, of which it says that something else is wrong."""
+    """Whether a nameless rest is an unknown effect, and not restless scatter beside names that close the gap.
+
+    In the very instrument that a name blames it is never mere scatter: it says that something else is wrong with it.
+    """
     elsewhere = all(facts.rest_place not in n.instruments for n in facts.named)
     small = facts.rest < criteria.restless_margin * facts.rest_threshold
     restless = bool(facts.named) and facts.covered and small and elsewhere
