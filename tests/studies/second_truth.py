@@ -64,6 +64,7 @@ UNKNOWN: tuple[str, ...] = (
 )
 
 EVERY: Mapping[str, float] = {**TYPICAL, **pitch.PITCH, **pitch.CROSS}
+MANOEUVRES = ("rich", "aileron_only", "longitudinal", "longitudinal-advised", "all", "all-advised")
 LOCAL: tuple[str, ...] = ("gyro_drift", "vane_slip", "short_burst")
 """Faults of one stretch of flight: no term of any model is wrong."""
 
@@ -89,7 +90,7 @@ class Request:
     speed: float = 16.5
     effects: Mapping[str, float] = field(default_factory=dict)
     gust: float = 0.15 * DEG  # rms sideslip angle of the gusts [rad]
-    manoeuvres: str = "rich"  # rich | aileron_only | longitudinal[-advised] | all[-advised]
+    manoeuvres: str = "rich"  # one of MANOEUVRES
     derivatives: Mapping[str, float] = field(default_factory=dict)
     duration: float = 30.0
     jitter: float = 1.0
@@ -117,6 +118,8 @@ def _schedule(request: Request, rng: np.random.Generator, steps: int) -> Array:
             u[row, (t >= a) & (t < a + w)] += sign * amplitude
             a, sign = a + w, -sign
 
+    if request.manoeuvres not in MANOEUVRES:
+        raise ValueError(f"no manoeuvres {request.manoeuvres!r}; there are {', '.join(MANOEUVRES)}")
     if request.manoeuvres.startswith("longitudinal"):
         pitch.schedule(u, t, rng, request.manoeuvres, multistep)
         return u
