@@ -147,13 +147,23 @@ PRESENT = 0.1  # of what the linear coefficient leaves
 
 
 def present(flown: Sequence[Flown], terms: Mapping[str, str]) -> dict[str, float]:
-    """Names of terms that are in the aircraft: the share that a term explains of what the linear coefficient leaves, in the
-    motion without noise, where it is more than a little."""
-    shares = {n: _explained(flown, *of.split(maxsplit=1)) for n, of in terms.items()}
-    return {n: round(s, 2) for n, s in shares.items() if s > PRESENT}
+    """Names of terms that are in the aircraft: the share that a term explains of what the coefficient leaves, in the motion
+    without noise, where it is more than a little: of the linear coefficient, then of it with the best term, and so on."""
+    found: dict[str, float] = {}
+    for line in BASE:
+        own = {n: of.split(maxsplit=1)[1] for n, of in terms.items() if of.split()[0] == line}
+        chosen: list[str] = []
+        while len(chosen) < len(own):
+            shares = {n: _explained(flown, line, chosen, t) for n, t in own.items() if t not in chosen}
+            found |= {n: round(s, 2) for n, s in shares.items() if s > max(PRESENT, found.get(n, 0.0))}
+            best = max(shares, key=lambda n: shares[n])
+            if shares[best] < PRESENT:
+                break
+            chosen.append(own[best])
+    return found
 
 
-def _explained(flown: Sequence[Flown], line: str, more: str) -> float:
+def _explained(flown: Sequence[Flown], line: str, known: Sequence[str], more: str) -> float:
     columns, wanted = [], []
     for one in flown:
         c, a = one.columns, one.craft
@@ -173,7 +183,7 @@ def _explained(flown: Sequence[Flown], line: str, more: str) -> float:
             "qh": c["q"] * a.chord / (2 * c["V"]), "adot": np.gradient(c["alpha"], c["time"]) * a.chord / (2 * c["V"]),
         }  # fmt: skip
         signals["size_ph"] = np.abs(signals["ph"])
-        terms = [np.prod([signals[f] for f in t.split()], axis=0) for t in (*BASE[line].split(","), more)]
+        terms = [np.prod([signals[f] for f in t.split()], axis=0) for t in (*BASE[line].split(","), *known, more)]
         columns.append(np.column_stack(terms))
         wanted.append(made[line])
     A, y = np.concatenate(columns), np.concatenate(wanted)

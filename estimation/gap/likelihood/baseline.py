@@ -2,6 +2,7 @@
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 
@@ -183,17 +184,17 @@ def fit_baseline(
 
 
 def fit_afresh(baseline: Baseline, model: Model, clean: Model) -> Baseline | None:
-    """Another model of the same flights, fitted from its starts with the noise and the whiteners of a baseline, so that the two
-    can be compared; None where its motion runs away."""
+    """Another model of the same flights, fitted afresh with the noise and the whiteners of a baseline, so that the two can be
+    compared; None where its motion runs away."""
     problem = replace(baseline.problem, model=model)
-    found = _careful(problem, None, afar=1)
+    found = _careful(problem, None, afar=1, known=baseline.fit.values)
     return None if found.diverged else replace(baseline, problem=problem, fit=found, clean=clean)
 
 
-def _careful(problem: Problem, begun: Fit | None, afar: int) -> Fit:
+def _careful(problem: Problem, begun: Fit | None, afar: int, known: Mapping[str, float] = MappingProxyType({})) -> Fit:
     """A fit from afar (pass 0: white noise; pass 1: its own noise for the first time) without, then with what is only
     nuisance: far from the optimum a displacement in time is bent to serve for everything else, and does not come back."""
-    values, own = (first_values(problem), None) if begun is None else (begun.values, begun.locals)
+    values, own = (first_values(problem, known), None) if begun is None else (begun.values, begun.locals)
     if afar > 1:
         return fit(problem, values, own)
     first = fit(problem, values, own, enough=ROUGH, held=[n for n in problem.free if problem.nuisance(n)])

@@ -4,7 +4,9 @@ An aircraft that was never written down has no beliefs, or those of its shape al
 search ends in a valley that is not the one of these flights.
 """
 
+from collections.abc import Mapping
 from dataclasses import replace
+from types import MappingProxyType
 
 from estimation.engine.data import FlightData
 from estimation.engine.simulate import Simulator
@@ -12,15 +14,19 @@ from estimation.estimators.equation_error import start_values
 from estimation.gap.likelihood.fitting import Problem, cost_at
 
 
-def first_values(problem: Problem) -> dict[str, float]:
-    """Shared values at which the first fit begins; none where the model's own starts are nearer, or a state is not measured."""
-    found = by_regression(problem)
-    return found if cost_at(problem, found) < cost_at(problem, {}) else {}
+def first_values(problem: Problem, known: Mapping[str, float] = MappingProxyType({})) -> dict[str, float]:
+    """Shared values at which the first fit begins, the nearest of three: none (the model's own starts), a regression, and what
+    another model of these flights has of the same derivatives (`known`)."""
+    taken = {n: known[n] for n in problem.parameters if n in known and not problem.nuisance(n)}
+    choices: list[dict[str, float]] = [{}, by_regression(problem), taken]
+    return min(choices, key=lambda values: cost_at(problem, values))
 
 
 def by_regression(problem: Problem) -> dict[str, float]:
     """Derivatives of the model by equation error over the records, what is only nuisance at rest; none where a state is not
-    measured."""
+    measured, as those that an effect brings with it."""
+    if len(problem.model.states) != len(problem.base.states):
+        return {}
     asked = tuple(n for n in problem.parameters if not problem.nuisance(n))
     flights = [
         FlightData(f"record {i}", len(r), (replace(s, first=0),), r.states, {}, (), ())

@@ -12,9 +12,10 @@ from estimation.gap.effects import catalogue
 from estimation.gap.effects.base import Effect, EffectParameter
 from estimation.gap.effects.catalogue import built_in
 from estimation.gap.effects.sizes import REFERENCE, at_size_of
-from estimation.gap.likelihood.baseline import Baseline, fit_baseline
+from estimation.gap.likelihood.baseline import Baseline, fit_afresh, fit_baseline
 from estimation.gap.likelihood.channel_noise import channel_noise, sample_interval
-from estimation.gap.likelihood.first_values import first_values
+from estimation.gap.likelihood.first_values import by_regression, first_values
+from estimation.gap.records.candidate_model import awakened
 from estimation.gap.records.flight_records import FlightRecords, prepare_flights
 from estimation.gap.records.nuisance import with_nuisance
 from estimation.models.base import Model
@@ -104,9 +105,14 @@ def _with_beliefs(factor: float) -> Model:
     return LATERAL.with_starts({n: factor * v for n, v in LATERAL.starts().items() if n in truth.TRUE_DERIVATIVES})
 
 
-@pytest.mark.parametrize("factor", [0.0, -1.0, 10.0])
-def test_the_baseline_is_the_same_whatever_is_believed(factor: float, flights: list[Flight]) -> None:
-    _, right = _baseline(LATERAL, flights)
+@pytest.fixture(scope="module")
+def right(flights: list[Flight]) -> Baseline:
+    """The baseline from good beliefs."""
+    return _baseline(LATERAL, flights)[1]
+
+
+@pytest.mark.parametrize("factor", [0.0, *(pytest.param(f, marks=pytest.mark.long) for f in (-1.0, 10.0))])
+def test_the_baseline_is_the_same_whatever_is_believed(factor: float, flights: list[Flight], right: Baseline) -> None:
     _, other = _baseline(_with_beliefs(factor), flights)
     std = right.fit.std()
     off = {n: (other.fit.values[n] - right.fit.values[n]) / std[n] for n in truth.TRUE_DERIVATIVES if n in std}
@@ -115,11 +121,20 @@ def test_the_baseline_is_the_same_whatever_is_believed(factor: float, flights: l
     assert other.fit.cost == pytest.approx(right.fit.cost, abs=0.5)
 
 
-def test_good_beliefs_are_left_where_a_regression_is_no_nearer(flights: list[Flight]) -> None:
-    _, right = _baseline(LATERAL, flights)
+def test_good_beliefs_are_left_where_a_regression_is_no_nearer(right: Baseline) -> None:
     at_best = replace(
         right.problem, model=right.model.with_starts({n: right.fit.values[n] for n in right.problem.parameters})
     )
     assert first_values(at_best) == {}
     assert first_values(right.problem) != {}  # off by up to 15 %, as flown here: the regression is nearer
     assert all(np.isfinite(v) for v in first_values(right.problem).values())
+
+
+def test_an_effect_with_a_state_of_its_own_is_fitted_afresh(right: Baseline) -> None:
+    """A regression knows nothing of a vane's own state; the derivatives of the baseline are the nearest start."""
+    lag = next(f for e in catalogue() if e.name == "beta_lag" for f in e.forms)
+    model = awakened(right.model, lag, {"beta_lag": 0.05})
+    again = fit_afresh(right, model, lag.added_to(right.clean))
+    assert again is not None
+    assert again.fit.cost < 1.05 * right.fit.cost  # nothing is hidden, and the shortest lag of a vane is 15 ms
+    assert by_regression(again.problem) == {}
