@@ -131,6 +131,8 @@ LIBRARY: tuple[Hypothesis, ...] = (
     _correction("rudder_delay", lambda s: {"delta_r": late(s["delta_r"], 0.06, s["step"])}),
     _correction("aileron_lag", lambda s: {"delta_a": lagged(s["delta_a"], 0.06, s["step"])}),
     _correction("rudder_lag", lambda s: {"delta_r": lagged(s["delta_r"], 0.06, s["step"])}),
+    _correction("servo_delay", lambda s: {n: late(s[n], 0.06, s["step"]) for n in ("delta_a", "delta_r", "delta_e")}),
+    _correction("servo_lag", lambda s: {n: lagged(s[n], 0.06, s["step"]) for n in ("delta_a", "delta_r", "delta_e")}),
     _correction("aileron_deadzone", lambda s: {"delta_a": with_dead_zone(s["delta_a"], 0.014)}),
     _correction("aileron_backlash", lambda s: {"delta_a": with_play(s["delta_a"], 0.017)}),
     _correction("rudder_backlash", lambda s: {"delta_r": with_play(s["delta_r"], 0.017)}),
