@@ -58,22 +58,18 @@ def concluded(setting: Setting, search: SearchState, check: KinematicCheck) -> G
         if again.shape is not None and as_good(again.shape, named[0], setting.options.criteria):
             decision, kept, standing, found = without_name(decision, kept[0], again.shape), (), first.baseline, again
     rest = search.omnibus
-    if (
-        kept
-        and found.shape is None
-        and (late := late_rest(setting, search, kept, standing_round(setting, search, kept)))
-    ):
+    if found.shape is None and (not kept or decision.verdict is Verdict.UNKNOWN):
+        about = standing_round(setting, search, kept)
+        found = searched(setting, search, about, decision)
+        event = happened(setting, about) if found.shape is None else None
+    if found.shape is None and event is None and (late := late_rest(setting, search, kept)):
         decision = beside_memory(with_event(decision), [n.effect for n in named], late)
         if decision.kept < len(kept):
             kept = kept[: decision.kept]
             about = standing_round(setting, search, kept)
             standing, rest = about.baseline, examine(about)
             left = rms_over_noise(standing.problem, standing.fit, setting.scatter)
-        found = ShapeSearch(None, (), late.memory)
-    elif found.shape is None and (not kept or decision.verdict is Verdict.UNKNOWN):
-        about = standing_round(setting, search, kept)
-        found = searched(setting, search, about, decision)
-        event = happened(setting, about) if found.shape is None else None
+        found = replace(found, memory=late.memory)
     if found.shape is not None:
         decision, unnamed = with_shape(decision), shaped_step(found.shape, standing, setting)
     elif event is not None:

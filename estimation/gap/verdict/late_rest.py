@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 from estimation.gap.criteria import Criteria
 from estimation.gap.effects.base import Effect, EffectParameter, Form, Group
+from estimation.gap.errors import GapError
 from estimation.gap.form.memory import Memory, find_memory
 from estimation.gap.form.places import Flown, places_of
 from estimation.gap.likelihood.fitting import Fit, Problem
@@ -20,6 +21,7 @@ from estimation.gap.search.search_state import Finding, SearchState, Setting
 from estimation.gap.tests_of_fit.calibration import Round
 from estimation.gap.tests_of_fit.hypotheses import Hypothesis
 from estimation.gap.verdict.decide import Decision
+from estimation.gap.verdict.nameless import standing_round
 from estimation.models.base import Signal
 
 SIZE, FOLLOWER = "nameless_late", "nameless_follower"
@@ -33,8 +35,16 @@ class LateRest:
     needed: int
 
 
-def late_rest(setting: Setting, search: SearchState, kept: Sequence[Finding], about: Round) -> LateRest | None:
-    """The memory that the model with the names `kept` lacks, about whose round the nulls tell; None where none stands out."""
+def late_rest(setting: Setting, search: SearchState, kept: Sequence[Finding]) -> LateRest | None:
+    """The memory that the model with the names `kept` lacks; None where none stands out of the nulls about it, or where its
+    motion cannot be linearised or flown: the answer stands without that question."""
+    try:
+        return _late_rest(setting, search, kept, standing_round(setting, search, kept)) if kept else None
+    except GapError:
+        return None
+
+
+def _late_rest(setting: Setting, search: SearchState, kept: Sequence[Finding], about: Round) -> LateRest | None:
     memory = find_memory(Flown.of(about.baseline.problem, about.baseline.fit), about, places_of(setting.base))
     if memory is None or not stands_out(memory, setting.options.criteria):
         return None
