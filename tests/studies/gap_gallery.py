@@ -1,7 +1,6 @@
 """Awkward flights of JSBSim's aircraft, with and without something hidden in them: what the gap workflow says of each.
 
     python -m tests.studies.gap_gallery [--rows N...] [--hidden NAME...] [--kinds NAME...] [--nulls N] [--seed S] [--out JSONL]
-    python -m tests.studies.gap_gallery --summary [--out JSONL]
 
 Three flights and one held out of every aircraft, at four speeds, as `tests.studies.gallery` flies and records them. The base is
 what a stranger would take: `lateral` with the aircraft's mass and shape, no beliefs. These aircraft have tables and terms of
@@ -26,7 +25,6 @@ from daq.contract.errors import UserError
 from estimation.gap.search.search_state import Options
 from estimation.gap.workflow import run_gap
 from estimation.models import load_model
-from estimation.models.base import Model
 from groundstation.flight import Flight
 from tests.gallery import records
 from tests.gallery.aircraft import Kind, executive
@@ -49,7 +47,7 @@ class Row:
     names: tuple[str, ...] = ()
 
 
-LATE = ("attitude_lag", "time_skew", "theta_lag", "unknown")
+LATE = ("attitude_lag", "time_skew", "theta_lag")
 AHEAD = ("vane_position", "imu_lever_arm", "beta_lag", "time_skew", "alpha_position", "imu_x", "imu_z")
 ROWS = (
     Row("plain"),
@@ -204,10 +202,6 @@ def judged(r: Mapping[str, Any]) -> str:
     return "right"
 
 
-def model_for(flown: Flown, plane: str = "lateral") -> Model:
-    return load_model(plane, flown.craft)
-
-
 def flights_of(kind: Kind, row: Row, hidden: Hidden, seed: int, folder: Path) -> tuple[list[Flight], list[Flown]]:
     """Three flights and one to hold out."""
     executive(kind.name, folder)
@@ -241,7 +235,9 @@ def outcome(kind: Kind, row: Row, label: str, seed: int, nulls: int) -> dict[str
         "present": present(flown, TERMS if hidden.plane == "lateral" else TERMS_IN_PITCH),
     }
     try:
-        result = run_gap(model_for(flown[0], hidden.plane), four[:3], four[3:], options=Options(seed=1, nulls=nulls))
+        result = run_gap(
+            load_model(hidden.plane, flown[0].craft), four[:3], four[3:], options=Options(seed=1, nulls=nulls)
+        )
     except UserError as error:
         return {
             **made,

@@ -18,8 +18,8 @@ def first_values(problem: Problem, known: Mapping[str, float] = MappingProxyType
     """Shared values at which the first fit begins, the nearest of three: none (the model's own starts), a regression, and what
     another model of these flights has of the same derivatives (`known`)."""
     taken = {n: known[n] for n in problem.parameters if n in known and not problem.nuisance(n)}
-    choices: list[dict[str, float]] = [{}, by_regression(problem), taken]
-    return min(choices, key=lambda values: cost_at(problem, values))
+    others = [values for values in (by_regression(problem), taken) if values]
+    return min([{}, *others], key=lambda values: cost_at(problem, values)) if others else {}
 
 
 def by_regression(problem: Problem) -> dict[str, float]:

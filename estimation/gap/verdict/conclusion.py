@@ -63,7 +63,7 @@ def concluded(setting: Setting, search: SearchState, check: KinematicCheck) -> G
         found = searched(setting, search, about, decision)
         event = happened(setting, about) if found.shape is None else None
     if found.shape is None and event is None and (late := late_rest(setting, search, kept)):
-        decision = beside_memory(with_event(decision), [n.effect for n in named], late)
+        decision = beside_memory(decision, [n.effect for n in named], late)
         if decision.kept < len(kept):
             kept = kept[: decision.kept]
             about = standing_round(setting, search, kept)

@@ -9,6 +9,7 @@ show that it is significant beside it.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from estimation.gap.answer.result import Verdict
 from estimation.gap.criteria import Criteria
 from estimation.gap.effects.base import Effect, EffectParameter, Form, Group
 from estimation.gap.errors import GapError
@@ -101,6 +102,7 @@ def beside_memory(decision: Decision, named: Sequence[str], late: LateRest) -> D
     )
     return replace(
         decision,
+        verdict=Verdict.UNKNOWN,
         kept=late.needed,
         withdrawn=(*decision.withdrawn, *((n, why) for n in named[late.needed : decision.kept])),
     )
