@@ -43,6 +43,12 @@ class Criteria:
         "between a vane read at 10 Hz in a record of 20 Hz (1.5 to 1.8) and one at 6.7 Hz (2.1 to 2.5), 2026-11-24",
     )
     clipped_run: int = criterion(4, "samples", "so many in a row at the end of a range are a clipped channel")
+    own_motion: float = criterion(
+        0.5,
+        "noise of the control",
+        "a control that does less than that besides following the motion says nothing of when it moves",
+        "between elevators that only hold an attitude (0.1 to 0.3) and doublets of 0.9 deg beside that (1.1), 2026-11-25",
+    )
     missing_share: float = criterion(0.02, "samples", "a channel that lacks more of them is named")
     fewest_samples: int = criterion(10, "samples", "fewer than these are not judged")
     repeat_level: float = criterion(

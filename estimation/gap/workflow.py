@@ -24,6 +24,7 @@ from estimation.gap.random_streams import Stream
 from estimation.gap.records.candidate_model import with_dormant
 from estimation.gap.records.flight_records import FlightRecords, prepare_flights
 from estimation.gap.records.nuisance import with_nuisance
+from estimation.gap.records.own_motion import only_following, without_hardware_of, words_on
 from estimation.gap.records.sample_faults import sample_notes, stale_channels
 from estimation.gap.search.rounds import run_rounds
 from estimation.gap.search.search_state import AS_USUAL, LOOK, Options, Setting
@@ -67,6 +68,9 @@ def run_gap(
 def _setting(prepared: FlightRecords, effects: tuple[Effect, ...], options: Options, tell: LOOK) -> Setting:
     """The base model with what every fit carries along and all candidates dormant, and what is wrong with the inputs."""
     base, records = prepared.base, prepared.of(prepared.training)
+    following = only_following(records, base, options.criteria)
+    effects, untold = without_hardware_of(effects, following)
+    told = [f"{prepared.names[k]}: {words_on(n)}" for n in following for k in prepared.training if untold]
     white = channel_noise(records)
     scatter = pitch_error(records, base.output_names, bank_error(records, base.output_names, white))
     filtered = filtered_attitudes(records, base.output_names, white)
@@ -75,5 +79,5 @@ def _setting(prepared: FlightRecords, effects: tuple[Effect, ...], options: Opti
     working = with_dormant(clean, effects, prepared.available, force_states(base))
     streams = (Stream.INPUT_ERRORS.generator(options.seed, i) for i in range(len(prepared.records)))
     errors = tuple(input_errors(r, clean, rng) for r, rng in zip(prepared.records, streams, strict=True))
-    prepared = replace(prepared, records=with_errors(prepared.records, clean, errors))
-    return Setting(base, clean, working, prepared, effects, errors, scatter, options, tell)
+    prepared = replace(prepared, records=with_errors(prepared.records, clean, errors), notes=(*prepared.notes, *told))
+    return Setting(base, clean, working, prepared, effects, untold, errors, scatter, options, tell)

@@ -59,13 +59,14 @@ class SearchState:
 
 @dataclass(frozen=True)
 class Setting:
-    """What stays the same over all rounds."""
+    """What stays the same over all rounds. untold: effects not asked for, because nothing in these flights tells them."""
 
     base: Model
     clean: Model
     working: Model
     prepared: FlightRecords
     effects: tuple[Effect, ...]
+    untold: tuple[Effect, ...]
     errors: tuple[InputErrors, ...]
     scatter: Array
     options: Options

@@ -48,8 +48,10 @@ def concluded(setting: Setting, search: SearchState, check: KinematicCheck) -> G
     floor = floors(last, on_holdout(last.baseline, prepared), held_errors, setting.options.seed)
     named = [step_of(setting, f, floor) for f in search.findings]
     left = rms_over_noise(last.baseline.problem, last.baseline.fit, setting.scatter)
-    cannot = undetectable(first)
-    decision = decide(facts_of(search, named, floor.covers(left), cannot), setting.options.criteria)
+    cannot = [*undetectable(first), *setting.untold]
+    decision = decide(
+        facts_of(search, named, floor.covers(left), cannot, len(setting.untold)), setting.options.criteria
+    )
     kept = search.findings[: decision.kept]
     standing = kept[-1].child if kept else first.baseline
     found, event, unnamed = NOT_SEARCHED, None, None
@@ -137,8 +139,10 @@ def without_name(decision: Decision, finding: Finding, shape: Shape) -> Decision
     return replace(decision, kept=0, withdrawn=(*decision.withdrawn, (effect, why)))
 
 
-def facts_of(search: SearchState, named: Sequence[Step], covered: bool, cannot: Sequence[Effect]) -> Facts:
-    """What decides, taken from the state of the search and from the steps of all accepted effects."""
+def facts_of(
+    search: SearchState, named: Sequence[Step], covered: bool, cannot: Sequence[Effect], untold: int = 0
+) -> Facts:
+    """What decides, from the state of the search and the steps of all accepted effects. untold: not asked at all."""
     forms = [f.candidate.hypothesis.form for f in search.findings]
     hypotheses = search.rounds[0].screen.hypotheses
     return Facts(
@@ -151,7 +155,7 @@ def facts_of(search: SearchState, named: Sequence[Step], covered: bool, cannot: 
         rest_place=search.omnibus.leading[0].place if search.omnibus.leading else "",
         covered=covered,
         blind=len(cannot),
-        asked=len({h.effect.name for h in hypotheses if not h.effect.tied_to}),
+        asked=len({h.effect.name for h in hypotheses if not h.effect.tied_to}) + untold,
     )
 
 

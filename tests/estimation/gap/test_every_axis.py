@@ -26,6 +26,7 @@ from estimation.signals.preprocess import noise_level
 from estimation.signals.raw_steps import near_steps, with_raw_steps
 from groundstation.flight import Flight
 from tests.estimation.gap.test_rules_search import candidate
+from tests.studies import gap_benchmark
 from tests.studies import second_truth as truth
 
 pytestmark = pytest.mark.long
@@ -264,6 +265,19 @@ def test_a_throttle_that_never_moves_hides_effects_of_thrust(flown: dict[str, li
     assert told.verdict.value == "no_gap"
     assert "rho_error cannot be told from CL_*" in told.text
     assert "errors of mass" not in told.text  # thrust steps do tell something of it
+
+
+def test_an_elevator_that_only_holds_an_attitude_is_not_asked_when_it_moves() -> None:
+    """Aileron flights given to the pitching model: a quarter of a second of elevator lag once explained the gusts it answers."""
+    shape = truth.perturbed_derivatives(np.random.default_rng([9410, 7]))
+    speeds = (14.5, 16.5, 19.0, 17.0)
+    requests = [truth.Request(94100 + i, v, {}, 0.15 * truth.DEG, "aileron_only", shape) for i, v in enumerate(speeds)]
+    four = gap_benchmark.flights(truth.fly(requests))
+    result = run_gap(PITCHING, four[:3], four[3:], options=Options(seed=1, nulls=20))
+    assert [s.effect for s in result.steps] == []
+    assert not [n for n in result.scores if n.startswith("elevator_") and n != "elevator_compliance"]
+    assert {"elevator_lag", "elevator_delay"} <= {c["effect"] for c in result.details["cannot_tell"]}
+    assert sum("delta_e only follows the motion" in note for note in result.notes) == 3
 
 
 @pytest.mark.parametrize(("samples", "verdict"), [(2, "no_gap"), (3, "unknown_effect")])

@@ -7,12 +7,14 @@ import pytest
 
 from estimation.engine.kernel import Array
 from estimation.gap.criteria import AS_SET
+from estimation.gap.effects import catalogue
 from estimation.gap.likelihood.baseline import estimated_noise, noise_parts
 from estimation.gap.likelihood.fitting import Problem
 from estimation.gap.likelihood.surface_steps import SurfaceSteps, find_surface_steps, freedom_of
 from estimation.gap.likelihood.whitening import Linear, NoisePart, Shapes, Source, shapes_of
 from estimation.gap.records.flight_records import Record, with_own_noise
 from estimation.gap.records.nuisance import with_nuisance
+from estimation.gap.records.own_motion import only_following, without_hardware_of
 from estimation.gap.records.sample_faults import sample_notes
 from estimation.models.base import Parameter, ParameterRole
 from estimation.models.load import load_model
@@ -173,6 +175,40 @@ def test_a_filtered_attitude_shares_most_of_its_gyro_s_noise() -> None:
     assert known[NoisePart(Source.GYRO, "phi")] == pytest.approx(0.75 * 0.01**2)
     assert known[NoisePart(Source.WANDERING, "phi")] == pytest.approx(0.003**2 / (3.0 * STEP))
     assert not [name for name in without if name.of == "phi"]
+
+
+# ------------------------------------------------------------------------------------------------ controls that follow
+def steered(own: float, noise: float = 0.001, count: int = 600) -> Record:
+    """A record of ROLL whose aileron is the roll rate a sample ago times a gain, and a wave of rms `own` noises beside it."""
+    rng = np.random.default_rng(7)
+    p = np.cumsum(rng.standard_normal(count)) * 0.01
+    u = -0.2 * np.concatenate([p[:1], p[:-1]]) + np.sqrt(2.0) * own * noise * np.sin(0.9 * np.arange(count))
+    time = STEP * np.arange(count)
+    return Record(0, 0, time, {"delta_a": u}, p[:, None], p[:1], {"delta_a": noise}, states=p[:, None])
+
+
+@pytest.mark.parametrize(("own", "follows"), [(0.0, True), (0.4, True), (0.6, False), (5.0, False)])
+def test_a_control_that_does_half_its_noise_beside_the_motion_moves_by_itself(own: float, follows: bool) -> None:
+    assert only_following([steered(own)], ROLL, AS_SET) == (("delta_a",) if follows else ())
+
+
+def test_one_record_on_which_a_control_moves_by_itself_is_enough() -> None:
+    assert only_following([steered(0.0), steered(5.0)], ROLL, AS_SET) == ()
+
+
+def test_a_control_without_noise_and_a_record_of_few_samples_are_not_judged() -> None:
+    assert only_following([replace(steered(0.0), input_noise={})], ROLL, AS_SET) == ()
+    assert only_following([steered(0.0, count=20)], ROLL, AS_SET) == ()
+
+
+def test_what_says_how_a_control_moves_is_not_asked_where_it_only_follows() -> None:
+    model = load_model("six-dof", "cdfp")
+    known = catalogue(model=model)
+    asked, dropped = without_hardware_of(known, ["delta_e"])
+    assert {"elevator_lag", "elevator_delay", "elevator_backlash"} <= {e.name for e in dropped}
+    assert {"servo_lag", "thrust_lag", "aileron_lag", "CD_de2", "airspeed_scale"} <= {e.name for e in asked}
+    assert without_hardware_of(known, []) == (tuple(known), ())
+    assert "servo_lag" in {e.name for e in without_hardware_of(known, ["delta_e", "delta_a", "delta_r"])[1]}
 
 
 # ------------------------------------------------------------------------------------------------ steps of surfaces
