@@ -295,6 +295,12 @@ class Criteria:
     )
 
     # ---- a shape where no name stands
+    swing_damping: float = criterion(
+        0.4,
+        "of critical",
+        "what is more damped does not swing, it is late",
+        "by hand: at 0.4 the second swing has 6 % of the first; 2026-11-25",
+    )
     form_width: float = criterion(
         1.0,
         "rms of the coefficient",

@@ -19,6 +19,8 @@ from typing import Any
 import numpy as np
 
 from estimation.gap.answer.result import GapResult
+from estimation.gap.effects.catalogue import BUILT_IN, LONGITUDINAL
+from estimation.gap.effects.cross_axis import CROSS_AXIS
 from estimation.gap.workflow import Options, run_gap
 from estimation.models.load import load_model
 from groundstation.flight import Flight
@@ -76,6 +78,12 @@ SUBJECTS: dict[str, tuple[tuple[str, ...], tuple[str, ...], tuple[tuple[str, str
     ),
 }
 """Model -> effects, effects outside the catalogue, pairs, manoeuvres."""
+ONE_SIDED = frozenset(
+    e.name
+    for e in (*BUILT_IN, *LONGITUDINAL, *CROSS_AXIS)
+    if e.forms and all(p.none == 0.0 and p.lower >= 0.0 for f in e.forms for p in f.parameters)
+)
+"""Effects that nature makes of one sign only."""
 
 
 def requests(effects: dict[str, float], seed: int, gust: float, manoeuvres: str) -> list[truth.Request]:
@@ -97,8 +105,8 @@ def cases(
             made.append(("none", {}, 9000 + k))
         elif kind == "effects":
             for i, name in enumerate(effects):
-                sign = 1.0
-                made.append((name, {name: sign * size}, 1000 * (k + 1) + i))
+                if size > 0.0 or name not in ONE_SIDED:
+                    made.append((name, {name: size}, 1000 * (k + 1) + i))
         elif kind == "unknown":
             made += [(n, {n: size}, 100000 + 1000 * k + i) for i, n in enumerate(unknown)]
         elif kind == "pairs":

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from estimation.gap.answer.shape import Curve, Happened, Held, Late
+from estimation.gap.answer.shape import Curve, Happened, Held, Late, Swinging
 from estimation.gap.workflow import Options, run_gap
 from estimation.models.load import load_model
 from tests.studies import second_truth as truth
@@ -91,7 +91,7 @@ def one(
     }
 
 
-def said(shape: Curve | Late | Happened | Held | None) -> str:
+def said(shape: Curve | Late | Swinging | Happened | Held | None) -> str:
     """A shape in few words."""
     if isinstance(shape, Curve):
         return f"{shape.output} by {' times '.join(shape.variables)}" + (
@@ -99,6 +99,8 @@ def said(shape: Curve | Late | Happened | Held | None) -> str:
         )
     if isinstance(shape, Late):
         return f"{shape.output} late after {shape.variable} ({shape.time:g} s)"
+    if isinstance(shape, Swinging):
+        return f"{shape.output} swings at {shape.frequency:.2g} rad/s"
     if isinstance(shape, Happened):
         return "; ".join(dict.fromkeys(f"{e.what} {e.channel} {e.start:.1f} s" for e in shape.events))
     if isinstance(shape, Held):

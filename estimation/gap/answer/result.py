@@ -7,7 +7,7 @@ from typing import Any
 
 from estimation.engine.kernel import Array
 from estimation.gap.answer.rounded import rounded as _round
-from estimation.gap.answer.shape import Curve, Happened, Held, Late
+from estimation.gap.answer.shape import Curve, Happened, Held, Late, Swinging
 from estimation.models.base import Model
 
 
@@ -123,7 +123,7 @@ class Step:
     practical: str = ""
     followed: Mapping[str, float] = field(default_factory=dict)
     text: str = ""
-    shape: Curve | Late | Happened | Held | None = None
+    shape: Curve | Late | Swinging | Happened | Held | None = None
 
     def to_json(self) -> dict[str, Any]:
         return {

@@ -74,6 +74,37 @@ class Late:
 
 
 @dataclass(frozen=True)
+class Swinging:
+    """A coefficient that an oscillator adds to. by: acceleration (ax, ay, az m/s2; p_dot, q_dot, r_dot rad/s2) -> what of the
+    coefficient it makes when it is steady. frequency: rad/s, damping: of critical, each with its standard deviation where the fit
+    beside the model did not run away."""
+
+    output: str
+    by: Mapping[str, float]
+    frequency: float
+    damping: float
+    frequency_std: float | None
+    damping_std: float | None
+    score: float
+    threshold: float
+
+    def to_json(self) -> dict[str, Any]:
+        return {
+            "kind": "swing",
+            "nameless": True,
+            "output": self.output,
+            "variables": list(self.by),
+            "sizes": {a: rounded(v, 9) for a, v in self.by.items()},
+            "frequency": rounded(self.frequency, 4),
+            "frequency_std": None if self.frequency_std is None else rounded(self.frequency_std, 4),
+            "damping": rounded(self.damping, 4),
+            "damping_std": None if self.damping_std is None else rounded(self.damping_std, 4),
+            "score": rounded(self.score, 2),
+            "threshold": rounded(self.threshold, 2),
+        }
+
+
+@dataclass(frozen=True)
 class Happening:
     """One event. what: drift | slip | burst. channel: the output, "" for a disturbance of the motion. flight: its name, "" for
     all of them. start, end: s on the flight's clock. sizes: (estimate, bound) in `unit`: of a drift the change over each flight,

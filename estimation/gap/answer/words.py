@@ -1,9 +1,10 @@
 """The verdict in words a flight-test engineer can act on."""
 
+import math
 from collections.abc import Mapping, Sequence
 
 from estimation.gap.answer.result import Step, Verdict
-from estimation.gap.answer.shape import Curve, Happened, Held, Late
+from estimation.gap.answer.shape import Curve, Happened, Held, Late, Swinging
 from estimation.gap.effects.base import Effect
 
 EXAMPLES = (
@@ -14,6 +15,7 @@ EXAMPLES = (
     "aileron_delay",
     "p_sin_alpha",
 )  # of sizes that would have been seen
+TURN = 2.0 * math.pi
 FEW, NAMES, MANOEUVRES = 4, 8, 3  # examples, effects and manoeuvres in one paragraph; the JSON file has all
 
 
@@ -59,7 +61,20 @@ def describe_unknown(step: Step) -> str:
             f" No function of the motion closes the gap either; a part of {s.output} that follows {s.variable} some {s.time:g} s "
             f"late gains (score {s.score:.1f} against {s.threshold:.1f})."
         )
+    if isinstance(step.shape, Swinging):
+        text += f" {describe_swing(step.shape)}"
     return text
+
+
+def describe_swing(swing: Swinging) -> str:
+    """What swings, how fast, and what may be looked at."""
+    hertz, std = swing.frequency / TURN, swing.frequency_std
+    fast = f"{hertz:.2g} Hz" if std is None else f"{hertz:.3g} +- {std / TURN:.1g} Hz"
+    return (
+        f"A part of {swing.output} that goes on swinging at {fast} with a damping of {swing.damping:.2g}, driven by "
+        f"{' and '.join(swing.by)}, gains (score {swing.score:.1f} against {swing.threshold:.1f}): look for what can move or "
+        "bend in the airframe at that frequency (tap it, fly it with the tank full and empty, film it)."
+    )
 
 
 def describe_curve(curve: Curve) -> str:

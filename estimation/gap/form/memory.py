@@ -25,6 +25,10 @@ class Memory:
     score: float
     threshold: float
 
+    @property
+    def words(self) -> str:
+        return f"{self.place.line} follows {self.place.variable} some {self.time:g} s late"
+
 
 def late(course: Array, time: Array, memory: float) -> Array:
     """(N,) how far a first-order lag [s] of a course (N,) is behind it, begun at rest."""

@@ -1,6 +1,6 @@
 """Where an unknown part of the model may sit: coefficient by variable, read from the model's own equations."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,6 +16,16 @@ from estimation.models.expressions import names_in, products_in
 INCREMENT = "increment_{}"
 EXTRA_INPUTS = ("alpha",)  # an input that no term of the model has, yet coefficients depend on
 EXTRA_STATES = ("alpha", "V")
+ACCELERATIONS = (
+    "ax",
+    "ay",
+    "az",
+    "p_dot",
+    "q_dot",
+    "r_dot",
+)  # that drive what can move in the airframe, where a model has them
+AT_ONCE = 60  # parts in one run: the arrays of some hundred would fill a small machine
+RUNAWAY = 1e9  # a change that grows so far is no small one any more
 SMALL = 0.05  # of the prior width: steps in which the motion is linear
 FLOWN = 1e-9  # of anything: a smaller range is none
 
@@ -109,7 +119,8 @@ class Flown:
         model = problem.model
         lines = coefficient_lines(problem.base)
         variables = variables_of(problem.base, lines)
-        names = tuple(dict.fromkeys((*variables, *lines)))
+        felt = [n for n in ACCELERATIONS if n in model.definitions]
+        names = tuple(dict.fromkeys((*variables, *lines, *felt)))
         probe = model.plus(
             inputs=[Signal(INCREMENT.format(n)) for n in lines],
             terms={n: INCREMENT.format(n) for n in lines},
@@ -159,6 +170,30 @@ class Flown:
         motion = self.simulator.run_by_middles(replace(segment, u=u), {**self.fit.values, **local.parameters}, local.x0)
         shown = self.shown[index]
         return np.nan_to_num((motion.y[:, : shown.shape[1]] - shown) / step)
+
+    def changes(self, line: str, index: int, courses: Sequence[Array]) -> Iterator[Array]:
+        """(N, ny) changes of the outputs of a record by each of some parts (2N - 1,) of a coefficient, by linear theory.
+
+        Nothing where they run away or nothing was measured.
+        """
+        segment, own = self.segments[index], self.fit.locals[index]
+        column, outputs = self.simulator.model.input_names.index(INCREMENT.format(line)), self.shown[index].shape[1]
+        unmeasured = ~np.isfinite(self.fit.residuals[index])
+        for first in range(0, len(courses), AT_ONCE):
+            some = courses[first : first + AT_ONCE]
+            moved = np.zeros((*segment.u.shape, len(some)))
+            moved[:, column, :] = np.column_stack(some)
+            motion = self.simulator.run_by_middles(
+                segment, {**self.fit.values, **own.parameters}, own.x0, sensitivities=True, moved=moved
+            )
+            for k in range(len(some)):
+                change = (
+                    None if motion.dy is None else motion.dy[:, :outputs, motion.dy.shape[2] - len(some) + k].copy()
+                )
+                alive = change is not None and np.abs(change).max() < RUNAWAY
+                change = change if alive and change is not None else np.zeros(unmeasured.shape)
+                change[unmeasured] = 0.0
+                yield change
 
 
 def spread_of(place: Place, scale: float, criteria: Criteria) -> Array:

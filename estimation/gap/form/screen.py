@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -15,13 +16,16 @@ from estimation.gap.tests_of_fit.screen import Projected, reduce_record, shared_
 NOTHING = 1e-300
 
 
+Asked = TypeVar("Asked")  # what is ranked: places of a spline, of a lag, oscillators
+
+
 @dataclass(frozen=True)
-class Ranked:
-    """Places by what a spline gains there. gains: (places,) twice the log-likelihood with the penalty counted; scores: (places,)
+class Ranked(Generic[Asked]):
+    """Places by what is gained there. gains: (places,) twice the log-likelihood with the penalty counted; scores: (places,)
     root of the gain over its median on the nulls; usual: (places,) that median; threshold: family-wise, from the largest score
     of every null."""
 
-    places: tuple[Place, ...]
+    places: tuple[Asked, ...]
     gains: Array
     scores: Array
     usual: Array
@@ -39,7 +43,7 @@ class Ranked:
         return float((self.gains - self.usual)[self.order].max()) if self.order else 0.0
 
 
-def rank(flown: Flown, round_: Round, places: Sequence[Place]) -> Ranked:
+def rank(flown: Flown, round_: Round, places: Sequence[Place]) -> Ranked[Place]:
     """Score every place on the residuals of a round's baseline and on its nulls."""
     problem, found, criteria = flown.problem, flown.fit, round_.criteria
     usable = [p for p in places if flown.moves(p.variable) and flown.scale[p.line] > 0.0]
@@ -74,7 +78,7 @@ def penalised(projected: Projected, span: Sequence[int], weight: Array) -> Array
     return np.asarray(np.sum(b * solved(projected.B[np.ix_(index, index)] + np.diag(weight), b), axis=0))
 
 
-def ranked(places: Sequence[Place], gains: Array, criteria: Criteria) -> Ranked:
+def ranked(places: Sequence[Asked], gains: Array, criteria: Criteria) -> Ranked[Asked]:
     """gains: (places, 1 + nulls). The threshold is raised like that of a name."""
     if not places:
         return Ranked((), np.zeros(0), np.zeros(0), np.zeros(0), 0.0)

@@ -12,6 +12,7 @@ from estimation.gap.form.fitted import Fitted, Increment, LeftOut, confirmed, fi
 from estimation.gap.form.memory import Memory, find_memory
 from estimation.gap.form.places import Flown, Place, places_of, products_of
 from estimation.gap.form.screen import Ranked, rank
+from estimation.gap.form.swing import Swing, find_swing
 from estimation.gap.likelihood.baseline import Baseline, fit_baseline
 from estimation.gap.records.flight_records import FlightRecords
 from estimation.gap.tests_of_fit.calibration import Round
@@ -98,33 +99,40 @@ class Shape:
 
 @dataclass(frozen=True)
 class ShapeSearch:
-    """What was found, what was tried; memory: a lag that gains where no shape was found."""
+    """What was found, what was tried; follower: a lag or a swing that gains where no shape was found."""
 
     shape: Shape | None
     tried: tuple[Tried, ...]
-    memory: Memory | None = None
+    follower: Memory | Swing | None = None
 
 
 def find_shape(round_: Round, task: Task, at_length: bool) -> ShapeSearch:
-    """A function of one variable; at length also one of two, and, where none closes the gap, whether a memory gains."""
+    """A function of one variable, or something that swings; at length also a function of two, and, where none closes the gap,
+    whether a memory gains."""
     baseline = round_.baseline
     flown = Flown.of(baseline.problem, baseline.fit)
     singles = places_of(task.prepared.base)
     ranking = rank(flown, round_, singles)
-    shape, tried = _best(round_, task, flown, ranking)
+    swing = find_swing(flown, round_)
+    least = swing.gain if swing is not None else 0.0
+    shape, tried = _best(round_, task, flown, ranking, least)
     if shape is not None or not at_length:
-        return ShapeSearch(shape, tuple(tried))
+        return ShapeSearch(shape, tuple(tried), swing if shape is None else None)
     if ranking.order:
         line = ranking.places[ranking.order[0]].line
         products = [p for p in products_of(task.prepared.base) if p.line == line]
-        shape, more = _best(round_, task, flown, rank(flown, round_, products))
+        shape, more = _best(round_, task, flown, rank(flown, round_, products), least)
         tried += more
     memory = find_memory(flown, round_, singles) if shape is None else None
-    return ShapeSearch(shape, tuple(tried), memory)
+    followers = [f for f in (memory, swing) if f is not None and shape is None]
+    return ShapeSearch(shape, tuple(tried), max(followers, key=lambda f: f.gain, default=None))
 
 
-def _best(round_: Round, task: Task, flown: Flown, ranking: Ranked) -> tuple[Shape | None, list[Tried]]:
-    """The first of the leading places that holds on flights left out and closes the gap."""
+def _best(
+    round_: Round, task: Task, flown: Flown, ranking: Ranked[Place], least: float = 0.0
+) -> tuple[Shape | None, list[Tried]]:
+    """The first of the leading places that holds on flights left out and closes the gap. least: what something else without a
+    name gains, as a nameless term does."""
     baseline, criteria = round_.baseline, round_.criteria
     fits: dict[int, Fitted] = {}
     tried: list[Tried] = []
@@ -134,11 +142,11 @@ def _best(round_: Round, task: Task, flown: Flown, ranking: Ranked) -> tuple[Sha
             tried.append(Tried(ranking.places[i], float(ranking.gains[i]), "the fit runs away"))
         else:
             fits[i] = fitted
-    term = best_term(round_) if fits else 0.0
+    term = max(best_term(round_), least) if fits else 0.0
     for i in sorted(fits, key=lambda k: -fits[k].gain):
         fitted = fits[i]
         if fitted.gain < criteria.named_share * term:
-            why = f"explains only {fitted.gain / term:.0%} of what a nameless term does"
+            why = f"explains only {fitted.gain / term:.0%} of what a nameless term or swing does"
             tried.append(Tried(ranking.places[i], fitted.gain, why))
             continue
         others = left_out(baseline, fitted, flown)

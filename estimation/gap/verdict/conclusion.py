@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from estimation.gap.answer.result import Gap, GapResult, Histories, Rejected, Step, Verdict
-from estimation.gap.answer.shape import Held, Late
+from estimation.gap.answer.shape import Held, Late, Swinging
 from estimation.gap.answer.words import conclude, describe_step
 from estimation.gap.criteria import Criteria
 from estimation.gap.effects.base import Effect
@@ -18,15 +18,16 @@ from estimation.gap.tests_of_fit.kinematic_check import KinematicCheck
 from estimation.gap.tests_of_fit.measure import Floors, floors, on_holdout, rms_over_noise
 from estimation.gap.tests_of_fit.omnibus import Omnibus, examine
 from estimation.gap.tests_of_fit.repeatability import repeatability
-from estimation.gap.verdict.decide import Decision, Facts, Named, decide, with_event, with_shape
+from estimation.gap.verdict.decide import Decision, Facts, Named, decide, with_event, with_rest, with_shape
 from estimation.gap.verdict.disagreement import views
+from estimation.gap.verdict.followers import settled
 from estimation.gap.verdict.held import held_back, held_step
 from estimation.gap.verdict.late_rest import beside_memory, late_rest
 from estimation.gap.verdict.lineage import fitted
 from estimation.gap.verdict.nameless import (
     event_step,
+    follower_of,
     happened,
-    late_of,
     searched,
     shaped_step,
     standing_round,
@@ -64,6 +65,7 @@ def concluded(setting: Setting, search: SearchState, check: KinematicCheck) -> G
         about = standing_round(setting, search, kept)
         found = searched(setting, search, about, decision)
         event = happened(setting, about) if found.shape is None else None
+    late = None
     if found.shape is None and event is None and (late := late_rest(setting, search, kept)):
         decision = beside_memory(decision, [n.effect for n in named], late)
         if decision.kept < len(kept):
@@ -71,14 +73,17 @@ def concluded(setting: Setting, search: SearchState, check: KinematicCheck) -> G
             about = standing_round(setting, search, kept)
             standing, rest = about.baseline, examine(about)
             left = rms_over_noise(standing.problem, standing.fit, setting.scatter)
-        found = replace(found, memory=late.memory)
+        found = replace(found, follower=late.follower)
+    if found.shape is None and event is None:
+        found = found if late is not None else replace(found, follower=settled(found.follower, standing))
+        decision = decision if found.follower is None else with_rest(decision)
     if found.shape is not None:
         decision, unnamed = with_shape(decision), shaped_step(found.shape, standing, setting)
     elif event is not None:
         decision, unnamed = with_event(decision), event_step(event, Gap(left, left, floor.training_median))
     elif decision.verdict is Verdict.NO_GAP and (held := held_back(first.baseline, prepared)):
         decision, unnamed = with_event(decision), held_step(held, Gap(left, left, floor.training_median))
-    steps = told(decision, named, rest, check, left, floor, unnamed, late_of(found))
+    steps = told(decision, named, rest, check, left, floor, unnamed, follower_of(found))
     after = standing if found.shape is None else found.shape.measured.child
     seen = views(first.baseline, after, prepared, after is not first.baseline)
     detectable = detectable_sizes(last)
@@ -167,12 +172,12 @@ def told(
     left: float,
     floor: Floors,
     unnamed: Step | None = None,
-    late: Late | None = None,
+    late: Late | Swinging | None = None,
 ) -> tuple[Step, ...]:
     """The steps of the answer in words: those of the names that stand, and the nameless rest where that is the verdict.
 
-    rest: what stands out without a name; unnamed: it with a shape or a time, where one was found; late: a lag that gains where
-    none was. The kinematic check saw the flights as they are: it speaks of the first.
+    rest: what stands out without a name; unnamed: it with a shape or a time, where one was found; late: a lag or swing that gains
+    where none was. The kinematic check saw the flights as they are: it speaks of the first.
     """
     steps = list(named[: decision.kept])
     if unnamed is not None:

@@ -81,6 +81,11 @@ def with_event(decision: Decision) -> Decision:
     return replace(decision, verdict=Verdict.UNKNOWN)
 
 
+def with_rest(decision: Decision) -> Decision:
+    """The decision where a coefficient that follows late, or swings, stands out and no shape does: something is there."""
+    return replace(decision, verdict=Verdict.UNKNOWN)
+
+
 def rest_matters(facts: Facts, criteria: Criteria) -> bool:
     """Whether a nameless rest is an unknown effect, and not restless scatter beside names that close the gap.
 

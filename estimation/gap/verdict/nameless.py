@@ -5,11 +5,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from estimation.gap.answer.result import Gap, Step, Verdict, Where
-from estimation.gap.answer.shape import Curve, Happened, Happening, Late
+from estimation.gap.answer.shape import Curve, Happened, Happening, Late, Swinging
 from estimation.gap.errors import GapError
 from estimation.gap.form.analytic import Plain
 from estimation.gap.form.fitted import Fitted
 from estimation.gap.form.search import Shape, ShapeSearch, Task, Tried, find_shape
+from estimation.gap.form.swing import Swing
 from estimation.gap.likelihood.baseline import Baseline
 from estimation.gap.search.search_state import Finding, SearchState, Setting
 from estimation.gap.tests_of_fit.calibration import Round
@@ -105,9 +106,12 @@ def _unit(model: Model, variable: str) -> str:
     return next((s.unit for s in (*model.states, *model.inputs, *model.outputs) if s.name == variable), "1")
 
 
-def late_of(found: ShapeSearch) -> Late | None:
-    m = found.memory
-    return None if m is None else Late(m.place.line, m.place.variable, m.time, m.score, m.threshold)
+def follower_of(found: ShapeSearch) -> Late | Swinging | None:
+    """A lag or a swing as the answer tells it."""
+    f = found.follower
+    if isinstance(f, Swing):
+        return Swinging(f.line, f.by, f.frequency, f.damping, f.frequency_std, f.damping_std, f.score, f.threshold)
+    return None if f is None else Late(f.place.line, f.place.variable, f.time, f.score, f.threshold)
 
 
 def why_not(tried: Tried) -> str:

@@ -60,7 +60,16 @@ def test_a_shape_gains_three_quarters_of_what_the_best_term_does(
     shape, tried = searching._best(stub(baseline=None, criteria=AS_SET), stub(), stub(), ranking)
     assert shape is None
     assert bool(left) is asked
-    assert (tried[0].why == "explains only 74% of what a nameless term does") is not asked
+    assert (tried[0].why == "explains only 74% of what a nameless term or swing does") is not asked
+
+
+def test_a_shape_gains_three_quarters_of_what_a_swing_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(searching, "examine", lambda round_: stub(leading=()))
+    monkeypatch.setattr(searching, "fit_increment", lambda baseline, increment: stub(gain=74.0))
+    monkeypatch.setattr(searching.Increment, "of", lambda place, flown, criteria: None)
+    ranking = stub(order=[0], places=[PLACE], gains=[74.0])
+    _, tried = searching._best(stub(baseline=None, criteria=AS_SET), stub(), stub(), ranking, 100.0)
+    assert tried[0].why == "explains only 74% of what a nameless term or swing does"
 
 
 @pytest.mark.parametrize(("share", "good"), [(0.86, True), (0.84, False)])

@@ -15,7 +15,8 @@ from estimation.gap.form.memory import Memory
 from estimation.gap.form.places import Place
 from estimation.gap.search.search_state import Options
 from estimation.gap.verdict.decide import Decision
-from estimation.gap.verdict.late_rest import SIZE, LateRest, beside_memory, lag_of, significant, stands_out
+from estimation.gap.verdict.followers import SIZE, hypothesis_of
+from estimation.gap.verdict.late_rest import LateRest, beside_memory, significant, stands_out
 from estimation.gap.workflow import run_gap
 from estimation.models.load import load_model
 from groundstation.flight import Flight
@@ -44,7 +45,9 @@ def test_a_name_is_needed_beside_a_memory_where_it_would_have_been_named() -> No
 
 
 def test_a_lag_adds_how_far_its_follower_is_behind() -> None:
-    lag = lag_of(MEMORY, _flown(2e-3, 0.1)).form
+    hypothesis, start = hypothesis_of(MEMORY, _flown(2e-3, 0.1))
+    lag = hypothesis.form
+    assert start == {SIZE: 0.0}
     assert lag.terms == {"Cn": (f"{SIZE}*(nameless_follower - p_hat)",)}
     assert lag.lines == ("nameless_follower_dot = (p_hat - nameless_follower)/0.5",)
     assert lag.parameters[0].typical == pytest.approx(0.02)

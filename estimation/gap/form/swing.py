@@ -1,0 +1,171 @@
+"""Something that swings: a coefficient that follows the accelerations as an oscillator does.
+
+A mass that can move in the airframe and a structure that bends answer accelerations with a frequency and a damping of their own.
+Slowly they follow, and look like a lever arm or a moment of inertia that is a little wrong, which the base or a name takes up;
+what only they do is to go on at their own frequency when the aircraft has stopped. No function of the moment and no first-order
+lag does that, so it is asked by itself: an oscillator at every one of some frequencies, driven by all accelerations of the model.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import groupby
+
+import numpy as np
+from scipy.signal import cont2discrete, lfilter
+
+from estimation.engine.kernel import Array
+from estimation.estimators.arrow import solved
+from estimation.gap.criteria import Criteria
+from estimation.gap.form.places import ACCELERATIONS, Flown
+from estimation.gap.form.screen import ranked
+from estimation.gap.tests_of_fit.calibration import Round
+from estimation.gap.tests_of_fit.screen import Projected, reduce_record, shared_prior
+
+SLOWEST = 2.0  # rad/s: a swing in three seconds; slower ones are motions of the aircraft itself
+FASTEST = 0.5  # of the highest frequency that the samples can show
+APART = 1.2  # from one frequency to the next: within the width of a resonance of that damping
+DAMPING = 0.1
+AROUND = 0.85 * 1.05 ** np.arange(8)  # of the best frequency of the grid, then looked at
+DAMPINGS = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8)
+NEEDED = 9.0  # twice a log-likelihood: three standard deviations of one more unknown
+
+
+@dataclass(frozen=True)
+class Swing:
+    """A coefficient that an oscillator adds to. line: of the coefficient; by: acceleration -> part of the coefficient that it
+    makes when it is steady [s2/m, s2]; frequency: rad/s, without damping; damping: of critical; both with their standard
+    deviation once they are fitted. gain: twice the log-likelihood by linear theory, less what chance makes of the unknowns."""
+
+    line: str
+    by: Mapping[str, float]
+    frequency: float
+    damping: float
+    gain: float
+    score: float
+    threshold: float
+    frequency_std: float | None = None
+    damping_std: float | None = None
+
+    @property
+    def words(self) -> str:
+        return f"{self.line} swings at {self.frequency / (2.0 * np.pi):.2g} Hz as {' and '.join(self.by)} drive it"
+
+
+@dataclass(frozen=True)
+class _Ask:
+    """One column: an oscillator on a coefficient, driven by one acceleration."""
+
+    line: str
+    frequency: float
+    damping: float
+    by: str
+
+    @property
+    def group(self) -> tuple[str, float, float]:
+        return self.line, self.frequency, self.damping
+
+
+def oscillator(course: Array, time: Array, frequency: float, damping: float) -> Array:
+    """(N,) what an oscillator of unit size makes of a course (N,) that is straight between samples, begun at rest where it is."""
+    over, under = _recursion(float(np.median(np.diff(time))), frequency, damping)
+    return np.asarray(course[0] + lfilter(over, under, course - course[0]))
+
+
+@lru_cache(maxsize=256)
+def _recursion(step: float, frequency: float, damping: float) -> tuple[Array, Array]:
+    square = frequency * frequency
+    over, under, _ = cont2discrete(([square], [1.0, 2.0 * damping * frequency, square]), step, method="foh")
+    return np.ravel(over), np.ravel(under)
+
+
+def frequencies(time: Array) -> Array:
+    """(many,) frequencies [rad/s] asked of a record: from a swing in three seconds to half of what its samples show."""
+    samples = 2.0 * float(np.median(np.diff(time)))  # courses have an instant between every two samples
+    highest = FASTEST * np.pi / samples
+    count = max(int(np.log(highest / SLOWEST) / np.log(APART)), 0)
+    return np.asarray(SLOWEST * APART ** np.arange(count + 1))
+
+
+def find_swing(flown: Flown, round_: Round) -> Swing | None:
+    """The coefficient and frequency that gain most by linear theory, where they stand out of the nulls and it rings."""
+    drives = [a for a in ACCELERATIONS if a in flown.courses[0] and flown.moves(a)]
+    lines = [line for line, size in flown.scale.items() if size > 0.0]
+    if not drives or not lines:
+        return None
+    asks = [_Ask(n, w, DAMPING, a) for n in lines for w in frequencies(flown.segments[0].time) for a in drives]
+    groups, gains = _gained(_projected(flown, asks, [list(null) for null in round_.null_residuals]), asks)
+    result = ranked(groups, gains, round_.criteria)
+    if not result.order:
+        return None
+    best = result.order[0]
+    line, coarse, _ = result.places[best]
+    near = [_Ask(line, w * coarse, z, a) for w in AROUND for z in DAMPINGS for a in drives]
+    projected = _projected(flown, near, [])
+    finer, gained = _gained(projected, near)
+    at = int(np.argmax(gained[:, 0]))
+    _, frequency, damping = finer[at]
+    if not rings(damping, round_.criteria):
+        return None
+    span = _needed(projected, range(at * len(drives), (at + 1) * len(drives)))
+    sizes = solved(projected.B[np.ix_(span, span)], projected.b[span, 0])
+    gain = float(gained[at, 0]) - float(result.usual[best])
+    return Swing(
+        line,
+        {near[k].by: float(size) / flown.reach(near[k].by) for k, size in zip(span, sizes, strict=True)},
+        float(frequency),
+        float(damping),
+        gain,
+        float(result.scores[best]),
+        result.threshold,
+    )
+
+
+def rings(damping: float, criteria: Criteria) -> bool:
+    """Whether something so damped swings at all: what does not is late, and at its limit anything that is a little wrong."""
+    return damping <= criteria.swing_damping
+
+
+def _needed(projected: Projected, span: Sequence[int]) -> list[int]:
+    """Of the columns that drive one oscillator those needed: the best alone, then each that gains beside those before."""
+    chosen: list[int] = []
+    before = 0.0
+    while len(chosen) < len(span):
+        gained = {k: projected.gain([*chosen, k]) for k in span if k not in chosen}
+        best = max(gained, key=lambda k: gained[k])
+        if chosen and gained[best] - before < NEEDED:
+            break
+        chosen, before = [*chosen, best], gained[best]
+    return chosen
+
+
+def _projected(flown: Flown, asks: Sequence[_Ask], nulls: Sequence[Sequence[Array]]) -> Projected:
+    problem, found = flown.problem, flown.fit
+    grams = [
+        reduce_record(problem, found, i, list(_changes(flown, asks, i)), [null[i] for null in nulls]).gram
+        for i in range(len(problem.records))
+    ]
+    gram = np.sum(grams, axis=0)
+    gram += shared_prior(problem, found, len(gram), len(asks))
+    return Projected.of(gram, len(problem.free), len(asks))
+
+
+def _gained(projected: Projected, asks: Sequence[_Ask]) -> tuple[list[tuple[str, float, float]], Array]:
+    """Oscillators (coefficient, frequency, damping), and what all that drives one gains together, (oscillators, residuals)."""
+    groups, gains, first = [], [], 0
+    for group, members in groupby(asks, key=lambda ask: ask.group):
+        span = range(first, first + len(list(members)))
+        first = span.stop
+        groups.append(group)
+        gains.append(projected.gains(span, slice(None)))
+    return groups, np.array(gains)
+
+
+def _changes(flown: Flown, asks: Sequence[_Ask], index: int) -> Iterator[Array]:
+    """(N, ny) changes of the outputs of a record by each of `asks`."""
+    time = flown.segments[index].time
+    for line, some in groupby(asks, key=lambda ask: ask.line):
+        columns = [
+            oscillator(flown.courses[index][a.by], time, a.frequency, a.damping) / flown.reach(a.by) for a in some
+        ]
+        yield from flown.changes(line, index, columns)
