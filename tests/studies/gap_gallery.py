@@ -132,11 +132,12 @@ TERMS: Mapping[str, str] = {
 TERMS_IN_PITCH: Mapping[str, str] = {
     "CL_alphadot": "CL adot", "Cm_alphadot": "Cm adot", "CL_alpha2": "CL alpha alpha", "Cm_alpha2": "Cm alpha alpha",
     "CL_alpha3": "CL alpha alpha alpha", "Cm_alpha3": "Cm alpha alpha alpha", "CL_de3": "CL de de de", "Cm_de3": "Cm de de de",
-    "Cm_alpha_de": "Cm alpha de", "CD_CL": "CD CL", "CD_alpha4": "CD alpha alpha alpha alpha", "CD_de2": "CD de de",
+    "Cm_alpha_de": "Cm alpha de", "CD_CL": "CD CL", "CD_alpha4": "CD alpha alpha alpha alpha",
+    "CD_de2": "CD de de, CD de, CD alpha de",
     "CD_q": "CD qh", "wing_compliance": "CL alpha V V", "elevator_compliance": "Cm de V V",
     "stall_separation": "CL alpha alpha alpha",
 }  # fmt: skip
-"""Name of an effect -> the coefficient and the product of signals that it adds to it."""
+"""Name of an effect -> the coefficient and the product of signals that it adds to it; one for each of its forms."""
 BASE: Mapping[str, str] = {
     "CY": "1,beta,ph,rh,dr", "Cl": "1,beta,ph,rh,da,dr", "Cn": "1,beta,ph,rh,dr",
     "CL": "1,alpha,qh,de", "CD": "1,CL CL", "Cm": "1,alpha,qh,de",
@@ -149,15 +150,18 @@ def present(flown: Sequence[Flown], terms: Mapping[str, str]) -> dict[str, float
     without noise, where it is more than a little: of the linear coefficient, then of it with the best term, and so on."""
     found: dict[str, float] = {}
     for line in BASE:
-        own = {n: of.split(maxsplit=1)[1] for n, of in terms.items() if of.split()[0] == line}
+        forms = [(n, of.split(maxsplit=1)) for n, every in terms.items() for of in every.split(", ")]
+        own = {product: n for n, (coefficient, product) in forms if coefficient == line}
         chosen: list[str] = []
         while len(chosen) < len(own):
-            shares = {n: _explained(flown, line, chosen, t) for n, t in own.items() if t not in chosen}
-            found |= {n: round(s, 2) for n, s in shares.items() if s > max(PRESENT, found.get(n, 0.0))}
-            best = max(shares, key=lambda n: shares[n])
+            shares = {t: _explained(flown, line, chosen, t) for t in own if t not in chosen}
+            for product, share in shares.items():
+                if share > max(PRESENT, found.get(own[product], 0.0)):
+                    found[own[product]] = round(share, 2)
+            best = max(shares, key=lambda t: shares[t])
             if shares[best] < PRESENT:
                 break
-            chosen.append(own[best])
+            chosen.append(best)
     return found
 
 

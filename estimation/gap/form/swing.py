@@ -54,16 +54,31 @@ class Swing:
 
 @dataclass(frozen=True)
 class _Ask:
-    """One column: an oscillator on a coefficient, driven by one acceleration."""
+    """One column: what an oscillator on a coefficient, driven by one acceleration, adds to it."""
 
     line: str
+    by: str
     frequency: float
     damping: float
-    by: str
 
     @property
     def group(self) -> tuple[str, float, float]:
         return self.line, self.frequency, self.damping
+
+    def course(self, driven: Array, time: Array) -> Array:
+        return oscillator(driven, time, self.frequency, self.damping)
+
+
+@dataclass(frozen=True)
+class _AtOnce:
+    """One column: what follows an acceleration, or its rate, at once."""
+
+    line: str
+    by: str
+    rate: bool
+
+    def course(self, driven: Array, time: Array) -> Array:
+        return np.gradient(driven, time) if self.rate else driven - driven[0]
 
 
 def oscillator(course: Array, time: Array, frequency: float, damping: float) -> Array:
@@ -88,34 +103,40 @@ def frequencies(time: Array) -> Array:
 
 
 def find_swing(flown: Flown, round_: Round) -> Swing | None:
-    """The coefficient and frequency that gain most by linear theory, where they stand out of the nulls and it rings."""
+    """The coefficient and frequency that gain most by linear theory, where they stand out of the nulls and it rings.
+
+    What follows the accelerations and their rates at once is taken out before: an oscillator faster than the motion does no more.
+    """
     drives = [a for a in ACCELERATIONS if a in flown.courses[0] and flown.moves(a)]
     lines = [line for line, size in flown.scale.items() if size > 0.0]
     if not drives or not lines:
         return None
-    asks = [_Ask(n, w, DAMPING, a) for n in lines for w in frequencies(flown.segments[0].time) for a in drives]
-    groups, gains = _gained(_projected(flown, asks, [list(null) for null in round_.null_residuals]), asks)
+    asks = [_Ask(n, a, w, DAMPING) for n in lines for w in frequencies(flown.segments[0].time) for a in drives]
+    screen = _Grams.of(flown, lines, drives, asks, [list(null) for null in round_.null_residuals])
+    groups, gains = screen.gained()
     result = ranked(groups, gains, round_.criteria)
     if not result.order:
         return None
     best = result.order[0]
     line, coarse, _ = result.places[best]
-    near = [_Ask(line, w * coarse, z, a) for w in AROUND for z in DAMPINGS for a in drives]
-    projected = _projected(flown, near, [])
-    finer, gained = _gained(projected, near)
+    finer = _Grams.of(
+        flown, [line], drives, [_Ask(line, a, w * coarse, z) for w in AROUND for z in DAMPINGS for a in drives]
+    )
+    near, gained = finer.gained()
     at = int(np.argmax(gained[:, 0]))
-    _, frequency, damping = finer[at]
+    _, frequency, damping = near[at]
     if not rings(damping, round_.criteria):
         return None
-    span = _needed(projected, range(at * len(drives), (at + 1) * len(drives)))
-    sizes = solved(projected.B[np.ix_(span, span)], projected.b[span, 0])
-    gain = float(gained[at, 0]) - float(result.usual[best])
+    span = range(at * len(drives), (at + 1) * len(drives))
+    whole = finer.with_what_follows(line)
+    needed = _needed(whole, span)
+    sizes = solved(whole.B[np.ix_(needed, needed)], whole.b[needed, 0])
     return Swing(
         line,
-        {near[k].by: float(size) / flown.reach(near[k].by) for k, size in zip(span, sizes, strict=True)},
+        {finer.asks[k].by: float(x) / flown.reach(finer.asks[k].by) for k, x in zip(needed, sizes, strict=True)},
         float(frequency),
         float(damping),
-        gain,
+        whole.gain(span) - len(span),
         float(result.scores[best]),
         result.threshold,
     )
@@ -139,33 +160,62 @@ def _needed(projected: Projected, span: Sequence[int]) -> list[int]:
     return chosen
 
 
-def _projected(flown: Flown, asks: Sequence[_Ask], nulls: Sequence[Sequence[Array]]) -> Projected:
-    problem, found = flown.problem, flown.fit
-    grams = [
-        reduce_record(problem, found, i, list(_changes(flown, asks, i)), [null[i] for null in nulls]).gram
-        for i in range(len(problem.records))
-    ]
-    gram = np.sum(grams, axis=0)
-    gram += shared_prior(problem, found, len(gram), len(asks))
-    return Projected.of(gram, len(problem.free), len(asks))
+@dataclass(frozen=True)
+class _Grams:
+    """gram: products of the n columns of the base, of what follows at once (`at_once`), of oscillators (`asks`), of residuals."""
+
+    gram: Array
+    n: int
+    at_once: tuple[_AtOnce, ...]
+    asks: tuple[_Ask, ...]
+
+    @classmethod
+    def of(
+        cls,
+        flown: Flown,
+        lines: Sequence[str],
+        drives: Sequence[str],
+        asks: Sequence[_Ask],
+        nulls: Sequence[Sequence[Array]] = (),
+    ) -> "_Grams":
+        problem, found = flown.problem, flown.fit
+        at_once = tuple(_AtOnce(n, a, rate) for n in lines for a in drives for rate in (False, True))
+        columns: tuple[_Ask | _AtOnce, ...] = (*at_once, *asks)
+        grams = [
+            reduce_record(problem, found, i, list(_changes(flown, columns, i)), [null[i] for null in nulls]).gram
+            for i in range(len(problem.records))
+        ]
+        gram = np.sum(grams, axis=0)
+        gram += shared_prior(problem, found, len(gram), len(columns))
+        return cls(gram, len(problem.free), at_once, tuple(asks))
+
+    def gained(self) -> tuple[list[tuple[str, float, float]], Array]:
+        """Oscillators (coefficient, frequency, damping), and (oscillators, residuals) what all that drives one gains."""
+        groups, gains = [], []
+        for line, asks in groupby(self.asks, key=lambda ask: ask.line):
+            projected, first = self._beside(line, at_once=False), 0
+            for group, members in groupby(asks, key=lambda ask: ask.group):
+                span = range(first, first + len(list(members)))
+                first = span.stop
+                groups.append(group)
+                gains.append(projected.gains(span, slice(None)))
+        return groups, np.array(gains)
+
+    def with_what_follows(self, line: str) -> Projected:
+        """The oscillators of a coefficient, where the base alone is taken out: what follows at once is theirs."""
+        return self._beside(line, at_once=True)
+
+    def _beside(self, line: str, at_once: bool) -> Projected:
+        taken = [] if at_once else [self.n + k for k, one in enumerate(self.at_once) if one.line == line]
+        first = self.n + len(self.at_once)
+        own = [first + k for k, ask in enumerate(self.asks) if ask.line == line]
+        index = [*range(self.n), *taken, *own, *range(first + len(self.asks), len(self.gram))]
+        return Projected.of(self.gram[np.ix_(index, index)], self.n + len(taken), len(own))
 
 
-def _gained(projected: Projected, asks: Sequence[_Ask]) -> tuple[list[tuple[str, float, float]], Array]:
-    """Oscillators (coefficient, frequency, damping), and what all that drives one gains together, (oscillators, residuals)."""
-    groups, gains, first = [], [], 0
-    for group, members in groupby(asks, key=lambda ask: ask.group):
-        span = range(first, first + len(list(members)))
-        first = span.stop
-        groups.append(group)
-        gains.append(projected.gains(span, slice(None)))
-    return groups, np.array(gains)
-
-
-def _changes(flown: Flown, asks: Sequence[_Ask], index: int) -> Iterator[Array]:
+def _changes(flown: Flown, asks: Sequence[_Ask | _AtOnce], index: int) -> Iterator[Array]:
     """(N, ny) changes of the outputs of a record by each of `asks`."""
     time = flown.segments[index].time
     for line, some in groupby(asks, key=lambda ask: ask.line):
-        columns = [
-            oscillator(flown.courses[index][a.by], time, a.frequency, a.damping) / flown.reach(a.by) for a in some
-        ]
+        columns = [ask.course(flown.courses[index][ask.by], time) / flown.reach(ask.by) for ask in some]
         yield from flown.changes(line, index, columns)
