@@ -43,6 +43,12 @@ class Criteria:
         "between a vane read at 10 Hz in a record of 20 Hz (1.5 to 1.8) and one at 6.7 Hz (2.1 to 2.5), 2026-11-24",
     )
     clipped_run: int = criterion(4, "samples", "so many in a row at the end of a range are a clipped channel")
+    longest_record: float = criterion(
+        75.0,
+        "s",
+        "a longer record is cut into stretches with initial states of their own",
+        "by hand: twice what the studies fly; what a record costs grows with the square of its length, 2026-11-25",
+    )
     own_motion: float = criterion(
         0.5,
         "noise of the control",

@@ -16,6 +16,7 @@ from estimation.engine.kernel import Array
 from estimation.engine.simulate import Segment
 from estimation.gap.criteria import Criteria
 from estimation.gap.effects.base import Effect, Form
+from estimation.gap.records.stretches import stretches
 from estimation.models.base import Model, Signal
 from estimation.signals.preprocess import noise_level
 from estimation.signals.raw_steps import noise_between_steps, with_raw_steps
@@ -122,13 +123,17 @@ def prepare_flights(
     known = {*base.input_names, *base.state_names, *base.parameter_names, *base.constants, *base.definitions}
     usable = [s for s in extra.values() if s.name not in known and all(f.measured(s.source) for f in flights)]
     probe = base.plus(inputs=[replace(s, optional=False) for s in usable])
+    controls = [i for i, s in enumerate(probe.inputs) if s.control]
     records: list[Record] = []
     notes: list[str] = []
     for index, flight in enumerate(flights):
         data = prepare(probe, flight)
         notes += [f"{flight.name}: {note}" for note in data.notes]
         noise = {name: level for name, (level, _) in data.noise.items()}
-        for whole in data.segments:
+        parts = [p for whole in data.segments for p in _stretches(whole, data.states, controls, criteria)]
+        if len(parts) > len(data.segments):
+            notes.append(f"{flight.name}: long records are fitted in stretches, {len(parts)} in all")
+        for whole in parts:
             kept = quick_length(len(whole))
             segment = replace(whole, time=whole.time[:kept], u=whole.u[:kept], z=whole.z[:kept])
             inputs = {n: np.ascontiguousarray(segment.u[:, i]) for i, n in enumerate(probe.input_names)}
@@ -160,6 +165,16 @@ def prepare_flights(
         notes=tuple(notes),
         criteria=criteria,
     )
+
+
+def _stretches(whole: Segment, states: Array, controls: list[int], criteria: Criteria) -> list[Segment]:
+    """A segment, or the stretches of a long one. states: (samples, nx) of the whole flight, where a stretch may begin."""
+    made = []
+    for part in stretches(whole, controls, criteria):
+        first = whole.first + part.start
+        x0 = whole.x0 if part.start == 0 else np.where(np.isfinite(states[first]), states[first], whole.x0)
+        made.append(Segment(first, whole.time[part], whole.u[part], whole.z[part], x0))
+    return made
 
 
 def quick_length(count: int) -> int:

@@ -5,7 +5,7 @@ nameless terms (simple functions of the motion added to an output or to a force 
 and energy that follows some activity (a clipped, stale or sticking sensor errs where its signal moves most).
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -74,7 +74,7 @@ def summed_up(signals: Sequence[Signal], largest: Array, criteria: Criteria) -> 
 
 
 def _regressors(problem: Problem, found: Fit, index: int) -> dict[tuple[str, str], Array]:
-    """(signal, shape) -> (N,) functions of the fitted motion and the controls, of unit rms."""
+    """(signal, shape) -> (N,) functions of the fitted motion and the controls."""
     residual = found.residuals[index]
     coarse = problem.coarse[index]
     shown = np.nan_to_num(coarse.z - np.nan_to_num(residual))
@@ -88,9 +88,20 @@ def _regressors(problem: Problem, found: Fit, index: int) -> dict[tuple[str, str
             ("even", s**2),
             ("rate", np.gradient(s, coarse.time)),
         ):
-            rms = float(np.sqrt(np.mean(values**2)))
+            made[(name, shape)] = values
+    return made
+
+
+def pooled(regressors: Sequence[Mapping[tuple[str, str], Array]]) -> list[dict[tuple[str, str], Array]]:
+    """Functions of every record, (signal, shape) -> (N,), of unit rms over all records: a term has one coefficient in all of
+    them. Of unit rms in each, it had the same size in a record of quiet flight as in one full of manoeuvres, where all that moves
+    is gusts and the hand that answers them."""
+    made: list[dict[tuple[str, str], Array]] = [{} for _ in regressors]
+    for key in sorted(set.intersection(*(set(r) for r in regressors))):
+        rms = float(np.sqrt(np.mean(np.concatenate([r[key] for r in regressors]) ** 2)))
+        for to, own in zip(made, regressors, strict=True):
             if rms > 0.0:
-                made[(name, shape)] = values / rms
+                to[key] = own[key] / rms
     return made
 
 
@@ -98,9 +109,8 @@ def _terms(problem: Problem, found: Fit, nulls: Sequence[tuple[Array, ...]]) -> 
     """Scores of nameless terms on the data, and the largest standardised score of every null."""
     doors = {n: n.removeprefix(DISTURBANCE.format("")) + "_dot" for n in problem.model.input_names if is_door(n)}
     places = {**{n: n for n in problem.model.output_names}, **doors}
-    regressors = [_regressors(problem, found, i) for i in range(len(problem.records))]
-    common = sorted(set.intersection(*(set(r) for r in regressors)))
-    keys = [(place, *k) for place in places for k in common if not (place == k[0] and k[1] == "linear")]
+    regressors = pooled([_regressors(problem, found, i) for i in range(len(problem.records))])
+    keys = [(place, *k) for place in places for k in regressors[0] if not (place == k[0] and k[1] == "linear")]
     grams = []
     for i, own in enumerate(regressors):
         changes = _changes(problem, found, i, [(place, own[(signal, shape)]) for place, signal, shape in keys])
@@ -203,7 +213,8 @@ def scatter_with_activity(
     total: dict[tuple[int, str], Array] = {}
     jumping = {s.name for s in problem.model.inputs if s.control} | set(jumping_outputs(problem.model))
     for i, series in enumerate(white):
-        for (name, shape), values in _regressors(problem, found, i).items():
+        (own,) = pooled([_regressors(problem, found, i)])
+        for (name, shape), values in own.items():
             # fast surfaces between two samples leave scatter of their own, and so does what jumps with them: rates of
             # theirs say nothing here, nor does the scatter of an output that jumps
             if shape not in ("even", "rate") or (shape == "rate" and name in jumping):

@@ -6,7 +6,7 @@ or a speed of the air it takes back. They are scored by linear theory with every
 projected out, calibrated on the same nulls as all else, and taken one after the other.
 """
 
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
@@ -20,7 +20,7 @@ from estimation.gap.likelihood.fitting import Fit, Problem, fit
 from estimation.gap.records.candidate_model import DISTURBANCE
 from estimation.gap.tests_of_fit.calibration import Round, upper_quantile
 from estimation.gap.tests_of_fit.doors import is_door, through_doors
-from estimation.gap.tests_of_fit.screen import Projected, reduce_record, shared_prior
+from estimation.gap.tests_of_fit.screen import TINY, reduce_record, shared_prior
 
 EVERY = 0.5  # s between the instants at which a step is looked for: a twentieth of the gain is lost between two of them
 STRETCHES = (1.0, 3.0)  # s, of disturbances; each begins a third of it after the one before
@@ -72,60 +72,136 @@ class Transients:
     cleared: Round | None
 
 
+class Course(StrEnum):
+    """What one column of an event does while it lasts."""
+
+    RAMP = "ramp"
+    STEP = "step"
+    SWELL = "swell"  # half a sine
+    TURN = "turn"  # half a cosine, the rate of one
+
+
+@dataclass(frozen=True)
+class Column:
+    """One unknown of an event. record: the only one that shows it; place: an output, or a door of the motion."""
+
+    record: int
+    place: str
+    course: Course
+    start: float
+    end: float
+
+    def over(self, time: Array) -> Array:
+        """(N,) the course along a record, of unit size."""
+        if self.course is Course.STEP:
+            return np.asarray(time >= self.start, dtype=float)
+        share = np.clip((time - self.start) / (self.end - self.start), 0.0, 1.0)
+        if self.course is Course.RAMP:
+            return share
+        if self.course is Course.SWELL:
+            return np.sin(np.pi * share)
+        return np.where((share > 0.0) & (share < 1.0), np.cos(np.pi * share), 0.0)
+
+
 @dataclass(frozen=True)
 class Asked:
-    """Events with their columns. columns: of every event; owners: the record of each column; changes: (N, ny) of each column."""
+    """Events with their columns. inside: of every event, which; columns: of all events."""
 
     events: tuple[Event, ...]
-    columns: tuple[tuple[int, ...], ...]
-    owners: tuple[int, ...]
-    changes: tuple[Array, ...]
+    inside: tuple[tuple[int, ...], ...]
+    columns: tuple[Column, ...]
 
 
-def asked_of(problem: Problem, found: Fit) -> Asked:
+def asked_of(problem: Problem) -> Asked:
     """Every event that these records could show."""
     events: list[Event] = []
-    columns: list[tuple[int, ...]] = []
-    owners: list[int] = []
-    changes: list[Array] = []
+    inside: list[tuple[int, ...]] = []
+    columns: list[Column] = []
 
-    def put(event: Event, made: Sequence[tuple[int, Array]]) -> None:
-        columns.append(tuple(range(len(changes), len(changes) + len(made))))
+    def put(event: Event, made: Sequence[Column]) -> None:
         events.append(event)
-        owners.extend(i for i, _ in made)
-        changes.extend(c for _, c in made)
+        inside.append(tuple(range(len(columns), len(columns) + len(made))))
+        columns.extend(made)
 
-    for c, name in enumerate(problem.model.output_names):
-        ramps = []
-        for i, segment in enumerate(problem.coarse):
-            share = (segment.time - segment.time[0]) / float(np.ptp(segment.time))
-            ramps.append((i, _in_output(segment.z, c, share)))
-        whole = problem.coarse[0].time
-        put(Event(Happening.DRIFT, name, -1, float(whole[0]), float(whole[-1])), ramps)
-        for i, segment in enumerate(problem.coarse):
-            for at in np.arange(segment.time[FEWEST], segment.time[-FEWEST], EVERY):
-                step = (segment.time >= at).astype(float)
-                put(
-                    Event(Happening.SLIP, name, i, float(at), float(segment.time[-1])),
-                    [(i, _in_output(segment.z, c, step))],
-                )
+    times = [segment.time for segment in problem.coarse]
+    for name in problem.model.output_names:
+        ends = [(i, float(time[0]), float(time[-1])) for i, time in enumerate(times)]
+        put(Event(Happening.DRIFT, name, -1, *ends[0][1:]), [Column(i, name, Course.RAMP, a, b) for i, a, b in ends])
+        for i, time in enumerate(times):
+            for at in np.arange(time[FEWEST], time[-FEWEST], EVERY):
+                span = (float(at), float(time[-1]))
+                put(Event(Happening.SLIP, name, i, *span), [Column(i, name, Course.STEP, *span)])
     doors = [n for n in problem.model.input_names if is_door(n)]
-    for i, segment in enumerate(problem.coarse if doors else ()):
-        bursts: list[tuple[Event, tuple[tuple[str, Array], ...]]] = []
+    for i, time in enumerate(times if doors else ()):
         for width in STRETCHES:
-            for at in np.arange(segment.time[0], segment.time[-1] - width, width / 3.0):
-                phase = np.pi * np.clip((segment.time - at) / width, 0.0, 1.0)
-                span, course = (float(at), float(at + width)), np.sin(phase)
-                bursts.append((Event(Happening.BURST, "", i, *span), tuple((d, course) for d in doors)))
-                # the rate of an air that moves like the sine
-                turn = np.where((phase > 0.0) & (phase < np.pi), np.cos(phase), 0.0)
+            for at in np.arange(time[0], time[-1] - width, width / 3.0):
+                span = (float(at), float(at + width))
+                put(Event(Happening.BURST, "", i, *span), [Column(i, d, Course.SWELL, *span) for d in doors])
                 for d in (d for d in doors if d in AIR):
                     air = d.removeprefix(DISTURBANCE.format(""))
-                    bursts.append((Event(Happening.BURST, "", i, *span, air=air), ((d, turn),)))
-        through = iter(through_doors(problem, found, i, [ask for _, asks in bursts for ask in asks]))
-        for event, asks in bursts:
-            put(event, [(i, next(through)) for _ in asks])
-    return Asked(tuple(events), tuple(columns), tuple(owners), tuple(changes))
+                    put(Event(Happening.BURST, "", i, *span, air=air), [Column(i, d, Course.TURN, *span)])
+    return Asked(tuple(events), tuple(inside), tuple(columns))
+
+
+@dataclass(frozen=True)
+class Products:
+    """The Gram matrix of [shared | columns | residuals of data and nulls], without what is never asked of it.
+
+    n: shared unknowns. outer: (n + m, n + m) of these and the residuals, with priors; across: (columns, n + m) of every column
+    with them; own: of every event the products of its columns. A column shows in one record and meets no other record's: the
+    whole matrix would grow with the square of the time flown.
+    """
+
+    problem: Problem
+    fit: Fit
+    asked: Asked
+    n: int
+    outer: Array
+    across: Array
+    own: tuple[Array, ...]
+
+    @classmethod
+    def of(cls, asked: Asked, round_: Round) -> "Products":
+        problem, found = round_.baseline.problem, round_.baseline.fit
+        n, m = len(problem.free), 1 + len(round_.null_residuals)
+        outer, across = shared_prior(problem, found, n + m, 0), np.zeros((len(asked.columns), n + m))
+        own = [np.zeros((len(c), len(c))) for c in asked.inside]
+        for i in range(len(problem.records)):
+            here = [c for c, column in enumerate(asked.columns) if column.record == i]
+            nulls = [null[i] for null in round_.null_residuals]
+            gram = reduce_record(problem, found, i, list(_changes(problem, found, i, asked, here)), nulls).gram
+            k = len(here)
+            rest = np.concatenate([np.arange(n), np.arange(n + k, n + k + m)])
+            outer += gram[np.ix_(rest, rest)]
+            across[here] = gram[n : n + k, rest]
+            at = {c: n + j for j, c in enumerate(here)}
+            for products, columns in zip(own, asked.inside, strict=True):
+                some = [j for j, c in enumerate(columns) if c in at]
+                index = [at[columns[j]] for j in some]
+                products[np.ix_(some, some)] += gram[np.ix_(index, index)]
+        return cls(problem, found, asked, n, outer, across, tuple(own))
+
+    def row(self, column: int) -> Array:
+        """(columns,) products of one column with all."""
+        record = self.asked.columns[column].record
+        here = [c for c, other in enumerate(self.asked.columns) if other.record == record]
+        changes = list(_changes(self.problem, self.fit, record, self.asked, here))
+        gram = reduce_record(self.problem, self.fit, record, changes, ()).gram
+        row = np.zeros(len(self.asked.columns))
+        row[here] = gram[self.n + here.index(column), self.n : self.n + len(here)]
+        return row
+
+
+def _changes(problem: Problem, found: Fit, index: int, asked: Asked, columns: Sequence[int]) -> Iterator[Array]:
+    """(N, ny) changes of the outputs of a record by unit size of some columns in it."""
+    z, outputs, time = problem.coarse[index].z, problem.model.output_names, problem.coarse[index].time
+    some = [asked.columns[c] for c in columns]
+    through = through_doors(problem, found, index, [(c.place, c.over(time)) for c in some if c.place not in outputs])
+    for column in some:
+        if column.place in outputs:
+            yield _in_output(z, outputs.index(column.place), column.over(time))
+        else:
+            yield next(through)
 
 
 def _in_output(z: Array, column: int, course: Array) -> Array:
@@ -134,65 +210,84 @@ def _in_output(z: Array, column: int, course: Array) -> Array:
     return change
 
 
-def gram_of(asked: Asked, round_: Round) -> Array:
-    """Gram matrix of [shared | columns | residuals of data and nulls], each column in its own record only."""
-    problem, found = round_.baseline.problem, round_.baseline.fit
-    n, k, m = len(problem.free), len(asked.changes), 1 + len(round_.null_residuals)
-    total = np.zeros((n + k + m, n + k + m))
-    for i in range(len(problem.records)):
-        own = [c for c, owner in enumerate(asked.owners) if owner == i]
-        nulls = [null[i] for null in round_.null_residuals]
-        gram = reduce_record(problem, found, i, [asked.changes[c] for c in own], nulls).gram
-        at = np.concatenate([np.arange(n), n + np.array(own, dtype=int), np.arange(n + k, n + k + m)])
-        total[np.ix_(at, at)] += gram
-    return total + shared_prior(problem, found, n + k + m, k)
+@dataclass(frozen=True)
+class Beside:
+    """All columns with the shared unknowns and some events' columns projected out. square: (columns,) what is left of each;
+    b: (columns, residuals); raw: (columns,) before; own: of every event."""
+
+    square: Array
+    b: Array
+    raw: Array
+    own: tuple[Array, ...]
+
+    @classmethod
+    def of(cls, products: Products, taken: Sequence[int], rows: Mapping[int, Array]) -> "Beside":
+        """taken: columns that are projected out; rows: their products with all."""
+        n, across = products.n, products.across
+        inside = list(taken)
+        cross = np.concatenate(
+            [across[:, :n], np.array([rows[c] for c in inside]).reshape(len(inside), len(across)).T], axis=1
+        )
+        right = np.concatenate([products.outer[:n, n:], across[inside, n:]])
+        square = np.empty((n + len(inside),) * 2)
+        square[:n, :n], square[n:, :n] = products.outer[:n, :n], across[inside, :n]
+        square[:n, n:], square[n:, n:] = across[inside, :n].T, cross[np.ix_(inside, range(n, n + len(inside)))]
+        back = solved(square, np.concatenate([cross.T, right], axis=1))
+        along, rest = back[:, : len(cross)], back[:, len(cross) :]
+        raw = np.empty(len(cross))
+        own = []
+        for columns, gram in zip(products.asked.inside, products.own, strict=True):
+            at = list(columns)
+            raw[at] = np.diag(gram)
+            own.append(gram - cross[at] @ along[:, at])
+        square_left = np.concatenate([np.diag(o) for o in own]) if own else np.zeros(0)
+        return cls(square_left, across[:, n:] - cross @ rest, raw, tuple(own))
 
 
 def find_transients(round_: Round) -> Transients:
     """Events one after the other as long as one stands out of the nulls, each projected out before the next is looked for; then
     those that the later ones have made idle are dropped."""
-    problem, found = round_.baseline.problem, round_.baseline.fit
-    asked = asked_of(problem, found)
-    gram, n, k = gram_of(asked, round_), len(problem.free), len(asked.changes)
+    asked = asked_of(round_.baseline.problem)
+    products, criteria = Products.of(asked, round_), round_.criteria
+    rows: dict[int, Array] = {}
     taken: list[int] = []
     for _ in range(MOST):
-        scores, gains, limit = _scored(gram, n, k, asked, taken, round_.criteria)
+        scores, gains, limit = _scored(products, taken, rows, criteria)
         best = int(np.argmax(scores))
         if scores[best] <= limit:
             break
         taken.append(best)
+        rows |= {c: products.row(c) for c in asked.inside[best]}
     for e in list(taken):
         others = [o for o in taken if o != e]
-        scores, _, limit = _scored(gram, n, k, asked, others, round_.criteria)
+        scores, _, limit = _scored(products, others, rows, criteria)
         if scores[e] <= limit:
             taken = others
     made = []
-    inside = [c for e in taken for c in asked.columns[e]]
-    at = dict(zip(inside, _estimates(gram, n, k, inside), strict=True))
+    inside = [c for e in taken for c in asked.inside[e]]
+    at = dict(zip(inside, _estimates(products, inside, rows), strict=True))
     for e in taken:
-        scores, gains, limit = _scored(gram, n, k, asked, [o for o in taken if o != e], round_.criteria)
-        sizes = tuple(at[c] for c in asked.columns[e])
+        scores, gains, limit = _scored(products, [o for o in taken if o != e], rows, criteria)
+        sizes = tuple(at[c] for c in asked.inside[e])
         made.append(Found(asked.events[e], float(scores[e]), limit, float(gains[e]), sizes))
     made.sort(key=lambda f: -f.score)
     return Transients(tuple(made), _without(round_, asked, {c: v for c, (v, _) in at.items()}) if made else round_)
 
 
 def _scored(
-    gram: Array, n: int, k: int, asked: Asked, taken: Sequence[int], criteria: Criteria
+    products: Products, taken: Sequence[int], rows: Mapping[int, Array], criteria: Criteria
 ) -> tuple[Array, Array, float]:
     """(events,) scores and gains of all events beside those taken, nothing for the latter; and the limit from the nulls."""
-    inside = [c for e in taken for c in asked.columns[e]]
-    projected, rest = _beside(gram, n, k, inside)
-    single = projected.scores() ** 2
-    single[np.diag(projected.B) <= SEEN * projected.raw] = 0.0
-    gains = np.zeros((len(asked.events), projected.b.shape[1]))
-    for e, columns in enumerate(asked.columns):
+    asked = products.asked
+    beside = Beside.of(products, [c for e in taken for c in asked.inside[e]], rows)
+    single = beside.b**2 / np.maximum(beside.square, TINY)[:, None]
+    single[beside.square <= SEEN * beside.raw] = 0.0
+    gains = np.zeros((len(asked.events), beside.b.shape[1]))
+    for e, columns in enumerate(asked.inside):
         if e not in taken:
-            at = [rest[c] for c in columns]
-            gains[e] = single[at[0]] if len(at) == 1 else _gains(projected, at)
-    scores = equivalent(
-        gains, np.array([len(c) for c in asked.columns]), [(e.kind, e.channel, e.air) for e in asked.events]
-    )
+            gains[e] = single[columns[0]] if len(columns) == 1 else _gains(beside, e, columns)
+    unknowns = np.array([len(c) for c in asked.inside])
+    scores = equivalent(gains, unknowns, [(e.kind, e.channel, e.air) for e in asked.events])
     return scores[:, 0], gains[:, 0], event_limit(scores[:, 1:].max(axis=0), criteria)
 
 
@@ -201,7 +296,8 @@ def _without(round_: Round, asked: Asked, sizes: Mapping[int, float]) -> Round |
     problem, found = round_.baseline.problem, round_.baseline.fit
     z = [r.z for r in problem.records]
     for c, size in sizes.items():
-        z[asked.owners[c]] = z[asked.owners[c]] - size * asked.changes[c]
+        i = asked.columns[c].record
+        z[i] = z[i] - size * next(_changes(problem, found, i, asked, [c]))
     records = tuple(replace(r, z=own) for r, own in zip(problem.records, z, strict=True))
     cleared = replace(problem, records=records)
     again = fit(cleared, found.values, found.locals)
@@ -226,26 +322,22 @@ def equivalent(gains: Array, unknowns: Array, groups: Sequence[Hashable]) -> Arr
     return np.asarray(norm.isf(0.5 * np.exp(np.maximum(tail, SMALLEST_TAIL))))
 
 
-def _beside(gram: Array, n: int, k: int, inside: Sequence[int]) -> tuple[Projected, dict[int, int]]:
-    """Columns and residuals with the shared parameters and the events already taken projected out; column -> where it is now."""
-    out = [c for c in range(k) if c not in set(inside)]
-    order = np.array([*range(n), *(n + c for c in inside), *(n + c for c in out), *range(n + k, len(gram))])
-    return Projected.of(gram[np.ix_(order, order)], n + len(inside), len(out)), {c: j for j, c in enumerate(out)}
-
-
-def _gains(projected: Projected, columns: Sequence[int]) -> Array:
+def _gains(beside: Beside, event: int, columns: Sequence[int]) -> Array:
     """(residual columns,) gain of an event; nothing where the base absorbs it."""
-    B = projected.B[np.ix_(columns, columns)]
-    if (np.diag(B) <= SEEN * projected.raw[columns]).any():
-        return np.zeros(projected.b.shape[1])
-    return projected.gains(columns, slice(0, projected.b.shape[1]))
+    B, b = beside.own[event], beside.b[list(columns)]
+    if (np.diag(B) <= SEEN * beside.raw[list(columns)]).any():
+        return np.zeros(b.shape[1])
+    return np.asarray(np.sum(b * solved(B, b), axis=0))
 
 
-def _estimates(gram: Array, n: int, k: int, inside: Sequence[int]) -> list[tuple[float, float]]:
+def _estimates(products: Products, inside: Sequence[int], rows: Mapping[int, Array]) -> list[tuple[float, float]]:
     """Sizes of the events taken with their bounds, fitted together."""
     if not inside:
         return []
-    projected, _ = _beside(gram, n, k, [])
-    B = projected.B[np.ix_(inside, inside)]
-    size, bound = solved(B, projected.b[inside, 0]), np.sqrt(np.diag(np.linalg.pinv(B, hermitian=True)))
+    n, at = products.n, list(inside)
+    cross, right = products.across[at, :n], products.outer[:n, n]
+    back = solved(products.outer[:n, :n], np.concatenate([cross.T, right[:, None]], axis=1))
+    B = np.array([rows[c][at] for c in at]) - cross @ back[:, :-1]
+    b = products.across[at, n] - cross @ back[:, -1]
+    size, bound = solved(B, b), np.sqrt(np.diag(np.linalg.pinv(B, hermitian=True)))
     return list(zip(size.tolist(), bound.tolist(), strict=True))

@@ -23,6 +23,7 @@ from estimation.gap.tests_of_fit.omnibus import (
     Signal,
     beside_others,
     follows,
+    pooled,
     restless_times,
     standardised,
     summed_up,
@@ -138,6 +139,18 @@ def test_a_term_that_the_base_absorbs_says_nothing(left: float, seen: bool) -> N
     z, standard = standardised(projected, AS_SET)
     assert z[0, 0] == pytest.approx(1.0 / np.sqrt(left))
     assert bool(standard[0, 0] > 0.0) is seen
+
+
+def test_a_nameless_term_has_one_size_in_quiet_and_in_busy_records() -> None:
+    """Of unit rms in each, what gusts make of a quiet record would count as a manoeuvre."""
+    busy, quiet = np.array([3.0, -3.0, 3.0, -3.0]), np.array([0.1, -0.1])
+    first, second = pooled(
+        [{("p", "linear"): busy, ("r", "even"): 0.0 * busy}, {("p", "linear"): quiet, ("r", "even"): 0.0 * quiet}]
+    )
+    assert np.abs(first["p", "linear"]).max() / np.abs(second["p", "linear"]).max() == pytest.approx(30.0)
+    whole = np.concatenate([first["p", "linear"], second["p", "linear"]])
+    assert np.sqrt(np.mean(whole**2)) == pytest.approx(1.0)
+    assert ("r", "even") not in first
 
 
 def test_energy_is_looked_at_second_by_second() -> None:

@@ -6,20 +6,23 @@ import numpy as np
 import pytest
 
 from estimation.engine.kernel import Array
+from estimation.engine.simulate import Segment
 from estimation.gap.criteria import AS_SET
 from estimation.gap.effects import catalogue
 from estimation.gap.likelihood.baseline import estimated_noise, noise_parts
 from estimation.gap.likelihood.fitting import Problem
 from estimation.gap.likelihood.surface_steps import SurfaceSteps, find_surface_steps, freedom_of
 from estimation.gap.likelihood.whitening import Linear, NoisePart, Shapes, Source, shapes_of
-from estimation.gap.records.flight_records import Record, with_own_noise
+from estimation.gap.records.flight_records import Record, prepare_flights, with_own_noise
 from estimation.gap.records.nuisance import with_nuisance
 from estimation.gap.records.own_motion import only_following, without_hardware_of
 from estimation.gap.records.sample_faults import sample_notes
+from estimation.gap.records.stretches import stretches
 from estimation.models.base import Parameter, ParameterRole
 from estimation.models.load import load_model
 from groundstation.flight import Flight
 from tests.estimation.gap.roll import ROLL
+from tests.studies import second_truth as truth
 
 STEP = 0.05
 
@@ -177,6 +180,52 @@ def test_a_filtered_attitude_shares_most_of_its_gyro_s_noise() -> None:
     assert not [name for name in without if name.of == "phi"]
 
 
+# ------------------------------------------------------------------------------------------------ long records
+def flown(seconds: float, resting: float | None = None) -> Segment:
+    """A record of ROLL whose aileron moves all the time, but for a second and a half about `resting`."""
+    time = np.arange(0.0, seconds, STEP)
+    u = np.sin(2.0 * time)
+    if resting is not None:
+        u[np.abs(time - resting) < 0.75] = 0.3
+    return Segment(100, time, u[:, None], np.zeros((time.size, 1)), np.zeros(1))
+
+
+@pytest.mark.parametrize(
+    ("seconds", "parts"), [(30.0, 1), (74.0, 1), (76.0, 2), (149.0, 2), (151.0, 3), (600.0, 8), (601.0, 9)]
+)
+def test_a_record_longer_than_75_s_is_cut_into_stretches_that_are_no_longer(seconds: float, parts: int) -> None:
+    segment = flown(seconds)
+    cut = stretches(segment, [0], AS_SET)
+    assert len(cut) == parts
+    assert [c.start for c in cut[1:]] == [c.stop for c in cut[:-1]]
+    assert (cut[0].start, cut[-1].stop) == (0, len(segment))
+    lengths = [c.stop - c.start for c in cut]
+    assert min(lengths) > 0.75 * max(lengths)
+
+
+def test_a_record_is_cut_where_the_controls_rest() -> None:
+    for resting in (47.0, 53.0):
+        first, _ = stretches(flown(100.0, resting), [0], AS_SET)
+        assert first.stop * STEP == pytest.approx(resting, abs=0.3)
+    even, _ = stretches(flown(100.0, 30.0), [0], AS_SET)  # too far from the middle
+    assert even.stop * STEP == pytest.approx(50.0, abs=5.1)
+
+
+def test_stretches_of_a_flight_begin_where_it_was_and_are_told() -> None:
+    model = load_model("lateral", "cdfp")
+    (columns,) = truth.fly([truth.Request(11, duration=90.0)])
+    flight = Flight.build("f0", columns["time"], {k: v for k, v in columns.items() if k != "time"})
+    prepared = prepare_flights(model, (), [flight], [], AS_SET)
+    one, two = prepared.records
+    assert (one.flight, two.flight) == (0, 0)
+    assert abs(two.first * STEP - 45.0) <= 4.6
+    assert one.first + len(one) <= two.first <= one.first + len(one) + 5
+    assert two.time[0] == pytest.approx(flight.time[two.first])
+    near = [flight.columns[n][two.first] for n in model.state_names]
+    assert two.x0 == pytest.approx(near, abs=0.02)
+    assert any("long records are fitted in stretches, 2 in all" in note for note in prepared.notes)
+
+
 # ------------------------------------------------------------------------------------------------ controls that follow
 def steered(own: float, noise: float = 0.001, count: int = 600) -> Record:
     """A record of ROLL whose aileron is the roll rate a sample ago times a gain, and a wave of rms `own` noises beside it."""
@@ -217,8 +266,6 @@ def moved(u: Array, jump: float = 0.0, scale: float = 1.0) -> SurfaceSteps:
     one = Linear(
         np.array([[-1.0]]), np.array([[1e-9]]), np.eye(1), np.array([[jump]]), ("delta_a",), STEP, np.array([scale])
     )
-    from estimation.engine.simulate import Segment
-
     segment = Segment(0, STEP * np.arange(u.size), u[:, None], np.ones((u.size, 1)), np.zeros(1))
     return find_surface_steps(ROLL, one, segment, AS_SET)
 

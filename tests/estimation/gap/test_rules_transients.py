@@ -119,9 +119,9 @@ def test_a_gust_that_comes_and_goes_is_found_as_one_of_the_air() -> None:
     assert told.sizes[0][0] == pytest.approx(0.2, abs=4.0 * told.sizes[0][1])
     assert "a gust changes alpha on f1 from 8.0 to 11.0 s by up to 0.2" in describe_events(Happened([told]))
     assert (told.to_json()["air"], told.to_json()["unit"]) == ("alpha", "rad")
-    events = asked_of(*moving(round_)).events
+    events = asked_of(moving(round_)[0]).events
     assert {e.air for e in events if e.kind == "burst"} == {"", "alpha"}
-    turning = asked_of(*moving(sunk([NOTHING], [DISTURBANCE.format("q")])))
+    turning = asked_of(moving(sunk([NOTHING], [DISTURBANCE.format("q")]))[0])
     assert {e.air for e in turning.events} == {""}, "the air turns the flow and not the body"
 
 
