@@ -17,7 +17,7 @@ from estimation.gap.effects.base import Effect
 from estimation.gap.records.flight_records import Record
 from estimation.models.base import Model
 
-LATE = range(4)  # samples by which a hand or an autopilot with its servo is late, at most, and a sample to spare
+LATE = (0.0, 0.05, 0.1, 0.15, 0.2)  # s: a hand, or an autopilot with its servo, is late by these and what lies between
 ENOUGH = 4  # samples for each of its regressors: a record with fewer says nothing
 
 
@@ -36,7 +36,7 @@ def words_on(control: str) -> str:
 
 def _follows(record: Record, control: str, criteria: Criteria) -> bool:
     noise = record.input_noise.get(control, 0.0)
-    motion = _motion(record)
+    motion = followed(record)
     if noise <= 0.0 or len(record) < ENOUGH * motion.shape[1]:
         return False
     return own_motion(record.inputs[control], motion) < criteria.own_motion * noise
@@ -50,14 +50,17 @@ def own_motion(values: Array, motion: Array) -> float:
     return float(np.sqrt(left @ left / (len(values) - columns.shape[1])))
 
 
-def _motion(record: Record) -> Array:
-    """(N, k) a straight line, and the measured states now and some samples before."""
+def followed(record: Record) -> Array:
+    """(N, k) what a control may follow: a straight line, the measured states now and a little before, and their integrals."""
     count = len(record)
     line = np.vander(np.linspace(-1.0, 1.0, count), 2)
     if record.states is None:
         return line
     states = record.states[:, np.isfinite(record.states).all(axis=0)]
-    return np.column_stack([line, *(np.concatenate([states[:1].repeat(k, 0), states[: count - k]]) for k in LATE)])
+    step = float(np.median(np.diff(record.time)))
+    late = sorted({round(t / step) for t in LATE})
+    before = [np.concatenate([states[:1].repeat(k, 0), states[: count - k]]) for k in late]
+    return np.column_stack([line, *before, np.cumsum(states - states.mean(axis=0), axis=0)])
 
 
 def without_hardware_of(
