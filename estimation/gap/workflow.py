@@ -80,4 +80,4 @@ def _setting(prepared: FlightRecords, effects: tuple[Effect, ...], options: Opti
     streams = (Stream.INPUT_ERRORS.generator(options.seed, i) for i in range(len(prepared.records)))
     errors = tuple(input_errors(r, clean, rng) for r, rng in zip(prepared.records, streams, strict=True))
     prepared = replace(prepared, records=with_errors(prepared.records, clean, errors), notes=(*prepared.notes, *told))
-    return Setting(base, clean, working, prepared, effects, untold, errors, scatter, options, tell)
+    return Setting(base, clean, working, prepared, effects, following, untold, errors, scatter, options, tell)

@@ -142,9 +142,10 @@ def conclude(
     holdout: bool,
     odd: Sequence[str] = (),
     stale: Sequence[str] = (),
+    following: Sequence[str] = (),
 ) -> str:
     """The paragraph of the verdict. odd: training flights that do not repeat the others. stale: outputs that repeat their last
-    value in many samples."""
+    value in many samples. following: controls that only follow the motion."""
     parts = []
     if verdict is Verdict.NO_GAP:
         parts.append(
@@ -173,6 +174,12 @@ def conclude(
         parts.append(
             f"{' and '.join(stale)} repeat{'s' if len(stale) == 1 else ''} the last value in many samples (a stale, slow or "
             "coarsely rounded sensor): that is the instrument's, and no term of the model is asked to explain it."
+        )
+    if following:
+        verb = "rests or only follows" if len(following) == 1 else "rest or only follow"
+        parts.append(
+            f"{' and '.join(following)} {verb} the motion, as a pilot or an autopilot steers: gusts that are answered look like "
+            "terms of the model, and when the surface moves and how far is not told; move it by itself, in steps."
         )
     if cannot:
         names = ", ".join(e.name for e in cannot[:NAMES]) + (

@@ -29,9 +29,7 @@ def only_following(records: Sequence[Record], model: Model, criteria: Criteria) 
 
 def words_on(control: str) -> str:
     """What a person has to know of such a control."""
-    return (
-        f"{control} only follows the motion: whether it is late or has play is not asked; move it by itself, in steps"
-    )
+    return f"{control} rests or only follows the motion: whether it is late or has play is not asked; move it by itself, in steps"
 
 
 def _follows(record: Record, control: str, criteria: Criteria) -> bool:

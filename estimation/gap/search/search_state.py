@@ -59,18 +59,27 @@ class SearchState:
 
 @dataclass(frozen=True)
 class Setting:
-    """What stays the same over all rounds. untold: effects not asked for, because nothing in these flights tells them."""
+    """What stays the same over all rounds. following: controls that only follow the motion; untold: effects not asked for that
+    reason."""
 
     base: Model
     clean: Model
     working: Model
     prepared: FlightRecords
     effects: tuple[Effect, ...]
+    following: tuple[str, ...]
     untold: tuple[Effect, ...]
     errors: tuple[InputErrors, ...]
     scatter: Array
     options: Options
     tell: LOOK
+
+    @property
+    def steered(self) -> bool:
+        """Whether every control of the base only follows the motion: gusts that a hand answers look like terms of the model then,
+        and nothing that is left without a name can be believed."""
+        controls = {s.name for s in self.base.inputs if s.control}
+        return bool(controls) and controls <= set(self.following)
 
     def child(self, parent: Baseline, candidate: Candidate) -> Baseline:
         """The parent with a candidate's form, fitted afresh with its own noise."""

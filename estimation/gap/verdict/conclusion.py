@@ -18,7 +18,16 @@ from estimation.gap.tests_of_fit.kinematic_check import KinematicCheck
 from estimation.gap.tests_of_fit.measure import Floors, floors, on_holdout, rms_over_noise
 from estimation.gap.tests_of_fit.omnibus import Omnibus, examine
 from estimation.gap.tests_of_fit.repeatability import repeatability
-from estimation.gap.verdict.decide import Decision, Facts, Named, decide, with_event, with_rest, with_shape
+from estimation.gap.verdict.decide import (
+    Decision,
+    Facts,
+    Named,
+    decide,
+    only_steered,
+    with_event,
+    with_rest,
+    with_shape,
+)
 from estimation.gap.verdict.disagreement import views
 from estimation.gap.verdict.followers import settled
 from estimation.gap.verdict.held import held_back, held_step
@@ -50,9 +59,8 @@ def concluded(setting: Setting, search: SearchState, check: KinematicCheck) -> G
     named = [step_of(setting, f, floor) for f in search.findings]
     left = rms_over_noise(last.baseline.problem, last.baseline.fit, setting.scatter)
     cannot = [*undetectable(first), *setting.untold]
-    decision = decide(
-        facts_of(search, named, floor.covers(left), cannot, len(setting.untold)), setting.options.criteria
-    )
+    facts = facts_of(search, named, floor.covers(left), cannot, len(setting.untold))
+    decision = decide(only_steered(facts) if setting.steered else facts, setting.options.criteria)
     kept = search.findings[: decision.kept]
     standing = kept[-1].child if kept else first.baseline
     found, event, unnamed = NOT_SEARCHED, None, None
@@ -61,12 +69,13 @@ def concluded(setting: Setting, search: SearchState, check: KinematicCheck) -> G
         if again.shape is not None and as_good(again.shape, named[0], setting.options.criteria):
             decision, kept, standing, found = without_name(decision, kept[0], again.shape), (), first.baseline, again
     rest = search.omnibus
-    if found.shape is None and (not kept or decision.verdict is Verdict.UNKNOWN):
+    unsearched = found.shape is None and not setting.steered
+    if unsearched and (not kept or decision.verdict is Verdict.UNKNOWN):
         about = standing_round(setting, search, kept)
         found = searched(setting, search, about, decision)
         event = happened(setting, about) if found.shape is None else None
     late = None
-    if found.shape is None and event is None and (late := late_rest(setting, search, kept)):
+    if unsearched and found.shape is None and event is None and (late := late_rest(setting, search, kept)):
         decision = beside_memory(decision, [n.effect for n in named], late)
         if decision.kept < len(kept):
             kept = kept[: decision.kept]
@@ -96,7 +105,9 @@ def concluded(setting: Setting, search: SearchState, check: KinematicCheck) -> G
     before_model, after_model = models(setting.base, first.baseline, kept, found.shape)
     return GapResult(
         verdict=decision.verdict,
-        text=conclude(decision.verdict, steps, detectable, cannot, tied, bool(prepared.holdout), odd, stale),
+        text=conclude(
+            decision.verdict, steps, detectable, cannot, tied, bool(prepared.holdout), odd, stale, setting.following
+        ),
         minimum_detectable=detectable,
         steps=steps,
         scores=effect_scores(first),

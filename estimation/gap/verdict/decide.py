@@ -71,6 +71,12 @@ def decide(facts: Facts, criteria: Criteria) -> Decision:
     return Decision(verdict, kept, withdrawn)
 
 
+def only_steered(facts: Facts) -> Facts:
+    """The facts of flights on which every control only follows the motion: no rest without a name counts, and what has no name
+    could not have been seen."""
+    return replace(facts, rest=0.0, blind=facts.asked)
+
+
 def with_shape(decision: Decision) -> Decision:
     """The decision where a nameless shape was found for the rest: the gap is smaller, and it still has no name."""
     return replace(decision, verdict=Verdict.GAP_REDUCED)

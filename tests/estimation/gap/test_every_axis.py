@@ -8,6 +8,7 @@ from scipy.signal import lfilter
 
 from estimation.engine.kernel import Array
 from estimation.engine.simulate import Segment, Simulator
+from estimation.gap.answer.result import Verdict
 from estimation.gap.criteria import AS_SET
 from estimation.gap.effects import Effect, catalogue
 from estimation.gap.likelihood.channel_noise import pitch_error
@@ -275,9 +276,11 @@ def test_an_elevator_that_only_holds_an_attitude_is_not_asked_when_it_moves() ->
     four = gap_benchmark.flights(truth.fly(requests))
     result = run_gap(PITCHING, four[:3], four[3:], options=Options(seed=1, nulls=20))
     assert [s.effect for s in result.steps] == []
+    assert result.verdict is Verdict.CANNOT_TELL
+    assert "move it by itself, in steps" in result.text
     assert not [n for n in result.scores if n.startswith("elevator_") and n != "elevator_compliance"]
     assert {"elevator_lag", "elevator_delay"} <= {c["effect"] for c in result.details["cannot_tell"]}
-    assert sum("delta_e only follows the motion" in note for note in result.notes) == 3
+    assert sum("delta_e rests or only follows the motion" in note for note in result.notes) == 3
 
 
 @pytest.mark.parametrize(("samples", "verdict"), [(2, "no_gap"), (3, "unknown_effect")])

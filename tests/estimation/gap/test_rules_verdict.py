@@ -13,7 +13,7 @@ from estimation.gap.criteria import AS_SET
 from estimation.gap.effects.base import Effect, EffectParameter, Form, Group
 from estimation.gap.tests_of_fit.hypotheses import Column, Hypothesis
 from estimation.gap.tests_of_fit.screen import Reduced, Screen
-from estimation.gap.verdict.decide import TABLE, Facts, Named, closed_by, decide, outweighs
+from estimation.gap.verdict.decide import TABLE, Facts, Named, closed_by, decide, only_steered, outweighs
 from estimation.gap.verdict.disagreement import binned, windows
 from estimation.gap.verdict.effect_location import channels_that_gain, regime, spans_of
 from estimation.gap.verdict.steps import followers, migrated, worth_in_words
@@ -60,6 +60,13 @@ def test_nothing_found_and_nothing_left_is_no_gap() -> None:
 def test_flights_that_hide_one_effect_in_eight_cannot_tell(blind: int, word: Verdict) -> None:
     assert verdict(replace(QUIET, blind=blind)) is word
     assert verdict(replace(QUIET, blind=blind, named=(named(),))) is Verdict.GAP_CLOSED, "what they show they show"
+
+
+def test_where_every_control_only_follows_the_motion_no_rest_counts_and_names_do() -> None:
+    loud = replace(QUIET, rest=60.0)
+    assert verdict(loud) is Verdict.UNKNOWN
+    assert verdict(only_steered(loud)) is Verdict.CANNOT_TELL
+    assert verdict(only_steered(replace(loud, named=(named(),)))) is Verdict.GAP_CLOSED
 
 
 @pytest.mark.parametrize(("rest", "word"), [(6.2, Verdict.NO_GAP), (6.8, Verdict.UNKNOWN)])
