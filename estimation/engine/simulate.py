@@ -136,8 +136,9 @@ class Simulator:
 
     def _moved(self, segment: Segment, values: Mapping[str, float], moved: Array) -> Array:
         """Changes (N, nu, k) of the transformed inputs with small changes of the inputs themselves."""
-        model, found = self.model, np.empty_like(moved)
-        for k in range(moved.shape[2]):
+        model, found = self.model, moved.copy()
+        changed = sorted({model.input_names.index(t.input) for t in model.transforms})
+        for k in np.flatnonzero(moved[:, changed].any(axis=(0, 1))):
             up, down = (
                 apply_transforms(
                     model.transforms, model.input_names, segment.time, segment.u + share * moved[:, :, k], values

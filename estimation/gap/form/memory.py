@@ -2,12 +2,13 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import groupby
 
 import numpy as np
 from scipy.signal import lfilter
 
 from estimation.engine.kernel import Array
-from estimation.gap.form.places import SMALL, Flown, Place
+from estimation.gap.form.places import Flown, Place
 from estimation.gap.form.screen import ranked
 from estimation.gap.tests_of_fit.calibration import Round
 from estimation.gap.tests_of_fit.screen import Projected, reduce_record, shared_prior
@@ -43,11 +44,12 @@ def find_memory(flown: Flown, round_: Round, places: Sequence[Place]) -> Memory 
     asked = [(p, t) for p in places if flown.moves(p.variable) and flown.scale[p.line] > 0.0 for t in TIMES]
     grams = []
     for i, segment in enumerate(flown.segments):
-        changes = []
-        for place, memory in asked:
-            column = late(flown.courses[i][place.variable], segment.time, memory)
-            column = column / flown.reach(place.variable)
-            changes.append(flown.change(place.line, i, column, SMALL * flown.scale[place.line]))
+        changes: list[Array] = []
+        for line, some in groupby(asked, key=lambda ask: ask[0].line):
+            columns = [
+                late(flown.courses[i][p.variable], segment.time, memory) / flown.reach(p.variable) for p, memory in some
+            ]
+            changes += flown.changes(line, i, columns)
         nulls = [null[i] for null in round_.null_residuals]
         grams.append(reduce_record(problem, found, i, changes, nulls).gram)
     gram = np.sum(grams, axis=0)

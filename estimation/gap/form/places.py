@@ -26,7 +26,6 @@ ACCELERATIONS = (
 )  # that drive what can move in the airframe, where a model has them
 AT_ONCE = 60  # parts in one run: the arrays of some hundred would fill a small machine
 RUNAWAY = 1e9  # a change that grows so far is no small one any more
-SMALL = 0.05  # of the prior width: steps in which the motion is linear
 FLOWN = 1e-9  # of anything: a smaller range is none
 
 
@@ -160,16 +159,6 @@ class Flown:
     def reach(self, variable: str) -> float:
         """Largest size of a variable: what a multiplier is counted in."""
         return max(float(np.abs(c[variable]).max()) for c in self.courses)
-
-    def change(self, line: str, index: int, course: Array, step: float) -> Array:
-        """(N, ny) change of the outputs by a part `course` (2N - 1,) of a coefficient, per unit of it."""
-        segment = self.segments[index]
-        u = segment.u.copy()
-        u[:, self.simulator.model.input_names.index(INCREMENT.format(line))] += step * course
-        local = self.fit.locals[index]
-        motion = self.simulator.run_by_middles(replace(segment, u=u), {**self.fit.values, **local.parameters}, local.x0)
-        shown = self.shown[index]
-        return np.nan_to_num((motion.y[:, : shown.shape[1]] - shown) / step)
 
     def changes(self, line: str, index: int, courses: Sequence[Array]) -> Iterator[Array]:
         """(N, ny) changes of the outputs of a record by each of some parts (2N - 1,) of a coefficient, by linear theory.

@@ -9,7 +9,7 @@ import numpy as np
 from estimation.engine.kernel import Array
 from estimation.estimators.arrow import solved
 from estimation.gap.criteria import Criteria
-from estimation.gap.form.places import SMALL, Flown, Place, spread_of
+from estimation.gap.form.places import Flown, Place, spread_of
 from estimation.gap.tests_of_fit.calibration import Round, upper_quantile
 from estimation.gap.tests_of_fit.screen import Projected, reduce_record, shared_prior
 
@@ -56,7 +56,7 @@ def rank(flown: Flown, round_: Round, places: Sequence[Place]) -> Ranked[Place]:
         begin = len(changes[0])
         for i in range(len(problem.records)):
             columns = flown.columns(place, i, limits)
-            changes[i] += [flown.change(place.line, i, c, SMALL * s) for c, s in zip(columns.T, spread, strict=True)]
+            changes[i] += flown.changes(place.line, i, list(columns.T))
         spans.append(range(begin, len(changes[0])))
         weights.append(1.0 / spread**2)
     grams = [

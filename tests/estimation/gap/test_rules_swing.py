@@ -12,7 +12,7 @@ from estimation.gap.answer.shape import Swinging
 from estimation.gap.answer.words import describe_swing
 from estimation.gap.criteria import AS_SET
 from estimation.gap.effects import catalogue
-from estimation.gap.form.places import SMALL, Flown
+from estimation.gap.form.places import Flown
 from estimation.gap.form.search import ShapeSearch
 from estimation.gap.form.swing import DAMPING, SLOWEST, Swing, find_swing, frequencies, oscillator, rings
 from estimation.gap.likelihood.baseline import fit_baseline
@@ -127,7 +127,12 @@ def test_a_part_of_a_coefficient_changes_the_outputs_as_a_small_step_of_it_does(
     course = oscillator(flown.courses[1]["q_dot"], flown.segments[1].time, 9.0, 0.05)
     course /= np.abs(course).max()
     (linear,) = flown.changes("Cm", 1, [course])
-    secant = flown.change("Cm", 1, course, SMALL * flown.scale["Cm"])
+    step, segment, own = 0.05 * flown.scale["Cm"], flown.segments[1], baseline.fit.locals[1]
+    shaken = segment.u.copy()
+    shaken[:, flown.simulator.model.input_names.index("increment_Cm")] += step * course
+    values = {**baseline.fit.values, **own.parameters}
+    two = [flown.simulator.run_by_middles(replace(segment, u=u), values, own.x0).y for u in (shaken, segment.u)]
+    secant = (two[0] - two[1])[:, : linear.shape[1]] / step
     assert np.abs(linear - secant).max() < 0.01 * np.abs(secant).max()
     round_ = screen_round(baseline, setting.prepared, near, setting.errors, 40, 1, name_threshold)
     assert find_swing(flown, round_) is None  # nothing swings in these
