@@ -19,8 +19,10 @@ from typing import Any
 import numpy as np
 
 from estimation.gap.answer.result import GapResult
+from estimation.gap.criteria import AS_SET
 from estimation.gap.effects.catalogue import BUILT_IN, LONGITUDINAL
 from estimation.gap.effects.cross_axis import CROSS_AXIS
+from estimation.gap.tests_of_fit.hypotheses import one_sided
 from estimation.gap.workflow import Options, run_gap
 from estimation.models.load import load_model
 from groundstation.flight import Flight
@@ -81,7 +83,8 @@ SUBJECTS: dict[str, tuple[tuple[str, ...], tuple[str, ...], tuple[tuple[str, str
 ONE_SIDED = frozenset(
     e.name
     for e in (*BUILT_IN, *LONGITUDINAL, *CROSS_AXIS)
-    if e.forms and all(p.none == 0.0 and p.lower >= 0.0 for f in e.forms for p in f.parameters)
+    if e.forms
+    and all(not isinstance(p.none, str) and one_sided(p, p.none, AS_SET) for f in e.forms for p in f.parameters)
 )
 """Effects that nature makes of one sign only."""
 

@@ -1,8 +1,7 @@
 """Where no function of the motion explains what is left: would a coefficient that follows its variable late?"""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import groupby
 
 import numpy as np
 from scipy.signal import lfilter
@@ -11,7 +10,7 @@ from estimation.engine.kernel import Array
 from estimation.gap.form.places import Flown, Place
 from estimation.gap.form.screen import ranked
 from estimation.gap.tests_of_fit.calibration import Round
-from estimation.gap.tests_of_fit.screen import Projected, reduce_record, shared_prior
+from estimation.gap.tests_of_fit.screen import Projected, gram_of
 
 TIMES = (0.05, 0.1, 0.2, 0.5, 1.0)  # s, each twice the one before or so: signatures of neighbours are much alike
 
@@ -42,18 +41,13 @@ def find_memory(flown: Flown, round_: Round, places: Sequence[Place]) -> Memory 
     """The place and time constant that gain most by linear theory, where they stand out of the nulls."""
     problem, found = flown.problem, flown.fit
     asked = [(p, t) for p in places if flown.moves(p.variable) and flown.scale[p.line] > 0.0 for t in TIMES]
-    grams = []
-    for i, segment in enumerate(flown.segments):
-        changes: list[Array] = []
-        for line, some in groupby(asked, key=lambda ask: ask[0].line):
-            columns = [
-                late(flown.courses[i][p.variable], segment.time, memory) / flown.reach(p.variable) for p, memory in some
-            ]
-            changes += flown.changes(line, i, columns)
-        nulls = [null[i] for null in round_.null_residuals]
-        grams.append(reduce_record(problem, found, i, changes, nulls).gram)
-    gram = np.sum(grams, axis=0)
-    gram += shared_prior(problem, found, len(gram), len(asked))
+
+    def changes(i: int) -> Iterator[Array]:
+        courses, time = flown.courses[i], flown.segments[i].time
+        lags = [(p.line, late(courses[p.variable], time, t) / flown.reach(p.variable)) for p, t in asked]
+        return flown.changes(i, lags)
+
+    gram = gram_of(problem, found, changes, round_.null_residuals)
     gains = Projected.of(gram, len(problem.free), len(asked)).scores() ** 2
     result = ranked([p for p, _ in asked], gains, round_.criteria)
     if not result.order:

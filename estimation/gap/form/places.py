@@ -10,22 +10,15 @@ from estimation.engine.simulate import Segment, Simulator
 from estimation.gap.criteria import Criteria
 from estimation.gap.form.spline import Range, basis
 from estimation.gap.likelihood.fitting import Fit, Problem
+from estimation.gap.tests_of_fit.doors import responses
 from estimation.models.base import Model, ParameterRole, Signal
 from estimation.models.expressions import names_in, products_in
 
 INCREMENT = "increment_{}"
 EXTRA_INPUTS = ("alpha",)  # an input that no term of the model has, yet coefficients depend on
 EXTRA_STATES = ("alpha", "V")
-ACCELERATIONS = (
-    "ax",
-    "ay",
-    "az",
-    "p_dot",
-    "q_dot",
-    "r_dot",
-)  # that drive what can move in the airframe, where a model has them
-AT_ONCE = 60  # parts in one run: the arrays of some hundred would fill a small machine
-RUNAWAY = 1e9  # a change that grows so far is no small one any more
+# that drive what can move in the airframe, where a model has them
+ACCELERATIONS = ("ax", "ay", "az", "p_dot", "q_dot", "r_dot")
 FLOWN = 1e-9  # of anything: a smaller range is none
 
 
@@ -109,7 +102,6 @@ class Flown:
     fit: Fit
     simulator: Simulator
     segments: tuple[Segment, ...]
-    shown: tuple[Array, ...]
     courses: tuple[dict[str, Array], ...]
     scale: dict[str, float]
 
@@ -126,17 +118,16 @@ class Flown:
             observed=[Signal(n) for n in names if n not in model.output_names],
         )
         simulator = Simulator.build(probe, (), substeps=1, hold="linear")
-        segments, shown, courses = [], [], []
+        segments, courses = [], []
         for i, local in enumerate(fit.locals):
             driven = problem.driven(problem.grids[i], fit.values)
             still = np.zeros((driven.u.shape[0], len(lines)))
             segment = replace(driven, u=np.ascontiguousarray(np.concatenate([driven.u, still], axis=1)))
             y = simulator.run(segment, {**fit.values, **local.parameters}, local.x0).y
             segments.append(segment)
-            shown.append(y[::2, : len(model.outputs)])
             courses.append({n: y[:, probe.output_names.index(n)] for n in names})
         scale = {n: float(np.std(np.concatenate([c[n] for c in courses]))) for n in lines}
-        return cls(problem, fit, simulator, tuple(segments), tuple(shown), tuple(courses), scale)
+        return cls(problem, fit, simulator, tuple(segments), tuple(courses), scale)
 
     def range_of(self, variable: str) -> Range:
         return Range.of([c[variable] for c in self.courses])
@@ -160,29 +151,21 @@ class Flown:
         """Largest size of a variable: what a multiplier is counted in."""
         return max(float(np.abs(c[variable]).max()) for c in self.courses)
 
-    def changes(self, line: str, index: int, courses: Sequence[Array]) -> Iterator[Array]:
-        """(N, ny) changes of the outputs of a record by each of some parts (2N - 1,) of a coefficient, by linear theory.
+    def changes(self, index: int, asks: Sequence[tuple[str, Array]]) -> Iterator[Array]:
+        """(N, ny) changes of the outputs of a record by unit of each of `asks`, by linear theory: a coefficient and the course
+        (2N - 1,) of a part of it. Nothing where they run away or nothing was measured."""
+        segment, own, outputs = self.segments[index], self.fit.locals[index], len(self.problem.model.outputs)
 
-        Nothing where they run away or nothing was measured.
-        """
-        segment, own = self.segments[index], self.fit.locals[index]
-        column, outputs = self.simulator.model.input_names.index(INCREMENT.format(line)), self.shown[index].shape[1]
-        unmeasured = ~np.isfinite(self.fit.residuals[index])
-        for first in range(0, len(courses), AT_ONCE):
-            some = courses[first : first + AT_ONCE]
-            moved = np.zeros((*segment.u.shape, len(some)))
-            moved[:, column, :] = np.column_stack(some)
+        def respond(moved: Array) -> Array | None:
             motion = self.simulator.run_by_middles(
                 segment, {**self.fit.values, **own.parameters}, own.x0, sensitivities=True, moved=moved
             )
-            for k in range(len(some)):
-                change = (
-                    None if motion.dy is None else motion.dy[:, :outputs, motion.dy.shape[2] - len(some) + k].copy()
-                )
-                alive = change is not None and np.abs(change).max() < RUNAWAY
-                change = change if alive and change is not None else np.zeros(unmeasured.shape)
-                change[unmeasured] = 0.0
-                yield change
+            if motion.dy is None or not motion.finite:
+                return None
+            return motion.dy[:, :outputs, -moved.shape[2] :].copy()
+
+        through = [(INCREMENT.format(line), course) for line, course in asks]
+        return responses(respond, self.simulator.model.input_names, through, ~np.isfinite(self.fit.residuals[index]))
 
 
 def spread_of(place: Place, scale: float, criteria: Criteria) -> Array:

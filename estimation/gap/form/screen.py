@@ -11,7 +11,7 @@ from estimation.estimators.arrow import solved
 from estimation.gap.criteria import Criteria
 from estimation.gap.form.places import Flown, Place, spread_of
 from estimation.gap.tests_of_fit.calibration import Round, upper_quantile
-from estimation.gap.tests_of_fit.screen import Projected, reduce_record, shared_prior
+from estimation.gap.tests_of_fit.screen import Projected, gram_of
 
 NOTHING = 1e-300
 
@@ -48,25 +48,18 @@ def rank(flown: Flown, round_: Round, places: Sequence[Place]) -> Ranked[Place]:
     problem, found, criteria = flown.problem, flown.fit, round_.criteria
     usable = [p for p in places if flown.moves(p.variable) and flown.scale[p.line] > 0.0]
     spans: list[range] = []
-    changes: list[list[Array]] = [[] for _ in problem.records]
+    asks: list[list[tuple[str, Array]]] = [[] for _ in problem.records]
     weights: list[Array] = []
     for place in usable:
         spread = spread_of(place, flown.scale[place.line], criteria)
         limits = flown.range_of(place.variable)
-        begin = len(changes[0])
-        for i in range(len(problem.records)):
-            columns = flown.columns(place, i, limits)
-            changes[i] += flown.changes(place.line, i, list(columns.T))
-        spans.append(range(begin, len(changes[0])))
+        begin = len(asks[0])
+        for i, own in enumerate(asks):
+            own += [(place.line, course) for course in flown.columns(place, i, limits).T]
+        spans.append(range(begin, len(asks[0])))
         weights.append(1.0 / spread**2)
-    grams = [
-        reduce_record(problem, found, i, changes[i], [null[i] for null in round_.null_residuals]).gram
-        for i in range(len(problem.records))
-    ]
-    gram = np.sum(grams, axis=0)
-    k = len(changes[0])
-    gram += shared_prior(problem, found, len(gram), k)
-    projected = Projected.of(gram, len(problem.free), k)
+    gram = gram_of(problem, found, lambda i: flown.changes(i, asks[i]), round_.null_residuals)
+    projected = Projected.of(gram, len(problem.free), len(asks[0]))
     every = np.array([penalised(projected, span, w) for span, w in zip(spans, weights, strict=True)])
     return ranked(usable, every, criteria)
 

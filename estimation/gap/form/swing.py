@@ -20,7 +20,7 @@ from estimation.gap.criteria import Criteria
 from estimation.gap.form.places import ACCELERATIONS, Flown
 from estimation.gap.form.screen import ranked
 from estimation.gap.tests_of_fit.calibration import Round
-from estimation.gap.tests_of_fit.screen import Projected, reduce_record, shared_prior
+from estimation.gap.tests_of_fit.screen import Projected, gram_of
 
 SLOWEST = 2.0  # rad/s: a swing in three seconds; slower ones are motions of the aircraft itself
 FASTEST = 0.5  # of the highest frequency that the samples can show
@@ -112,7 +112,7 @@ def find_swing(flown: Flown, round_: Round) -> Swing | None:
     if not drives or not lines:
         return None
     asks = [_Ask(n, a, w, DAMPING) for n in lines for w in frequencies(flown.segments[0].time) for a in drives]
-    screen = _Grams.of(flown, lines, drives, asks, [list(null) for null in round_.null_residuals])
+    screen = _Grams.of(flown, lines, drives, asks, round_.null_residuals)
     groups, gains = screen.gained()
     result = ranked(groups, gains, round_.criteria)
     if not result.order:
@@ -176,17 +176,17 @@ class _Grams:
         lines: Sequence[str],
         drives: Sequence[str],
         asks: Sequence[_Ask],
-        nulls: Sequence[Sequence[Array]] = (),
+        nulls: Sequence[tuple[Array, ...]] = (),
     ) -> "_Grams":
         problem, found = flown.problem, flown.fit
         at_once = tuple(_AtOnce(n, a, rate) for n in lines for a in drives for rate in (False, True))
         columns: tuple[_Ask | _AtOnce, ...] = (*at_once, *asks)
-        grams = [
-            reduce_record(problem, found, i, list(_changes(flown, columns, i)), [null[i] for null in nulls]).gram
-            for i in range(len(problem.records))
-        ]
-        gram = np.sum(grams, axis=0)
-        gram += shared_prior(problem, found, len(gram), len(columns))
+
+        def changes(i: int) -> Iterator[Array]:
+            courses, time = flown.courses[i], flown.segments[i].time
+            return flown.changes(i, [(c.line, c.course(courses[c.by], time) / flown.reach(c.by)) for c in columns])
+
+        gram = gram_of(problem, found, changes, nulls)
         return cls(gram, len(problem.free), at_once, tuple(asks))
 
     def gained(self) -> tuple[list[tuple[str, float, float]], Array]:
@@ -211,11 +211,3 @@ class _Grams:
         own = [first + k for k, ask in enumerate(self.asks) if ask.line == line]
         index = [*range(self.n), *taken, *own, *range(first + len(self.asks), len(self.gram))]
         return Projected.of(self.gram[np.ix_(index, index)], self.n + len(taken), len(own))
-
-
-def _changes(flown: Flown, asks: Sequence[_Ask | _AtOnce], index: int) -> Iterator[Array]:
-    """(N, ny) changes of the outputs of a record by each of `asks`."""
-    time = flown.segments[index].time
-    for line, some in groupby(asks, key=lambda ask: ask.line):
-        columns = [ask.course(flown.courses[index][ask.by], time) / flown.reach(ask.by) for ask in some]
-        yield from flown.changes(line, index, columns)

@@ -1,8 +1,9 @@
 """What a small disturbance let in through a door of the model (an input of a force or moment equation) does to the outputs."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from estimation.engine.kernel import Array
 from estimation.gap.likelihood.fitting import Fit, Problem
@@ -22,13 +23,31 @@ def through_doors(problem: Problem, found: Fit, index: int, asks: Sequence[tuple
 
     Nothing where they run away or nothing was measured.
     """
-    inputs, unmeasured = problem.model.input_names, ~np.isfinite(found.residuals[index])
+    return responses(
+        lambda du: problem.disturbed(index, found.values, found.locals[index], du),
+        problem.model.input_names,
+        asks,
+        ~np.isfinite(found.residuals[index]),
+    )
+
+
+def responses(
+    respond: Callable[[Array], Array | None],
+    inputs: Sequence[str],
+    asks: Sequence[tuple[str, Array]],
+    unmeasured: NDArray[np.bool_],
+) -> Iterator[Array]:
+    """(N, ny) changes of the outputs by each of `asks`: an input and its course (M,), so many at once as a small machine holds.
+
+    respond: small changes (M, inputs, k) of the inputs -> (N, ny, k) of the outputs, None where the motion runs away. Nothing
+    where a change runs away, or where `unmeasured` (N, ny).
+    """
     for first in range(0, len(asks), AT_ONCE):
         some = asks[first : first + AT_ONCE]
-        du = np.zeros((len(unmeasured), len(inputs), len(some)))
-        for k, (door, course) in enumerate(some):
-            du[:, inputs.index(door), k] = course
-        changes = problem.disturbed(index, found.values, found.locals[index], du)
+        du = np.zeros((len(some[0][1]), len(inputs), len(some)))
+        for k, (name, course) in enumerate(some):
+            du[:, inputs.index(name), k] = course
+        changes = respond(du)
         if changes is None:
             changes = np.zeros((*unmeasured.shape, len(some)))
         changes[unmeasured] = 0.0

@@ -18,7 +18,7 @@ from estimation.gap.likelihood.surface_steps import jumping_outputs
 from estimation.gap.records.candidate_model import DISTURBANCE
 from estimation.gap.tests_of_fit.calibration import Round, upper_quantile
 from estimation.gap.tests_of_fit.doors import is_door, through_doors
-from estimation.gap.tests_of_fit.screen import Projected, reduce_record, shared_prior
+from estimation.gap.tests_of_fit.screen import Projected, gram_of
 
 SHAPES = {"linear": "{}", "odd": "{0}|{0}|", "even": "{}^2", "rate": "d{}/dt"}
 LEADING = 8  # signals kept for the answer
@@ -111,12 +111,8 @@ def _terms(problem: Problem, found: Fit, nulls: Sequence[tuple[Array, ...]]) -> 
     places = {**{n: n for n in problem.model.output_names}, **doors}
     regressors = pooled([_regressors(problem, found, i) for i in range(len(problem.records))])
     keys = [(place, *k) for place in places for k in regressors[0] if not (place == k[0] and k[1] == "linear")]
-    grams = []
-    for i, own in enumerate(regressors):
-        changes = _changes(problem, found, i, [(place, own[(signal, shape)]) for place, signal, shape in keys])
-        grams.append(reduce_record(problem, found, i, changes, [null[i] for null in nulls]).gram)
-    gram = np.sum(grams, axis=0)
-    gram += shared_prior(problem, found, len(gram), len(keys))
+    asks = [[(place, own[(signal, shape)]) for place, signal, shape in keys] for own in regressors]
+    gram = gram_of(problem, found, lambda i: _changes(problem, found, i, asks[i]), nulls)
     z, standard = standardised(Projected.of(gram, len(problem.free), len(keys)), problem.criteria)
     signals = [
         Signal("term", places[p], SHAPES[shape].format(s), float(standard[j, 0]), float(z[j, 0] ** 2))

@@ -5,7 +5,7 @@ hypotheses and the residuals are reduced to one small Gram matrix with the recor
 eliminated. From then on scores, ties, detectable sizes, pairs, nulls and held-out predictions are small linear algebra.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -193,6 +193,22 @@ def reduce_record(problem: Problem, fit: Fit, index: int, changes: Sequence[Arra
     Hll[np.arange(w.size), np.arange(w.size)] += w
     cross[: d.size, shared + len(changes)] += d
     return Reduced(gram[np.ix_(outer, outer)] - cross.T @ solved(Hll, cross))
+
+
+def gram_of(
+    problem: Problem, fit: Fit, changes: Callable[[int], Iterable[Array]], nulls: Sequence[tuple[Array, ...]] = ()
+) -> Array:
+    """Gram matrix of shared unknowns, columns, residuals of the data and of nulls over all records: those of a record alone
+    eliminated, with the priors of the shared ones. changes: of a record, (N, ny) of each column.
+
+    Raises GapError where the fitted motion cannot be linearised.
+    """
+    grams = [
+        reduce_record(problem, fit, i, list(changes(i)), [null[i] for null in nulls]).gram
+        for i in range(len(problem.records))
+    ]
+    gram = np.sum(grams, axis=0)
+    return np.asarray(gram + shared_prior(problem, fit, len(gram), len(gram) - len(problem.free) - 1 - len(nulls)))
 
 
 def linear_gains(

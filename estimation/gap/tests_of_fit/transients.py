@@ -148,8 +148,8 @@ class Products:
     """The Gram matrix of [shared | columns | residuals of data and nulls], without what is never asked of it.
 
     n: shared unknowns. outer: (n + m, n + m) of these and the residuals, with priors; across: (columns, n + m) of every column
-    with them; own: of every event the products of its columns. A column shows in one record and meets no other record's: the
-    whole matrix would grow with the square of the time flown.
+    with them; raw: (columns,) of each with itself; own: of every event with several columns, these with each other. A column
+    shows in one record and meets no other record's: the whole matrix would grow with the square of the time flown.
     """
 
     problem: Problem
@@ -158,38 +158,49 @@ class Products:
     n: int
     outer: Array
     across: Array
-    own: tuple[Array, ...]
+    raw: Array
+    own: Mapping[int, Array]
 
     @classmethod
     def of(cls, asked: Asked, round_: Round) -> "Products":
         problem, found = round_.baseline.problem, round_.baseline.fit
-        n, m = len(problem.free), 1 + len(round_.null_residuals)
-        outer, across = shared_prior(problem, found, n + m, 0), np.zeros((len(asked.columns), n + m))
-        own = [np.zeros((len(c), len(c))) for c in asked.inside]
+        n, m, count = len(problem.free), 1 + len(round_.null_residuals), len(asked.columns)
+        outer, across, raw = shared_prior(problem, found, n + m, 0), np.zeros((count, n + m)), np.zeros(count)
+        several = {e: columns for e, columns in enumerate(asked.inside) if len(columns) > 1}
+        own = {e: np.zeros((len(columns),) * 2) for e, columns in several.items()}
         for i in range(len(problem.records)):
-            here = [c for c, column in enumerate(asked.columns) if column.record == i]
-            nulls = [null[i] for null in round_.null_residuals]
-            gram = reduce_record(problem, found, i, list(_changes(problem, found, i, asked, here)), nulls).gram
+            here, gram = _in_record(problem, found, i, asked, [null[i] for null in round_.null_residuals])
             k = len(here)
             rest = np.concatenate([np.arange(n), np.arange(n + k, n + k + m)])
             outer += gram[np.ix_(rest, rest)]
-            across[here] = gram[n : n + k, rest]
+            across[here], raw[here] = gram[n : n + k, rest], np.diag(gram)[n : n + k]
             at = {c: n + j for j, c in enumerate(here)}
-            for products, columns in zip(own, asked.inside, strict=True):
+            for e, columns in several.items():
                 some = [j for j, c in enumerate(columns) if c in at]
-                index = [at[columns[j]] for j in some]
-                products[np.ix_(some, some)] += gram[np.ix_(index, index)]
-        return cls(problem, found, asked, n, outer, across, tuple(own))
+                if some:
+                    index = [at[columns[j]] for j in some]
+                    own[e][np.ix_(some, some)] += gram[np.ix_(index, index)]
+        return cls(problem, found, asked, n, outer, across, raw, own)
 
-    def row(self, column: int) -> Array:
-        """(columns,) products of one column with all."""
-        record = self.asked.columns[column].record
-        here = [c for c, other in enumerate(self.asked.columns) if other.record == record]
-        changes = list(_changes(self.problem, self.fit, record, self.asked, here))
-        gram = reduce_record(self.problem, self.fit, record, changes, ()).gram
-        row = np.zeros(len(self.asked.columns))
-        row[here] = gram[self.n + here.index(column), self.n : self.n + len(here)]
-        return row
+    def rows(self, event: int) -> dict[int, Array]:
+        """Of every column of an event its products (columns,) with all."""
+        made: dict[int, Array] = {}
+        columns = self.asked.inside[event]
+        for record in dict.fromkeys(self.asked.columns[c].record for c in columns):
+            here, gram = _in_record(self.problem, self.fit, record, self.asked, ())
+            at = {c: self.n + j for j, c in enumerate(here)}
+            for c in (c for c in columns if c in at):
+                made[c] = np.zeros(len(self.asked.columns))
+                made[c][here] = gram[at[c], self.n : self.n + len(here)]
+        return made
+
+
+def _in_record(
+    problem: Problem, found: Fit, index: int, asked: Asked, nulls: Sequence[Array]
+) -> tuple[list[int], Array]:
+    """The columns that show in a record, and its Gram matrix of [shared | these | residuals]."""
+    here = [c for c, column in enumerate(asked.columns) if column.record == index]
+    return here, reduce_record(problem, found, index, list(_changes(problem, found, index, asked, here)), nulls).gram
 
 
 def _changes(problem: Problem, found: Fit, index: int, asked: Asked, columns: Sequence[int]) -> Iterator[Array]:
@@ -213,35 +224,25 @@ def _in_output(z: Array, column: int, course: Array) -> Array:
 @dataclass(frozen=True)
 class Beside:
     """All columns with the shared unknowns and some events' columns projected out. square: (columns,) what is left of each;
-    b: (columns, residuals); raw: (columns,) before; own: of every event."""
+    b: (columns, residuals); own: of every event with several columns, these with each other."""
 
     square: Array
     b: Array
-    raw: Array
-    own: tuple[Array, ...]
+    own: Mapping[int, Array]
 
     @classmethod
     def of(cls, products: Products, taken: Sequence[int], rows: Mapping[int, Array]) -> "Beside":
         """taken: columns that are projected out; rows: their products with all."""
-        n, across = products.n, products.across
-        inside = list(taken)
-        cross = np.concatenate(
-            [across[:, :n], np.array([rows[c] for c in inside]).reshape(len(inside), len(across)).T], axis=1
-        )
+        n, across, inside = products.n, products.across, list(taken)
         right = np.concatenate([products.outer[:n, n:], across[inside, n:]])
-        square = np.empty((n + len(inside),) * 2)
-        square[:n, :n], square[n:, :n] = products.outer[:n, :n], across[inside, :n]
-        square[:n, n:], square[n:, n:] = across[inside, :n].T, cross[np.ix_(inside, range(n, n + len(inside)))]
+        known = np.concatenate([products.outer[:n, :n], across[inside, :n]])
+        cross = np.column_stack([across[:, :n], *(rows[c] for c in inside)])  # (columns, n + taken)
+        square = np.column_stack([known, np.concatenate([across[inside, :n].T, cross[inside, n:]])])
         back = solved(square, np.concatenate([cross.T, right], axis=1))
         along, rest = back[:, : len(cross)], back[:, len(cross) :]
-        raw = np.empty(len(cross))
-        own = []
-        for columns, gram in zip(products.asked.inside, products.own, strict=True):
-            at = list(columns)
-            raw[at] = np.diag(gram)
-            own.append(gram - cross[at] @ along[:, at])
-        square_left = np.concatenate([np.diag(o) for o in own]) if own else np.zeros(0)
-        return cls(square_left, across[:, n:] - cross @ rest, raw, tuple(own))
+        several = {e: list(products.asked.inside[e]) for e in products.own}
+        own = {e: products.own[e] - cross[at] @ along[:, at] for e, at in several.items()}
+        return cls(products.raw - np.sum(cross * along.T, axis=1), across[:, n:] - cross @ rest, own)
 
 
 def find_transients(round_: Round) -> Transients:
@@ -257,7 +258,7 @@ def find_transients(round_: Round) -> Transients:
         if scores[best] <= limit:
             break
         taken.append(best)
-        rows |= {c: products.row(c) for c in asked.inside[best]}
+        rows |= products.rows(best)
     for e in list(taken):
         others = [o for o in taken if o != e]
         scores, _, limit = _scored(products, others, rows, criteria)
@@ -281,11 +282,11 @@ def _scored(
     asked = products.asked
     beside = Beside.of(products, [c for e in taken for c in asked.inside[e]], rows)
     single = beside.b**2 / np.maximum(beside.square, TINY)[:, None]
-    single[beside.square <= SEEN * beside.raw] = 0.0
+    single[beside.square <= SEEN * products.raw] = 0.0
     gains = np.zeros((len(asked.events), beside.b.shape[1]))
     for e, columns in enumerate(asked.inside):
         if e not in taken:
-            gains[e] = single[columns[0]] if len(columns) == 1 else _gains(beside, e, columns)
+            gains[e] = single[columns[0]] if len(columns) == 1 else _gains(products, beside, e)
     unknowns = np.array([len(c) for c in asked.inside])
     scores = equivalent(gains, unknowns, [(e.kind, e.channel, e.air) for e in asked.events])
     return scores[:, 0], gains[:, 0], event_limit(scores[:, 1:].max(axis=0), criteria)
@@ -322,10 +323,11 @@ def equivalent(gains: Array, unknowns: Array, groups: Sequence[Hashable]) -> Arr
     return np.asarray(norm.isf(0.5 * np.exp(np.maximum(tail, SMALLEST_TAIL))))
 
 
-def _gains(beside: Beside, event: int, columns: Sequence[int]) -> Array:
-    """(residual columns,) gain of an event; nothing where the base absorbs it."""
-    B, b = beside.own[event], beside.b[list(columns)]
-    if (np.diag(B) <= SEEN * beside.raw[list(columns)]).any():
+def _gains(products: Products, beside: Beside, event: int) -> Array:
+    """(residual columns,) gain of an event of several columns; nothing where the base absorbs one."""
+    columns, B = list(products.asked.inside[event]), beside.own[event]
+    b = beside.b[columns]
+    if (np.diag(B) <= SEEN * products.raw[columns]).any():
         return np.zeros(b.shape[1])
     return np.asarray(np.sum(b * solved(B, b), axis=0))
 

@@ -22,10 +22,9 @@ from estimation.gap.verdict.decide import (
     Decision,
     Facts,
     Named,
+    as_unknown,
     decide,
     only_steered,
-    with_event,
-    with_rest,
     with_shape,
 )
 from estimation.gap.verdict.disagreement import views
@@ -74,24 +73,23 @@ def concluded(setting: Setting, search: SearchState, check: KinematicCheck) -> G
         about = standing_round(setting, search, kept)
         found = searched(setting, search, about, decision)
         event = happened(setting, about) if found.shape is None else None
-    late = None
-    if unsearched and found.shape is None and event is None and (late := late_rest(setting, search, kept)):
-        decision = beside_memory(decision, [n.effect for n in named], late)
-        if decision.kept < len(kept):
-            kept = kept[: decision.kept]
-            about = standing_round(setting, search, kept)
-            standing, rest = about.baseline, examine(about)
-            left = rms_over_noise(standing.problem, standing.fit, setting.scatter)
-        found = replace(found, follower=late.follower)
-    if found.shape is None and event is None:
-        found = found if late is not None else replace(found, follower=settled(found.follower, standing))
-        decision = decision if found.follower is None else with_rest(decision)
+    if unsearched and found.shape is None and event is None:
+        late = late_rest(setting, search, kept)
+        if late is not None:
+            decision = beside_memory(decision, [n.effect for n in named], late)
+            if decision.kept < len(kept):
+                kept = kept[: decision.kept]
+                about = standing_round(setting, search, kept)
+                standing, rest = about.baseline, examine(about)
+                left = rms_over_noise(standing.problem, standing.fit, setting.scatter)
+        follower = settled(found.follower, standing) if late is None else late.follower
+        found, decision = replace(found, follower=follower), as_unknown(decision) if follower else decision
     if found.shape is not None:
         decision, unnamed = with_shape(decision), shaped_step(found.shape, standing, setting)
     elif event is not None:
-        decision, unnamed = with_event(decision), event_step(event, Gap(left, left, floor.training_median))
+        decision, unnamed = as_unknown(decision), event_step(event, Gap(left, left, floor.training_median))
     elif decision.verdict is Verdict.NO_GAP and (held := held_back(first.baseline, prepared)):
-        decision, unnamed = with_event(decision), held_step(held, Gap(left, left, floor.training_median))
+        decision, unnamed = as_unknown(decision), held_step(held, Gap(left, left, floor.training_median))
     steps = told(decision, named, rest, check, left, floor, unnamed, follower_of(found))
     after = standing if found.shape is None else found.shape.measured.child
     seen = views(first.baseline, after, prepared, after is not first.baseline)

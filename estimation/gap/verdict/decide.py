@@ -82,13 +82,9 @@ def with_shape(decision: Decision) -> Decision:
     return replace(decision, verdict=Verdict.GAP_REDUCED)
 
 
-def with_event(decision: Decision) -> Decision:
-    """The decision where an instrument, or something that happened at one time, is known, and nothing of the model is wrong."""
-    return replace(decision, verdict=Verdict.UNKNOWN)
-
-
-def with_rest(decision: Decision) -> Decision:
-    """The decision where a coefficient that follows late, or swings, stands out and no shape does: something is there."""
+def as_unknown(decision: Decision) -> Decision:
+    """The decision where something stands out that is no term with a name: a fault of an instrument, what happened at one time, a
+    coefficient that follows late or swings."""
     return replace(decision, verdict=Verdict.UNKNOWN)
 
 

@@ -17,7 +17,7 @@ from estimation.gap.form.search import ShapeSearch
 from estimation.gap.form.swing import DAMPING, SLOWEST, Swing, find_swing, frequencies, oscillator, rings
 from estimation.gap.likelihood.baseline import fit_baseline
 from estimation.gap.tests_of_fit.calibration import name_threshold, screen_round
-from estimation.gap.verdict.decide import Decision, with_rest
+from estimation.gap.verdict.decide import Decision, as_unknown
 from estimation.gap.verdict.followers import DAMPING as DAMPING_NAME
 from estimation.gap.verdict.followers import FREQUENCY, as_fitted, swing_of
 from estimation.gap.verdict.nameless import follower_of
@@ -98,7 +98,7 @@ def test_a_swing_is_told_with_its_frequency_and_without_a_name() -> None:
 
 
 def test_a_swing_alone_makes_an_answer_unknown() -> None:
-    assert with_rest(Decision(Verdict.NO_GAP, 0, ())) == Decision(Verdict.UNKNOWN, 0, ())
+    assert as_unknown(Decision(Verdict.NO_GAP, 0, ())) == Decision(Verdict.UNKNOWN, 0, ())
 
 
 def flights(effects: dict[str, float], seed: int) -> list[Flight]:
@@ -126,7 +126,7 @@ def test_a_part_of_a_coefficient_changes_the_outputs_as_a_small_step_of_it_does(
     flown = Flown.of(baseline.problem, baseline.fit)
     course = oscillator(flown.courses[1]["q_dot"], flown.segments[1].time, 9.0, 0.05)
     course /= np.abs(course).max()
-    (linear,) = flown.changes("Cm", 1, [course])
+    (linear,) = flown.changes(1, [("Cm", course)])
     step, segment, own = 0.05 * flown.scale["Cm"], flown.segments[1], baseline.fit.locals[1]
     shaken = segment.u.copy()
     shaken[:, flown.simulator.model.input_names.index("increment_Cm")] += step * course

@@ -21,7 +21,7 @@ from estimation.gap.records.candidate_model import DISTURBANCE
 from estimation.gap.records.flight_records import Record
 from estimation.gap.tests_of_fit.calibration import Round
 from estimation.gap.tests_of_fit.transients import asked_of, equivalent, event_limit, find_transients
-from estimation.gap.verdict.decide import Decision, with_event, with_shape
+from estimation.gap.verdict.decide import Decision, as_unknown, with_shape
 from estimation.gap.verdict.nameless import event_step, happening
 from estimation.models.base import Model, Parameter, Signal
 from tests.estimation.gap.roll import ROLL
@@ -154,4 +154,4 @@ def test_an_event_is_told_with_its_time_and_blames_no_term_of_the_model() -> Non
 def test_a_shape_reduces_the_gap_and_an_event_stays_unknown() -> None:
     decision = Decision(Verdict.NO_GAP, 1, (("a", "b"),))
     assert with_shape(decision) == replace(decision, verdict=Verdict.GAP_REDUCED)
-    assert with_event(decision) == replace(decision, verdict=Verdict.UNKNOWN)
+    assert as_unknown(decision) == replace(decision, verdict=Verdict.UNKNOWN)
