@@ -8,13 +8,15 @@ static int is_finite(double v) { return v - v == 0.0 && v < 1e12 && v > -1e12; }
 
 enum { LANES = 8 }; /* rows of sensitivities are padded to full vectors, whose last columns stay zero */
 
-static void call(int (*function)(const double **, double **, int *, double *, int),
-                 const double *x, const double *u, const double *p, double *r0, double *r1, double *r2, double *r3) {
+typedef int (*Function)(const double **, double **, int *, double *, int);
+
+static void call(Function function, const double *x, const double *u, const double *p, const double *h, double *r0, double *r1,
+                 double *r2, double *r3) {
     const double *arg[WORK];
     double *res[WORK];
     double w[WORK];
     int iw[WORK];
-    arg[0] = x; arg[1] = u; arg[2] = p;
+    arg[0] = x; arg[1] = u; arg[2] = p; arg[3] = h;
     res[0] = r0; res[1] = r1; res[2] = r2; res[3] = r3;
     function(arg, res, iw, w, 0);
 }
@@ -31,6 +33,21 @@ static void add(const Entries *e, const double *restrict value, double *restrict
 
 static void add_driven(const Entries *e, const double *restrict value, const double *restrict du, double *restrict to) {
     for (int i = 0; i < e->count; ++i) to[e->to[i]] += value[e->from[i]] * du[e->by[i]];
+}
+
+/* What rates make of inputs and parameters alone, which a step needs at three instants and not at every stage. */
+typedef struct {
+    double start[HELD], middle[HELD], end[HELD];
+} Beforehand;
+
+static void beforehand(Function function, const double *u, const double *p, double *h) {
+    const double *arg[WORK];
+    double *res[WORK];
+    double w[WORK];
+    int iw[WORK];
+    arg[0] = u; arg[1] = p;
+    res[0] = h;
+    function(arg, res, iw, w, 0);
 }
 
 /* n sensitivity columns in rows of `stride` doubles, nt input transforms; what of the derivatives they take */
@@ -98,8 +115,8 @@ static void blend(int size, double at, const double *a, const double *m, const d
 static void outputs_with(const Plan *plan, const double *x, const double *u, const double *p, const double *s,
                          const double *du, double *y, double *dy) {
     double yx[NZ_y_x + 1], yu[NZ_y_u + 1], yp[NZ_y_p + 1];
-    if (plan->nt > 0) call(outputs_by_all, x, u, p, y, yx, yp, yu);
-    else call(outputs_jacobian, x, u, p, y, yx, yp, 0);
+    if (plan->nt > 0) call(outputs_by_all, x, u, p, 0, y, yx, yp, yu);
+    else call(outputs_jacobian, x, u, p, 0, y, yx, yp, 0);
     memset(dy, 0, sizeof(double) * NY * plan->stride);
     through_states(NZ_y_x, row_y_x, col_y_x, yx, plan->stride, s, dy);
     add(&plan->y_p, yp, dy);
@@ -126,11 +143,13 @@ static void correct(int n, int stride, const double *gain, const int *gain_colum
 
 /* One Runge-Kutta step of length h from inputs ua (start), um (middle), ub (end). */
 static void step(const Plan *plan, double h, const double *ua, const double *um, const double *ub, const double *da,
-                 const double *dm, const double *db, const double *p, double *x, double *s, double *buffer) {
+                 const double *dm, const double *db, const double *p, const Beforehand *held, double *x, double *s,
+                 double *buffer) {
     static const double part[4] = {0.0, 0.5, 0.5, 1.0};
     static const double weight[4] = {1.0 / 6, 1.0 / 3, 1.0 / 3, 1.0 / 6};
-    const double *us[4], *ds[4];
+    const double *us[4], *ds[4], *hs[4];
     us[0] = ua; us[1] = um; us[2] = um; us[3] = ub;
+    hs[0] = held->start; hs[1] = held->middle; hs[2] = held->middle; hs[3] = held->end;
     ds[0] = da; ds[1] = dm; ds[2] = dm; ds[3] = db;
     const int size = NX * plan->stride;
     double f[NX], xs[NX], xn[NX], fx[NZ_f_x + 1], fu[NZ_f_u + 1], fp[NZ_f_p + 1];
@@ -143,13 +162,13 @@ static void step(const Plan *plan, double h, const double *ua, const double *um,
             const double c = h * part[i];
             if (i > 0)
                 for (int a = 0; a < size; ++a) ss[a] = s[a] + c * k[a];
-            if (plan->nt > 0) call(rates_by_all, xs, us[i], p, f, fx, fp, fu);
-            else call(rates_jacobian, xs, us[i], p, f, fx, fp, 0);
+            if (plan->nt > 0) call(rates_by_all, xs, us[i], p, hs[i], f, fx, fp, fu);
+            else call(rates_jacobian, xs, us[i], p, hs[i], f, fx, fp, 0);
             variation(plan, fx, fu, fp, i == 0 ? s : ss, ds[i], k);
             const double w = h * weight[i];
             for (int a = 0; a < size; ++a) sn[a] += w * k[a];
         } else {
-            call(rates, xs, us[i], p, f, 0, 0, 0);
+            call(rates, xs, us[i], p, hs[i], f, 0, 0, 0);
         }
         for (int a = 0; a < NX; ++a) xn[a] += h * weight[i] * f[a];
     }
@@ -163,6 +182,8 @@ int integrate(int count, int substeps, int n, int nt, const double *dt, const do
               const double *x0, const int *parameter, const int *state, const int *transform, const int *gain_column,
               const double *gain, const double *z, double *x_out, double *y_out, double *dy_out) {
     double x[NX], ua[NU + 1], um[NU + 1], ub[NU + 1];
+    Beforehand held;
+    const Function before = n == 0 ? rates_before : nt > 0 ? rates_by_all_before : rates_jacobian_before;
     const int stride = (n + LANES - 1) / LANES * LANES, size = NX * stride, width = n > 0 ? NU * nt : 0;
     const int most = n > 0 ? NZ_f_p + NZ_y_p + nt * (NZ_f_u + NZ_y_u) : 0;
     double *memory = (double *)calloc((size_t)(4 * size + 3 * width + NY * stride + 1), sizeof(double));
@@ -205,7 +226,7 @@ int integrate(int count, int substeps, int n, int nt, const double *dt, const do
             for (int c = 0; c < NY; ++c)
                 memcpy(dy_out + ((size_t)k * NY + c) * n, dy + c * stride, sizeof(double) * n);
         } else {
-            call(outputs, x, u + (size_t)k * NU, p, y, 0, 0, 0);
+            call(outputs, x, u + (size_t)k * NU, p, 0, y, 0, 0, 0);
         }
         if (gain) correct(n, stride, gain, gain_column, z + (size_t)k * NY, y, dy, x, s);
         memcpy(x_out + (size_t)k * NX, x, sizeof(double) * NX);
@@ -216,14 +237,20 @@ int integrate(int count, int substeps, int n, int nt, const double *dt, const do
         for (int j = 0; j < substeps; ++j) {
             const double at = (double)j / substeps;
             blend(NU, at, ua0, um0, ub0, ua);
+            if ((k > 0 || j > 0) && memcmp(ua, ub, sizeof(double) * NU) == 0) /* begins where the last step ended */
+                memcpy(held.start, held.end, sizeof held.start);
+            else
+                beforehand(before, ua, p, held.start);
             blend(NU, at + 0.5 / substeps, ua0, um0, ub0, um);
             blend(NU, at + 1.0 / substeps, ua0, um0, ub0, ub);
+            beforehand(before, um, p, held.middle);
+            beforehand(before, ub, p, held.end);
             if (width > 0) {
                 blend(width, at, da0, dm0, db0, da);
                 blend(width, at + 0.5 / substeps, da0, dm0, db0, dm);
                 blend(width, at + 1.0 / substeps, da0, dm0, db0, db);
             }
-            step(&plan, h, ua, um, ub, da, dm, db, p, x, s, buffer);
+            step(&plan, h, ua, um, ub, da, dm, db, p, &held, x, s, buffer);
         }
     }
     for (int k = reached; k < count; ++k) {
@@ -240,13 +267,14 @@ int integrate(int count, int substeps, int n, int nt, const double *dt, const do
 /* Rates, outputs and their parameter derivatives at given states: the regressors of equation error. */
 void pointwise(int count, const double *x, const double *u, const double *p, double *f, double *fp, double *y,
                double *yp) {
-    double fx[NZ_f_x + 1], fpz[NZ_f_p + 1], yx[NZ_y_x + 1], ypz[NZ_y_p + 1];
+    double fx[NZ_f_x + 1], fpz[NZ_f_p + 1], yx[NZ_y_x + 1], ypz[NZ_y_p + 1], h[HELD];
     memset(fp, 0, sizeof(double) * (size_t)count * NX * NP);
     memset(yp, 0, sizeof(double) * (size_t)count * NY * NP);
     for (int k = 0; k < count; ++k) {
         const double *xk = x + (size_t)k * NX, *uk = u + (size_t)k * NU;
-        call(rates_jacobian, xk, uk, p, f + (size_t)k * NX, fx, fpz, 0);
-        call(outputs_jacobian, xk, uk, p, y + (size_t)k * NY, yx, ypz, 0);
+        beforehand(rates_jacobian_before, uk, p, h);
+        call(rates_jacobian, xk, uk, p, h, f + (size_t)k * NX, fx, fpz, 0);
+        call(outputs_jacobian, xk, uk, p, 0, y + (size_t)k * NY, yx, ypz, 0);
         for (int z = 0; z < NZ_f_p; ++z) fp[((size_t)k * NX + row_f_p[z]) * NP + col_f_p[z]] = fpz[z];
         for (int z = 0; z < NZ_y_p; ++z) yp[((size_t)k * NY + row_y_p[z]) * NP + col_y_p[z]] = ypz[z];
     }

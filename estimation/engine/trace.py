@@ -18,8 +18,14 @@ from estimation.models.parts import Structure
 
 Pattern = tuple[tuple[int, ...], tuple[int, ...]]  # rows, columns of the non-zeros
 
+
+def _tan(angle: Any) -> Any:
+    """By sine and cosine, which the equations of motion mostly ask for anyway: the two together cost what a tangent does."""
+    return ca.sin(angle) / ca.cos(angle)
+
+
 CASADI_FUNCTIONS: Mapping[str, Callable[..., Any]] = {
-    "sin": ca.sin, "cos": ca.cos, "tan": ca.tan, "asin": ca.asin, "acos": ca.acos, "atan": ca.atan,
+    "sin": ca.sin, "cos": ca.cos, "tan": _tan, "asin": ca.asin, "acos": ca.acos, "atan": ca.atan,
     "atan2": ca.atan2, "sinh": ca.sinh, "cosh": ca.cosh, "tanh": ca.tanh, "sqrt": ca.sqrt, "exp": ca.exp,
     "log": ca.log, "abs": ca.fabs, "sign": ca.sign, "min": ca.fmin, "max": ca.fmax, "where": ca.if_else,
 }  # fmt: skip
@@ -100,3 +106,16 @@ def trace(structure: Structure) -> Traced:
 def _nonzeros(matrix: ca.SX) -> ca.SX:
     nonzeros = matrix.nonzeros()
     return ca.vertcat(*nonzeros) if nonzeros else ca.SX(0, 1)  # type: ignore[call-overload]
+
+
+def hoisted(function: ca.Function, sizes: tuple[int, int, int, int]) -> tuple[ca.Function, ca.Function]:
+    """A function of (x, u, p) as one of (x, u, p, h), and h of (u, p): sines of measured angles, dynamic pressure, all that does
+    not change from stage to stage with the state."""
+    x, u, p = (ca.SX.sym(name, size) for name, size in zip("xup", sizes[:3], strict=True))
+    both: Any = ca.vertcat(u, p)
+    results, names, values = ca.extract_parametric(function.call([x, u, p]), both, {"extract_trivial": False})
+    h, made = (ca.vertcat(*v) if v else ca.SX(0, 1) for v in (names, values))
+    return (
+        ca.Function(function.name(), [x, u, p, h], ca.cse(results)),
+        ca.Function(f"{function.name()}_before", [u, p], ca.cse([made])),
+    )

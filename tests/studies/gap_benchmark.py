@@ -320,7 +320,7 @@ def confusion(rows: Sequence[dict[str, Any]], path: Path) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
-    parser.add_argument("--kind", default="all")
+    parser.add_argument("--kind", default="all", choices=("nulls", "effects", "unknown", "pairs", "all"))
     parser.add_argument("--size", type=float, default=1.0)
     parser.add_argument("--start", type=int, default=0)
     parser.add_argument("--count", type=int, default=1)

@@ -5,6 +5,7 @@ residuals weigh every frequency by what noise leaves of it.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,8 +13,6 @@ from estimation.gap.likelihood.baseline import Baseline
 from estimation.gap.likelihood.fitting import Fit, Problem, fit
 from estimation.gap.likelihood.whitening import NoiseModel
 from estimation.gap.random_streams import Stream
-from estimation.gap.records.flight_records import FlightRecords
-from estimation.gap.tests_of_fit.measure import on_holdout
 from estimation.gap.tests_of_fit.nulls import InputErrors, NullFlyer
 from estimation.gap.tests_of_fit.screen import reduce_record
 
@@ -27,19 +26,19 @@ def closed(before: float, after: float, floor: float) -> float:
     return float(np.clip(1.0 - (after - floor) / (before - floor), 0.0, 1.0))
 
 
-def asked(problem: Problem, found: Fit, baseline: Baseline, prepared: FlightRecords, noise: NoiseModel) -> float:
+def asked(problem: Problem, found: Fit, baseline: Baseline, noise: NoiseModel) -> float:
     """Whitened energy of a fitted model on the held-out flights, shared parameters frozen; on the training flights where there
     are none. problem, found: on the training flights; noise: by which it is weighed."""
-    held = on_holdout(Baseline(problem, found, noise, baseline.scatter, baseline.clean), prepared, noise)
+    held = replace(baseline, problem=problem, fit=found, noise=noise).held_out
     return 2.0 * (found.cost if held is None else held[1].cost)
 
 
-def floor_energy(child: Baseline, prepared: FlightRecords, errors: Sequence[InputErrors], seed: int) -> float:
+def floor_energy(child: Baseline, errors: Sequence[InputErrors], seed: int) -> float:
     """The same of what chance alone makes: upper end over simulated nulls of the model. errors: of every record, training first.
 
     The upper end, not the middle: one day's weather and one flight's surfaces are not the average ones.
     """
-    held = on_holdout(child, prepared)
+    held = child.held_out
     if held is None:
         own = errors[: len(child.problem.records)]
         return _upper(child.problem, child.fit, NullFlyer.build(child.problem, child.fit, child.noise, own), seed)

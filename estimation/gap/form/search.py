@@ -16,7 +16,7 @@ from estimation.gap.form.swing import Swing, find_swing
 from estimation.gap.likelihood.baseline import Baseline, fit_baseline
 from estimation.gap.records.flight_records import FlightRecords
 from estimation.gap.tests_of_fit.calibration import Round
-from estimation.gap.tests_of_fit.measure import Floors, on_holdout, rms_over_noise
+from estimation.gap.tests_of_fit.measure import Floors, rms_over_noise
 from estimation.gap.tests_of_fit.nulls import InputErrors
 from estimation.gap.tests_of_fit.omnibus import examine
 
@@ -78,7 +78,7 @@ class Measured:
         problem, found = refitted_with(plain.problem, plain.fit, self.child)
         if found.diverged:
             return 0.0
-        return closed(self.before, asked(problem, found, self.child, task.prepared, self.child.noise), self.floor)
+        return closed(self.before, asked(problem, found, self.child, self.child.noise), self.floor)
 
 
 @dataclass(frozen=True)
@@ -202,8 +202,8 @@ def _measured(task: Task, baseline: Baseline, fitted: Fitted) -> Measured | None
 
 
 def _measure(task: Task, baseline: Baseline, fitted: Fitted) -> Measured | None:
-    prepared, scatter = task.prepared, baseline.scatter
-    child = fit_baseline(fitted.problem.model, baseline.clean, prepared, scatter, fitted.fit, baseline.noise)
+    scatter = baseline.scatter
+    child = fit_baseline(fitted.problem.model, baseline.clean, task.prepared, scatter, fitted.fit, baseline.noise)
     own = task.screened(child)
     same = refitted_with(baseline.problem, baseline.fit, child)
     if same[1].diverged:
@@ -214,7 +214,7 @@ def _measure(task: Task, baseline: Baseline, fitted: Fitted) -> Measured | None:
         rms_over_noise(child.problem, child.fit, scatter),
         floor.training_median,
     )
-    before, after = on_holdout(baseline, prepared), on_holdout(child, prepared)
+    before, after = baseline.held_out, child.held_out
     held = None
     if before is not None and after is not None and floor.holdout_median is not None:
         held = Gap(rms_over_noise(*before, scatter), rms_over_noise(*after, scatter), floor.holdout_median)
@@ -223,8 +223,8 @@ def _measure(task: Task, baseline: Baseline, fitted: Fitted) -> Measured | None:
         own,
         gap,
         held,
-        asked(*same, baseline, prepared, child.noise),
-        asked(child.problem, child.fit, child, prepared, child.noise),
-        floor_energy(child, prepared, task.errors, task.seed),
+        asked(*same, baseline, child.noise),
+        asked(child.problem, child.fit, child, child.noise),
+        floor_energy(child, task.errors, task.seed),
         floor.highest,
     )

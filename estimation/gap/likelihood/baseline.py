@@ -2,6 +2,7 @@
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from types import MappingProxyType
 
 import numpy as np
@@ -41,13 +42,14 @@ STEP_TURNS = 2  # of stationary noise and freedom of the surfaces
 @dataclass(frozen=True)
 class Baseline:
     """A fitted model with the noise of its residuals. scatter: (ny,) standard deviations of the channels' white noise.
-    clean: the model as a person reads it, without what is dormant in it."""
+    clean: the model as a person reads it, without what is dormant in it. prepared: all flights, held-out ones among them."""
 
     problem: Problem
     fit: Fit
     noise: NoiseModel
     scatter: Array
     clean: Model
+    prepared: FlightRecords
 
     @property
     def criteria(self) -> Criteria:
@@ -56,6 +58,24 @@ class Baseline:
     @property
     def model(self) -> Model:
         return self.problem.model
+
+    @cached_property
+    def held_out(self) -> tuple[Problem, Fit] | None:
+        """`on_holdout` with its own noise, which is asked for again and again."""
+        return self.on_holdout(self.noise)
+
+    def on_holdout(self, noise: NoiseModel) -> tuple[Problem, Fit] | None:
+        """The fitted model on the held-out flights, weighed by `noise`: parameters frozen, initial states and biases fitted.
+
+        None where there is no held-out flight.
+        """
+        records = self.prepared.of(self.prepared.holdout)
+        if not records:
+            return None
+        values = {**self.model.starts(), **self.fit.values}
+        _, whiteners = whiteners_for(self.model, self.prepared, records, values, noise, (), self.scatter)
+        problem = Problem(self.model, self.prepared.base, records, whiteners, self.prepared.criteria)
+        return problem, fit(problem, values, frozen=True)
 
 
 def whiteners_for(
@@ -155,15 +175,16 @@ def fit_baseline(
     scatter: Array,
     begun: Fit | None = None,
     noise: NoiseModel | None = None,
+    known: bool = False,
 ) -> Baseline:
     """Fit `model` to the training flights, noise and parameters in turn.
 
-    begun: a fit of this model with `noise`, from which to go on. Raises GapError when the motion diverges at the start and no
-    start helps.
+    begun: a fit of this model with `noise`, from which to go on. known: this noise was estimated with this model, so that one
+    pass is done. Raises GapError when the motion diverges at the start and no start helps.
     """
     records = prepared.of(prepared.training)
     level, found, problem = noise or NoiseModel(scatter**2, {}), begun, None
-    for turn in range(0 if begun is None else 1, PASSES + 1 + SPARE_PASSES):
+    for turn in range(0 if begun is None else 1 + known, PASSES + 1 + SPARE_PASSES):
         if turn > PASSES and found is not None and found.converged:
             break
         if found is None:
@@ -180,7 +201,7 @@ def fit_baseline(
             )
     assert problem is not None
     assert found is not None
-    return Baseline(problem, found, level, scatter, clean)
+    return Baseline(problem, found, level, scatter, clean, prepared)
 
 
 def fit_afresh(baseline: Baseline, model: Model, clean: Model) -> Baseline | None:

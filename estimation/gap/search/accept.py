@@ -7,7 +7,6 @@ from estimation.gap.answer.result import Rejected
 from estimation.gap.criteria import Criteria
 from estimation.gap.likelihood.baseline import Baseline
 from estimation.gap.likelihood.fitting import prior_cost
-from estimation.gap.records.flight_records import FlightRecords
 from estimation.gap.search.confirm import Candidate
 from estimation.gap.search.search_state import Finding, Setting
 from estimation.gap.search.select import Choice
@@ -51,7 +50,7 @@ def confirmed(setting: Setting, round_: Round, candidate: Candidate, nameless: f
     if not repeats(cross, strong, timing, flight_gains(round_, candidate)):
         return None, "does not hold on the training flights it was not fitted to"
     child = setting.child(round_.baseline, candidate)
-    held = held_gain(round_.baseline, child, setting.prepared)
+    held = held_gain(round_.baseline, child)
     sure = min(candidate.score, float(round_.standardised()[number]))
     spare = math.inf if strong or timing else to_spare(sure, round_.threshold)
     if not holds(None if held is None else held / own_inflation(candidate), spare, criteria):
@@ -136,10 +135,10 @@ def follows(freed: float, gain: float, criteria: Criteria) -> bool:
     return freed > criteria.followed_gain * gain
 
 
-def held_gain(parent: Baseline, child: Baseline, prepared: FlightRecords) -> float | None:
+def held_gain(parent: Baseline, child: Baseline) -> float | None:
     """Twice the log-likelihood the child gains on the held-out flights, both weighed with the child's noise, the fitted
     parameters uncertain as the training flights leave them."""
-    before, after = predictive_cost(parent, prepared, child.noise), predictive_cost(child, prepared, child.noise)
+    before, after = predictive_cost(parent, child.noise), predictive_cost(child, child.noise)
     if before is None or after is None:
         return None
     return 0.0 if before == after else 2.0 * (before - after)  # both infinite: neither can be asked there

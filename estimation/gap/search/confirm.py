@@ -15,6 +15,7 @@ from estimation.engine.kernel import Array
 from estimation.gap.criteria import Criteria
 from estimation.gap.effects.base import EffectParameter
 from estimation.gap.likelihood.fitting import Fit, Problem, fit, prior_cost
+from estimation.gap.likelihood.whitening import NoiseModel
 from estimation.gap.records.candidate_model import awakened
 from estimation.gap.tests_of_fit.hypotheses import Hypothesis, extended, one_sided
 from estimation.gap.tests_of_fit.screen import Screen, equivalent_z
@@ -31,7 +32,8 @@ AT_NOTHING = 1e-3  # usual sizes: so near to none it has shrunk to nothing, and 
 @dataclass(frozen=True)
 class Candidate:
     """One fitted hypothesis. gain: twice the log-likelihood gained over the base fit with the same whitening.
-    evidence: log evidence relative to the base. why_not: reason for rejection, or empty."""
+    evidence: log evidence relative to the base. why_not: reason for rejection, or empty. noise: of these flights with the
+    hypothesis in the model, where it was estimated."""
 
     hypothesis: Hypothesis
     fit: Fit
@@ -41,6 +43,7 @@ class Candidate:
     estimates: Mapping[str, tuple[float, float]]
     size: float  # largest distance from no effect, in usual sizes
     why_not: str = ""
+    noise: NoiseModel | None = None
 
 
 def fit_hypothesis(

@@ -85,7 +85,8 @@ class Setting:
         """The parent with a candidate's form, fitted afresh with its own noise."""
         at = {n: v for n, (v, _) in candidate.estimates.items()}
         clean = candidate.hypothesis.form.added_to(parent.clean, at)
-        return fit_baseline(candidate.fit.model, clean, self.prepared, self.scatter, candidate.fit, parent.noise)
+        noise, known = candidate.noise or parent.noise, candidate.noise is not None
+        return fit_baseline(candidate.fit.model, clean, self.prepared, self.scatter, candidate.fit, noise, known)
 
     def screened(self, baseline: Baseline, number: int) -> Round:
         """One round of nulls and screen about a fitted model."""

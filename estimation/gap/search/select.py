@@ -146,7 +146,7 @@ def _compared_again(
 ) -> tuple[Candidate, ...]:
     """The candidates with the noise re-estimated from the best one's residuals: sharper, and the same for all."""
     best, problem = sound[0], round_.baseline.problem
-    _, whiteners = whiteners_for(
+    noise, whiteners = whiteners_for(
         best.fit.model,
         prepared,
         problem.records,
@@ -163,7 +163,8 @@ def _compared_again(
         trial = replace(sharper, model=candidate.fit.model)
         found = fit(trial, candidate.fit.values, candidate.fit.locals, iterations=AGAIN, enough=ENOUGH)
         fresh = assess(sharper, base_fit, candidate.hypothesis, found, inflation[candidate.hypothesis.key])
-        result.append(replace(fresh, score=candidate.score, gain=candidate.gain))
+        own = noise if candidate is best else None
+        result.append(replace(fresh, score=candidate.score, gain=candidate.gain, noise=own))
     return tuple(sorted((c for c in result if not c.why_not), key=lambda c: -c.evidence))
 
 

@@ -9,11 +9,10 @@ from estimation.engine.kernel import Array
 from estimation.estimators.arrow import eliminated, solved
 from estimation.gap.criteria import Criteria
 from estimation.gap.errors import GapError
-from estimation.gap.likelihood.baseline import Baseline, whiteners_for
-from estimation.gap.likelihood.fitting import Fit, Problem, fit, local_prior
+from estimation.gap.likelihood.baseline import Baseline
+from estimation.gap.likelihood.fitting import Fit, Problem, local_prior
 from estimation.gap.likelihood.whitening import NoiseModel
 from estimation.gap.random_streams import Stream
-from estimation.gap.records.flight_records import FlightRecords
 from estimation.gap.tests_of_fit.calibration import Round
 from estimation.gap.tests_of_fit.nulls import InputErrors, NullFlyer
 from estimation.gap.tests_of_fit.screen import reduce_record
@@ -59,31 +58,14 @@ def _plain_rows(problem: Problem, found: Fit, index: int, residuals: Array, scat
     return rows - J @ solved(J.T @ J + np.diag(weights), J.T @ rows)
 
 
-def on_holdout(
-    baseline: Baseline, prepared: FlightRecords, noise: NoiseModel | None = None
-) -> tuple[Problem, Fit] | None:
-    """The fitted model on the held-out flights: parameters frozen, initial states and biases fitted.
-
-    None where there is no held-out flight.
-    """
-    records = prepared.of(prepared.holdout)
-    if not records:
-        return None
-    model = baseline.model
-    values = {**model.starts(), **baseline.fit.values}
-    _, whiteners = whiteners_for(model, prepared, records, values, noise or baseline.noise, (), baseline.scatter)
-    problem = Problem(model, prepared.base, records, whiteners, prepared.criteria)
-    return problem, fit(problem, values, frozen=True)
-
-
-def predictive_cost(baseline: Baseline, prepared: FlightRecords, noise: NoiseModel) -> float | None:
+def predictive_cost(baseline: Baseline, noise: NoiseModel) -> float | None:
     """Whitened cost of the held-out flights given the training flights.
 
     Parameters may move within what training left uncertain: without that a barely stable motion, which multiplies small
     errors of the parameters, would condemn every model. None where there is no held-out flight; infinite where the motion runs
     away on one.
     """
-    held = on_holdout(baseline, prepared, noise)
+    held = baseline.held_out if noise is baseline.noise else baseline.on_holdout(noise)
     if held is None:
         return None
     problem, found = held

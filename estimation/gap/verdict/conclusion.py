@@ -15,7 +15,7 @@ from estimation.gap.likelihood.baseline import Baseline
 from estimation.gap.search.search_state import Finding, SearchState, Setting
 from estimation.gap.tests_of_fit.calibration import Round
 from estimation.gap.tests_of_fit.kinematic_check import KinematicCheck
-from estimation.gap.tests_of_fit.measure import Floors, floors, on_holdout, rms_over_noise
+from estimation.gap.tests_of_fit.measure import Floors, floors, rms_over_noise
 from estimation.gap.tests_of_fit.omnibus import Omnibus, examine
 from estimation.gap.tests_of_fit.repeatability import repeatability
 from estimation.gap.verdict.decide import (
@@ -54,7 +54,7 @@ def concluded(setting: Setting, search: SearchState, check: KinematicCheck) -> G
     """Verdict, steps and words from what the rounds left."""
     prepared, first, last = setting.prepared, search.rounds[0], search.rounds[-1]
     held_errors = setting.errors[len(prepared.of(prepared.training)) :]
-    floor = floors(last, on_holdout(last.baseline, prepared), held_errors, setting.options.seed)
+    floor = floors(last, last.baseline.held_out, held_errors, setting.options.seed)
     named = [step_of(setting, f, floor) for f in search.findings]
     left = rms_over_noise(last.baseline.problem, last.baseline.fit, setting.scatter)
     cannot = [*undetectable(first), *setting.untold]
@@ -225,7 +225,7 @@ def histories(setting: Setting, before: Baseline, after: Baseline, last: Round) 
     )
     prepared, made = setting.prepared, []
     pairs = [(before.problem, before.fit, after.fit, False)]
-    held_before, held_after = on_holdout(before, prepared), on_holdout(after, prepared)
+    held_before, held_after = before.held_out, after.held_out
     if held_before is not None and held_after is not None:
         pairs.append((held_before[0], held_before[1], held_after[1], True))
     for problem, one, two, held in pairs:

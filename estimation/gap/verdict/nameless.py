@@ -14,7 +14,7 @@ from estimation.gap.form.swing import Swing
 from estimation.gap.likelihood.baseline import Baseline
 from estimation.gap.search.search_state import Finding, SearchState, Setting
 from estimation.gap.tests_of_fit.calibration import Round
-from estimation.gap.tests_of_fit.measure import floors, on_holdout
+from estimation.gap.tests_of_fit.measure import floors
 from estimation.gap.tests_of_fit.omnibus import examine
 from estimation.gap.tests_of_fit.transients import Found, find_transients
 from estimation.gap.verdict.decide import Decision
@@ -42,7 +42,7 @@ def searched(setting: Setting, search: SearchState, round_: Round, decision: Dec
         setting.errors,
         setting.options.seed,
         lambda b: setting.screened(b, number + 1),
-        lambda r: floors(r, on_holdout(r.baseline, setting.prepared), held, setting.options.seed),
+        lambda r: floors(r, r.baseline.held_out, held, setting.options.seed),
     )
     try:
         return find_shape(round_, task, decision.verdict is Verdict.UNKNOWN)

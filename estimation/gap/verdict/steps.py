@@ -14,7 +14,7 @@ from estimation.gap.records.nuisance import timing_of
 from estimation.gap.search.accept import by_timing
 from estimation.gap.search.search_state import Finding, Setting
 from estimation.gap.search.select import credible_set
-from estimation.gap.tests_of_fit.measure import Floors, on_holdout, rms_over_noise
+from estimation.gap.tests_of_fit.measure import Floors, rms_over_noise
 from estimation.gap.tests_of_fit.omnibus import Omnibus
 from estimation.gap.verdict.effect_location import SPANS, locate
 from estimation.models.base import ParameterRole
@@ -39,7 +39,7 @@ def unknown_step(omnibus: Omnibus, gap: Gap) -> Step:
 
 
 def step_of(setting: Setting, finding: Finding, floor: Floors) -> Step:
-    prepared, criteria = setting.prepared, setting.options.criteria
+    criteria = setting.options.criteria
     effect, form = finding.candidate.hypothesis.effect, finding.candidate.hypothesis.form
     members = credible_set(finding.choice.weights, criteria)
     if effect.name not in dict(members):
@@ -47,7 +47,7 @@ def step_of(setting: Setting, finding: Finding, floor: Floors) -> Step:
     members.sort(key=lambda m: m[0] != effect.name)
     followed = followed_by_timing(finding)
     parent, child = as_sampled(finding.parent) if followed else finding.parent, finding.child
-    held_before, held_after = on_holdout(parent, prepared), on_holdout(child, prepared)
+    held_before, held_after = parent.held_out, child.held_out
     scatter = setting.scatter
     gap = Gap(
         rms_over_noise(parent.problem, parent.fit, scatter),

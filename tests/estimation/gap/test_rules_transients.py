@@ -55,7 +55,8 @@ def round_about(model: Model, inputs: dict[str, Array], shown: Sequence[Array], 
     )
     white = Whitener(np.full((TIME.size // 2 + 1, 1, 1), 1.0 / NOISE, complex), TIME.size)
     problem = Problem(model, model, records, (white,) * len(records), AS_SET)
-    baseline = Baseline(problem, fit(problem), NoiseModel(np.array([NOISE**2]), {}), np.array([NOISE]), model)
+    flights: Any = None
+    baseline = Baseline(problem, fit(problem), NoiseModel(np.array([NOISE**2]), {}), np.array([NOISE]), model, flights)
     nulls = tuple(tuple(NOISE * rng.standard_normal((TIME.size, 1)) for _ in records) for _ in range(60))
     screen: Any = None
     return Round(baseline, screen, np.zeros(0), np.zeros((60, 0)), np.zeros(0), 4.0, nulls)
