@@ -271,10 +271,10 @@ class Criteria:
         0.75, "gain of a nameless term", "an effect that gains less does not get to give its name"
     )
     shape_share: float = criterion(
-        0.95,
+        0.97,
         "gain of a nameless shape",
         "a lone effect that gains less, by what is itself significant, gives way to a shape that closes the gap",
-        "right names gain 0.95 to 15 times as much (21 effects of usual size), a cubic for a dead band 0.89 (2026-11-23)",
+        "right names gain 0.996 to 20 times as much (40 effects, size 1.5), a cubic for dead bands 0.79 to 0.955 (2026-11-25)",
     )
     strong: float = criterion(
         1.5,

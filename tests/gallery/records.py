@@ -60,15 +60,17 @@ def fly(
     duration: float = 30.0,
     rest: bool = False,
     pitching: float = 0.0,
+    all_axes: bool = False,
     commands: bool = False,
 ) -> Flown:
     """Columns at `rate` [Hz], without noise. gust: rms [m/s] of side and vertical gusts; rest: the rudder never moves; pitching:
-    peaks of the elevator [rad], in place of aileron and rudder; commands: what servos are told is recorded for what they do."""
+    peaks of the elevator [rad], in place of aileron and rudder, or with all_axes between theirs; commands: what servos are told
+    is recorded for what they do."""
     rng = np.random.default_rng([seed, 20261123])
     fdm, steps = executive(kind.name, folder), round(duration * RATE) + 1
     trim = glide(fdm, kind.speed)
     surfaces, level = trim[3:].copy(), float(trim[1])
-    added = _pilot(kind, rng, steps, rest, pitching)
+    added = _pilot(kind, rng, steps, rest, pitching, all_axes)
     air = _gusts(gust, kind.speed, rng, steps)
     rows, moved = [], []
     for k in range(steps):
@@ -92,7 +94,9 @@ def fly(
     return Flown(kind, columns, Aircraft(kind.name.lower(), **shape), truth, deflections)
 
 
-def _pilot(kind: Kind, rng: np.random.Generator, steps: int, rest: bool, pitching: float = 0.0) -> Array:
+def _pilot(
+    kind: Kind, rng: np.random.Generator, steps: int, rest: bool, pitching: float = 0.0, all_axes: bool = False
+) -> Array:
     """(3, steps) added elevator, aileron, rudder: doublets and 3-2-1-1 of the aircraft's own pace, no two alike."""
     u, t = np.zeros((3, steps)), np.arange(steps) / RATE
     at = 1.5
@@ -104,9 +108,11 @@ def _pilot(kind: Kind, rng: np.random.Generator, steps: int, rest: bool, pitchin
         (1, (0.7, 0.7)),
         (2, (0.8, 0.8)),
     ]
+    if all_axes:  # an elevator input after each of the others
+        patterns = [p for row, widths in patterns for p in ((row, widths), (0, widths))]
     for row, widths in patterns * 3:
         peak = (kind.aileron if row == 1 else kind.rudder) * rng.uniform(0.7, 1.0)
-        if pitching > 0.0:
+        if row == 0 or (pitching > 0.0 and not all_axes):
             row, peak = 0, pitching * rng.uniform(0.5, 1.0)
         sign, scale = rng.choice((-1.0, 1.0)), kind.pace * rng.uniform(0.9, 1.1)
         for width in widths:

@@ -118,6 +118,9 @@ HIDDEN: Mapping[str, Hidden] = {
     "alpha_lag": Hidden(("alpha_lag",), columns=late("alpha", 0.12), plane="longitudinal"),
     "alpha_scale": Hidden(("alpha_scale",), columns=scaled("alpha", 1.2), plane="longitudinal"),
     "V_scale": Hidden(("V_scale",), columns=scaled("V", 1.06), plane="longitudinal"),
+    "nothing in all axes": Hidden(plane="six-dof"),
+    "Cm_beta2": Hidden(("Cm_beta2",), aircraft=term("PITCH", "aero/beta-rad", "aero/beta-rad", 0.3), plane="six-dof"),
+    "q_scale": Hidden(("q_scale",), columns=scaled("q", 1.08), plane="six-dof"),
     "elevator commands": Hidden(("elevator_lag", "elevator_delay"), {"commands": True}, plane="longitudinal"),
 }
 
@@ -129,6 +132,12 @@ TERMS: Mapping[str, str] = {
     "Cn_dr3": "Cn dr dr dr", "Cl_p_abs_p": "Cl ph size_ph", "surface_compliance": "Cl da V V", "Cl_betadot": "Cl bdot",
     "Cn_betadot": "Cn bdot", "stall_separation": "Cl ph alpha",
 }  # fmt: skip
+TERMS_OF_BOTH: Mapping[str, str] = {
+    "Cm_beta2": "Cm beta beta", "CL_beta2": "CL beta beta", "CD_beta2": "CD beta beta",
+    "CL_da2": "CL da da", "CD_da2": "CD da da", "Cm_da2": "Cm da da",
+    "Cl_alpha_da": "Cl alpha da", "Cn_alpha_da": "Cn alpha da", "Cn_alpha_dr": "Cn alpha dr",
+    "Cl_alpha_p": "Cl alpha ph", "Cn_alpha_p": "Cn alpha ph", "CY_p_r": "CY ph, CY rh",
+}  # fmt: skip
 TERMS_IN_PITCH: Mapping[str, str] = {
     "CL_alphadot": "CL adot", "Cm_alphadot": "Cm adot", "CL_alpha2": "CL alpha alpha", "Cm_alpha2": "Cm alpha alpha",
     "CL_alpha3": "CL alpha alpha alpha", "Cm_alpha3": "Cm alpha alpha alpha", "CL_de3": "CL de de de", "Cm_de3": "Cm de de de",
@@ -137,7 +146,10 @@ TERMS_IN_PITCH: Mapping[str, str] = {
     "CD_q": "CD qh", "wing_compliance": "CL alpha V V", "elevator_compliance": "Cm de V V",
     "stall_separation": "CL alpha alpha alpha",
 }  # fmt: skip
-"""Name of an effect -> the coefficient and the product of signals that it adds to it; one for each of its forms."""
+PLANES: Mapping[str, Mapping[str, str]] = {
+    "lateral": TERMS, "longitudinal": TERMS_IN_PITCH, "six-dof": {**TERMS, **TERMS_IN_PITCH, **TERMS_OF_BOTH},
+}  # fmt: skip
+"""Plane -> name of an effect -> the coefficient and the product of signals that it adds to it; one for each of its forms."""
 BASE: Mapping[str, str] = {
     "CY": "1,beta,ph,rh,dr", "Cl": "1,beta,ph,rh,da,dr", "Cn": "1,beta,ph,rh,dr",
     "CL": "1,alpha,qh,de", "CD": "1,CL CL", "Cm": "1,alpha,qh,de",
@@ -215,7 +227,8 @@ def flights_of(kind: Kind, row: Row, hidden: Hidden, seed: int, folder: Path) ->
     for i, share in enumerate(SPEEDS):
         one = fly(
             replace(kind, speed=share * kind.speed), folder, 10 * seed + i, rate=RATES[kind.name],
-            duration=60.0 if kind.pace > 1.0 else 30.0, pitching=0.5 * kind.aileron if hidden.plane == "longitudinal" else 0.0,
+            duration=60.0 if kind.pace > 1.0 else 30.0, pitching=0.5 * kind.aileron if hidden.plane != "lateral" else 0.0,
+            all_axes=hidden.plane == "six-dof",
             **row.flight, **hidden.flight,
         )  # fmt: skip
         one = replace(one, columns={**one.columns, "thrust": np.zeros_like(one.columns["time"])})
@@ -236,7 +249,7 @@ def outcome(kind: Kind, row: Row, label: str, seed: int, nulls: int) -> dict[str
         "row": row.title,
         "hidden": label,
         "seed": seed,
-        "present": present(flown, TERMS if hidden.plane == "lateral" else TERMS_IN_PITCH),
+        "present": present(flown, PLANES[hidden.plane]),
     }
     try:
         result = run_gap(

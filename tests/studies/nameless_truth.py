@@ -1,8 +1,8 @@
 """Effects that no catalogue holds, hidden in the second truth: does a shape close the gap, and does none get a physical name?
 
-Run: python -m tests.studies.nameless_truth [-n SETS] [--start SEED] [--only NAME ...] [--nulls N] [--out FILE]
+Run: python -m tests.studies.nameless_truth [-n SETS] [--start SEED] [--only NAME ...] [--kinds KIND ...] [--nulls N] [--out FILE]
 One JSON line a case; `--summary FILE` prints the table. Ten functions of the motion, three with memory, three faults of one
-stretch of flight, and nothing.
+stretch of flight, nothing, and each function beside an effect that the catalogue holds.
 """
 
 import argparse
@@ -45,7 +45,14 @@ MEMORY: Mapping[str, truth.Hidden] = {
     "Cn late after p": hidden("Cn", "p_hat", lambda x: 0.03 * x, 0.4),
     "CY late after beta": hidden("CY", "beta", lambda x: 0.15 * x, 0.5),
 }
-KINDS = ("function", "memory", "local", "nothing")
+MIXED: tuple[tuple[str, str], ...] = (
+    ("Cl even in beta", "Cn_da"), ("Cn absolute aileron", "beta_lag"), ("Cn even in p", "Cl_alpha_beta"),
+    ("Cl even in rudder", "aileron_delay"), ("Cn bump in beta", "gyro_scale"), ("CY dead band in beta", "Cn_da"),
+    ("CY bent in rudder", "Cl_beta3"), ("Cl absolute r", "rudder_lag"), ("Cl even in aileron", "beta_scale"),
+    ("Cn one-sided in p", "lateral_cg"),
+)  # fmt: skip
+"""A function that no catalogue holds, and beside it an effect of usual size that one does."""
+KINDS = ("function", "memory", "local", "nothing", "mixed")
 
 
 def cases() -> list[tuple[str, str, truth.Hidden | None, dict[str, float]]]:
@@ -55,6 +62,7 @@ def cases() -> list[tuple[str, str, truth.Hidden | None, dict[str, float]]]:
     made += [("local", n, None, {n: 1.0}) for n in truth.LOCAL]
     made += [("nothing", f"nothing {k}", None, {}) for k in range(1, 4)]
     made += [("memory", n, h, {}) for n, h in MEMORY.items()]
+    made += [("mixed", f"{n} + {e}", FUNCTIONS[n], {e: 1.0}) for n, e in MIXED]
     return made
 
 
@@ -124,6 +132,7 @@ def main() -> None:
     parser.add_argument("-n", type=int, default=1, help="sets of flights of every case")
     parser.add_argument("--start", type=int, default=4000, help="first seed")
     parser.add_argument("--only", nargs="*", default=[])
+    parser.add_argument("--kinds", nargs="*", choices=KINDS, default=list(KINDS))
     parser.add_argument("--nulls", type=int, default=100)
     parser.add_argument("--out", type=Path, default=Path("out/nameless.jsonl"))
     parser.add_argument("--summary", type=Path)
@@ -134,7 +143,7 @@ def main() -> None:
     given.out.parent.mkdir(parents=True, exist_ok=True)
     for turn in range(given.n):
         for k, (kind, label, part, effects) in enumerate(cases()):
-            if given.only and label not in given.only:
+            if kind not in given.kinds or (given.only and label not in given.only):
                 continue
             row = one(kind, label, part, effects, given.start + 100 * turn + k, given.nulls)
             with given.out.open("a", encoding="utf-8") as handle:

@@ -143,9 +143,10 @@ def conclude(
     odd: Sequence[str] = (),
     stale: Sequence[str] = (),
     following: Sequence[str] = (),
+    left: str = "",
 ) -> str:
     """The paragraph of the verdict. odd: training flights that do not repeat the others. stale: outputs that repeat their last
-    value in many samples. following: controls that only follow the motion."""
+    value in many samples. following: controls that only follow the motion. left: how what is left beside a shape shows."""
     parts = []
     if verdict is Verdict.NO_GAP:
         parts.append(
@@ -160,6 +161,8 @@ def conclude(
             "No effect found, but these flights could not have shown many of them: they hardly excite the motion."
         )
     parts += [s.text for s in steps]
+    if left:
+        parts.append(f"Beside all this something is left that is not explained ({left}).")
     if steps and not holdout:
         parts.append(
             "No held-out flight was given, so the better model is not confirmed on data it has not seen: "

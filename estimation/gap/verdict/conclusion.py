@@ -18,6 +18,7 @@ from estimation.gap.tests_of_fit.kinematic_check import KinematicCheck
 from estimation.gap.tests_of_fit.measure import Floors, floors, rms_over_noise
 from estimation.gap.tests_of_fit.omnibus import Omnibus, examine
 from estimation.gap.tests_of_fit.repeatability import repeatability
+from estimation.gap.verdict.beside_shape import Beside, names_beside
 from estimation.gap.verdict.decide import (
     Decision,
     Facts,
@@ -25,6 +26,7 @@ from estimation.gap.verdict.decide import (
     as_unknown,
     decide,
     only_steered,
+    with_names,
     with_shape,
 )
 from estimation.gap.verdict.disagreement import views
@@ -41,7 +43,7 @@ from estimation.gap.verdict.nameless import (
     standing_round,
     why_not,
 )
-from estimation.gap.verdict.steps import step_of, unknown_step
+from estimation.gap.verdict.steps import how_it_shows, step_of, unknown_step
 from estimation.gap.verdict.tables import detectable_sizes, effect_scores, nominal_threshold, ties_of, undetectable
 from estimation.models.base import Model
 
@@ -84,8 +86,16 @@ def concluded(setting: Setting, search: SearchState, check: KinematicCheck) -> G
                 left = rms_over_noise(standing.problem, standing.fit, setting.scatter)
         follower = settled(found.follower, standing) if late is None else late.follower
         found, decision = replace(found, follower=follower), as_unknown(decision) if follower else decision
+    beside = names_beside(setting, search, standing, found, decision) if event is None else None
+    if beside is not None:
+        kept, standing, found = (*kept, *beside.findings), beside.standing, beside.found
+        named = [*named[: decision.kept], *(step_of(setting, f, floor) for f in beside.findings)]
+        decision = with_names(decision, [s.effect for s in named])
+    still = ""
     if found.shape is not None:
         decision, unnamed = with_shape(decision), shaped_step(found.shape, standing, setting)
+        rest = examine(found.shape.measured.round_)
+        still = how_it_shows(rest) if rest.score > setting.options.criteria.unknown_margin * rest.threshold else ""
     elif event is not None:
         decision, unnamed = as_unknown(decision), event_step(event, Gap(left, left, floor.training_median))
     elif decision.verdict is Verdict.NO_GAP and (held := held_back(first.baseline, prepared)):
@@ -104,7 +114,16 @@ def concluded(setting: Setting, search: SearchState, check: KinematicCheck) -> G
     return GapResult(
         verdict=decision.verdict,
         text=conclude(
-            decision.verdict, steps, detectable, cannot, tied, bool(prepared.holdout), odd, stale, setting.following
+            decision.verdict,
+            steps,
+            detectable,
+            cannot,
+            tied,
+            bool(prepared.holdout),
+            odd,
+            stale,
+            setting.following,
+            still,
         ),
         minimum_detectable=detectable,
         steps=steps,
@@ -112,7 +131,7 @@ def concluded(setting: Setting, search: SearchState, check: KinematicCheck) -> G
         threshold=first.threshold,
         nominal_threshold=nominal_threshold(len(first.screen.hypotheses), setting.options.criteria),
         rejected=(
-            *search.rejected,
+            *turned_down(search, beside),
             *(Rejected(effect, why) for effect, why in decision.withdrawn),
             *(Rejected(t.place.words, why_not(t)) for t in found.tried),
         ),
@@ -137,6 +156,14 @@ def concluded(setting: Setting, search: SearchState, check: KinematicCheck) -> G
             "seed": setting.options.seed,
         },
     )
+
+
+def turned_down(search: SearchState, beside: Beside | None) -> tuple[Rejected, ...]:
+    """Hypotheses that the rounds turned down, but for those that stand beside a shape in the end."""
+    if beside is None:
+        return search.rejected
+    standing = {f.candidate.hypothesis.label for f in beside.findings}
+    return tuple(r for r in (*search.rejected, *beside.rejected) if r.effect not in standing)
 
 
 def as_good(shape: Shape, name: Step, criteria: Criteria) -> bool:

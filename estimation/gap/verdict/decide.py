@@ -82,6 +82,12 @@ def with_shape(decision: Decision) -> Decision:
     return replace(decision, verdict=Verdict.GAP_REDUCED)
 
 
+def with_names(decision: Decision, names: Sequence[str]) -> Decision:
+    """The decision where these names stand in the end, beside a shape, some of which may have been withdrawn without it."""
+    withdrawn = tuple((effect, why) for effect, why in decision.withdrawn if effect not in names)
+    return replace(decision, kept=len(names), withdrawn=withdrawn)
+
+
 def as_unknown(decision: Decision) -> Decision:
     """The decision where something stands out that is no term with a name: a fault of an instrument, what happened at one time, a
     coefficient that follows late or swings."""

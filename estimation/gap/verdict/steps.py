@@ -25,17 +25,21 @@ TOLD = 3  # nameless signals in the words; the JSON file has more
 def unknown_step(omnibus: Omnibus, gap: Gap) -> Step:
     """Where and how the nameless rest shows."""
     leading = [s for s in omnibus.leading if s.score > omnibus.threshold]
-    shown = leading[:TOLD]
     channels = tuple(dict.fromkeys(s.place for s in leading))
     spans = tuple(s.span for s in leading if s.span is not None)
-    shape = "; ".join(f"{s.place}: like {s.what}" if s.kind == "term" else f"{s.place}: {s.what}" for s in shown)
     return Step(
         effect="unknown", title="an effect the catalogue does not hold", form="", confidence=0.0, members=(),
         separate_by="repeat the manoeuvre and vary one signal at a time around the regime named here", estimates={}, units={},
         score=omnibus.score, threshold=omnibus.threshold,
-        where=Where(leading[0].place if leading else "", channels, spans[:SPANS], shape),
+        where=Where(leading[0].place if leading else "", channels, spans[:SPANS], how_it_shows(omnibus)),
         gap=gap, holdout=None, migrated={},
     )  # fmt: skip
+
+
+def how_it_shows(omnibus: Omnibus) -> str:
+    """The strongest nameless signals in words."""
+    shown = [s for s in omnibus.leading if s.score > omnibus.threshold][:TOLD]
+    return "; ".join(f"{s.place}: like {s.what}" if s.kind == "term" else f"{s.place}: {s.what}" for s in shown)
 
 
 def step_of(setting: Setting, finding: Finding, floor: Floors) -> Step:

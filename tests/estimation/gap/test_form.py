@@ -189,3 +189,32 @@ def test_an_effect_the_catalogue_does_not_hold_gets_a_shape_and_no_name(even: li
     assert not [n for n in child.parameter_names if n.startswith("form_")]
     page = write_gap_report(result, tmp_path / "report").read_text(encoding="utf-8")
     assert "The part of Cn without a name" in page
+
+
+@pytest.mark.long
+def test_an_effect_with_a_name_is_found_beside_a_shape_that_stood_over_it(tmp_path: Path) -> None:
+    hidden = truth.Hidden("Cl", lambda s: 0.3 * s["beta"] ** 2)  # six times as plain as the adverse yaw
+    flown = [
+        truth.Request(80 + i, v, {"Cn_da": 1.0}, duration=24.0, hidden=hidden) for i, v in enumerate((14.5, 19.0, 16.5))
+    ]
+    flights = [
+        Flight.build(f"f{i}", c["time"], {k: v for k, v in c.items() if k != "time"})
+        for i, c in enumerate(truth.fly(flown))
+    ]
+    asked = [e for e in catalogue() if e.name in NEAR]
+    result = analyse(load_model("lateral", "cdfp"), flights[:2], flights[2:], asked, Options(seed=3, nulls=40, most=2),
+                     lambda what, share: None, tmp_path / "report", tmp_path / "gap.json")  # fmt: skip
+    answer = json.loads((tmp_path / "gap.json").read_text(encoding="utf-8"))
+    assert result.verdict is Verdict.GAP_REDUCED
+    assert [s["effect"] for s in answer["steps"]] == ["Cn_da", "unknown"]
+    name, unknown = answer["steps"]
+    estimate = name["parameters"]["Cn_da"]
+    assert estimate["estimate"] == pytest.approx(truth.TYPICAL["Cn_da"], abs=4.0 * estimate["std"])
+    assert name["score"] > 2.0 * name["threshold"]
+    assert (unknown["form"]["output"], unknown["form"]["variables"]) == ("Cl", ["beta"])
+    assert unknown["form"]["closed"] > 0.7
+    assert "Cn_da" not in [r["effect"] for r in answer["rejected"]]
+    child = read_model(answer["model_after"])
+    assert child.name == "lateral+Cn_da+nameless"
+    assert "Cl_nameless" in child.definitions["Cl"]
+    assert "Cn_da" in child.parameter_names

@@ -303,9 +303,9 @@ def test_the_first_candidate_that_is_confirmed_becomes_the_effect(monkeypatch: p
 
 @pytest.mark.parametrize(
     ("gain", "shape", "doubted"),
-    [(960.0, 1000.0, False), (940.0, 1000.0, True), (75.0, 90.0, False), (75.0, 107.0, False), (75.0, 109.0, True)],
+    [(4880.0, 5000.0, False), (4800.0, 5000.0, True), (75.0, 90.0, False), (75.0, 107.0, False), (75.0, 109.0, True)],
 )
-def test_a_name_is_doubted_where_a_shape_gains_more_by_a_twentieth_and_by_what_is_significant(
+def test_a_name_is_doubted_where_a_shape_gains_clearly_more_and_by_what_is_significant(
     gain: float, shape: float, doubted: bool
 ) -> None:
     """Scores are of half the gain: an inflation of two, so that twice the square of the threshold is significant."""

@@ -1,0 +1,96 @@
+"""Names beside a shape: effects of the catalogue that could not be told while something without a name stood over them.
+
+A name has to gain most of what the best nameless term does, so that what has no name is not given one. Where a shape has been
+found for it, it is explained: the rounds are gone through once more about the model with the shape, and where they name something
+the shape is sought again beside these names, so that it is fitted to what they leave.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from estimation.gap.answer.result import Rejected
+from estimation.gap.errors import GapError
+from estimation.gap.form.fitted import fit_increment
+from estimation.gap.form.search import Shape, ShapeSearch
+from estimation.gap.form.swing import Swing
+from estimation.gap.likelihood.baseline import Baseline, fit_afresh, fit_baseline
+from estimation.gap.records.candidate_model import awakened
+from estimation.gap.search.rounds import run_rounds
+from estimation.gap.search.search_state import Finding, SearchState, Setting
+from estimation.gap.verdict.decide import Decision
+from estimation.gap.verdict.nameless import searched
+
+
+@dataclass(frozen=True)
+class Beside:
+    """findings: of the rounds about the model with the shape. standing: the model with them and without the shape; found: the
+    shape about that."""
+
+    findings: tuple[Finding, ...]
+    standing: Baseline
+    found: ShapeSearch
+    rejected: tuple[Rejected, ...]
+
+
+def names_beside(
+    setting: Setting, search: SearchState, standing: Baseline, found: ShapeSearch, decision: Decision
+) -> Beside | None:
+    """Effects that stand beside a shape found about `standing`, or beside one found with the names that a rest outweighs.
+
+    None where there is none, or the shape does not stand beside them.
+    """
+    room = setting.options.most - decision.kept
+    if room <= 0:
+        return None
+    try:
+        shape, child = _shaped(setting, search, standing, found, decision)
+        if shape is None or child is None:
+            return None
+        setting.tell("names beside the shape", 0.93)
+        options = replace(setting.options, most=room)
+        more = run_rounds(
+            replace(setting, working=child.model, clean=child.clean, options=options, tell=_silent), child
+        )
+        without = _without_shape(standing, more.findings) if more.findings else None
+        if without is None:
+            return None
+        again = searched(setting, search, setting.screened(without, len(search.rounds)), decision)
+    except GapError:  # a motion that cannot be linearised: what was found before stands
+        return None
+    if again.shape is None or again.shape.fitted.increment.place != shape.fitted.increment.place:
+        return None
+    return Beside(more.findings, without, again, more.rejected)
+
+
+def _shaped(
+    setting: Setting, search: SearchState, standing: Baseline, found: ShapeSearch, decision: Decision
+) -> tuple[Shape | None, Baseline | None]:
+    """A shape and the standing model with it.
+
+    Where a rest outweighs names of which it is no part, neither closes the gap alone: the shape is sought about the model with
+    them, and put into the one without.
+    """
+    if found.shape is not None:
+        return found.shape, found.shape.measured.child
+    if decision.kept == len(search.findings) or isinstance(found.follower, Swing):
+        return None, None
+    shape = searched(setting, search, search.rounds[-1], decision).shape
+    fitted = None if shape is None else fit_increment(standing, shape.fitted.increment)
+    if fitted is None:
+        return None, None
+    model, clean = fitted.problem.model, standing.clean
+    return shape, fit_baseline(model, clean, setting.prepared, setting.scatter, fitted.fit, standing.noise)
+
+
+def _without_shape(standing: Baseline, findings: Sequence[Finding]) -> Baseline | None:
+    """The model in which a shape was found with the names beside it, and without the shape; None where it runs away."""
+    model, clean = standing.model, standing.clean
+    for f in findings:
+        at = {n: v for n, (v, _) in f.candidate.estimates.items()}
+        form = f.candidate.hypothesis.form
+        model, clean = awakened(model, form, at), form.added_to(clean, at)
+    return fit_afresh(findings[-1].child, model, clean)
+
+
+def _silent(what: str, share: float) -> None:
+    """Rounds within a share of the progress that is told already."""
