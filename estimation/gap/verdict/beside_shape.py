@@ -17,16 +17,18 @@ from estimation.gap.likelihood.baseline import Baseline, fit_afresh, fit_baselin
 from estimation.gap.records.candidate_model import awakened
 from estimation.gap.search.rounds import run_rounds
 from estimation.gap.search.search_state import Finding, SearchState, Setting
+from estimation.gap.tests_of_fit.calibration import Round
 from estimation.gap.verdict.decide import Decision
 from estimation.gap.verdict.nameless import searched
 
 
 @dataclass(frozen=True)
 class Beside:
-    """findings: of the rounds about the model with the shape. standing: the model with them and without the shape; found: the
-    shape about that."""
+    """findings: of the rounds about the model with the shape; round_: the last of them. standing: the model with the names and
+    without the shape; found: the shape about that."""
 
     findings: tuple[Finding, ...]
+    round_: Round
     standing: Baseline
     found: ShapeSearch
     rejected: tuple[Rejected, ...]
@@ -59,7 +61,7 @@ def names_beside(
         return None
     if again.shape is None or again.shape.fitted.increment.place != shape.fitted.increment.place:
         return None
-    return Beside(more.findings, without, again, more.rejected)
+    return Beside(more.findings, more.rounds[-1], without, again, more.rejected)
 
 
 def _shaped(

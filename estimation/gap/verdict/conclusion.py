@@ -15,7 +15,7 @@ from estimation.gap.likelihood.baseline import Baseline
 from estimation.gap.search.search_state import Finding, SearchState, Setting
 from estimation.gap.tests_of_fit.calibration import Round
 from estimation.gap.tests_of_fit.kinematic_check import KinematicCheck
-from estimation.gap.tests_of_fit.measure import Floors, floors, rms_over_noise
+from estimation.gap.tests_of_fit.measure import Floors, rms_over_noise
 from estimation.gap.tests_of_fit.omnibus import Omnibus, examine
 from estimation.gap.tests_of_fit.repeatability import repeatability
 from estimation.gap.verdict.beside_shape import Beside, names_beside
@@ -36,6 +36,7 @@ from estimation.gap.verdict.late_rest import beside_memory, late_rest
 from estimation.gap.verdict.lineage import fitted
 from estimation.gap.verdict.nameless import (
     event_step,
+    floor_about,
     follower_of,
     happened,
     searched,
@@ -55,8 +56,7 @@ LEFT = 5  # nameless signals in the JSON file
 def concluded(setting: Setting, search: SearchState, check: KinematicCheck) -> GapResult:
     """Verdict, steps and words from what the rounds left."""
     prepared, first, last = setting.prepared, search.rounds[0], search.rounds[-1]
-    held_errors = setting.errors[len(prepared.of(prepared.training)) :]
-    floor = floors(last, last.baseline.held_out, held_errors, setting.options.seed)
+    floor = floor_about(setting, last)
     named = [step_of(setting, f, floor) for f in search.findings]
     left = rms_over_noise(last.baseline.problem, last.baseline.fit, setting.scatter)
     cannot = [*undetectable(first), *setting.untold]
@@ -89,12 +89,14 @@ def concluded(setting: Setting, search: SearchState, check: KinematicCheck) -> G
     beside = names_beside(setting, search, standing, found, decision) if event is None else None
     if beside is not None:
         kept, standing, found = (*kept, *beside.findings), beside.standing, beside.found
-        named = [*named[: decision.kept], *(step_of(setting, f, floor) for f in beside.findings)]
+        own = floor_about(setting, beside.round_)
+        named = [*named[: decision.kept], *(step_of(setting, f, own) for f in beside.findings)]
         decision = with_names(decision, [s.effect for s in named])
     still = ""
     if found.shape is not None:
         decision, unnamed = with_shape(decision), shaped_step(found.shape, standing, setting)
-        rest = examine(found.shape.measured.round_)
+        last = found.shape.measured.round_
+        rest = examine(last)
         still = how_it_shows(rest) if rest.score > setting.options.criteria.unknown_margin * rest.threshold else ""
     elif event is not None:
         decision, unnamed = as_unknown(decision), event_step(event, Gap(left, left, floor.training_median))

@@ -14,7 +14,7 @@ from estimation.gap.form.swing import Swing
 from estimation.gap.likelihood.baseline import Baseline
 from estimation.gap.search.search_state import Finding, SearchState, Setting
 from estimation.gap.tests_of_fit.calibration import Round
-from estimation.gap.tests_of_fit.measure import floors
+from estimation.gap.tests_of_fit.measure import Floors, floors
 from estimation.gap.tests_of_fit.omnibus import examine
 from estimation.gap.tests_of_fit.transients import Found, find_transients
 from estimation.gap.verdict.decide import Decision
@@ -32,17 +32,22 @@ def standing_round(setting: Setting, search: SearchState, kept: Sequence[Finding
     return round_ or setting.screened(standing, len(search.rounds))
 
 
+def floor_about(setting: Setting, round_: Round) -> Floors:
+    """What the gap measures on the nulls of a round, training and held-out flights."""
+    held = setting.errors[len(setting.prepared.of(setting.prepared.training)) :]
+    return floors(round_, round_.baseline.held_out, held, setting.options.seed)
+
+
 def searched(setting: Setting, search: SearchState, round_: Round, decision: Decision) -> ShapeSearch:
     """Look for a shape of what the standing names leave: at length where a rest is known to matter."""
     setting.tell("a shape for what has no name", 0.92)
     number = len(search.rounds)
-    held = setting.errors[len(setting.prepared.of(setting.prepared.training)) :]
     task = Task(
         setting.prepared,
         setting.errors,
         setting.options.seed,
         lambda b: setting.screened(b, number + 1),
-        lambda r: floors(r, r.baseline.held_out, held, setting.options.seed),
+        lambda r: floor_about(setting, r),
     )
     try:
         return find_shape(round_, task, decision.verdict is Verdict.UNKNOWN)

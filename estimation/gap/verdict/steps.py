@@ -145,11 +145,11 @@ def worth_in_words(worth: Mapping[str, float], criteria: Criteria) -> str:
 
 
 def migrated(parent: Baseline, child: Baseline) -> dict[str, Migration]:
-    """Base derivatives that had absorbed part of the effect, farthest moved first."""
-    std = child.fit.std()
+    """Base derivatives that had absorbed part of the effect, farthest moved first; weights of a shape are none."""
+    std, read = child.fit.std(), parent.clean.parameter_names
     found = {}
     for name in parent.fit.free:
-        if child.problem.nuisance(name) or name not in std:
+        if child.problem.nuisance(name) or name not in std or name not in read:
             continue
         before, after = parent.fit.values[name], child.fit.values[name]
         bounds = abs(after - before) / max(std[name], 1e-300)

@@ -211,6 +211,9 @@ def test_an_effect_with_a_name_is_found_beside_a_shape_that_stood_over_it(tmp_pa
     estimate = name["parameters"]["Cn_da"]
     assert estimate["estimate"] == pytest.approx(truth.TYPICAL["Cn_da"], abs=4.0 * estimate["std"])
     assert name["score"] > 2.0 * name["threshold"]
+    assert name["gap"]["floor"] < 1.2 * name["gap"]["after"]  # of nulls with the shape, not of the base that lacks it
+    assert not [n for n in name["migrated"] if n.startswith("form_")]
+    assert "do not repeat" not in answer["text"]
     assert (unknown["form"]["output"], unknown["form"]["variables"]) == ("Cl", ["beta"])
     assert unknown["form"]["closed"] > 0.7
     assert "Cn_da" not in [r["effect"] for r in answer["rejected"]]

@@ -208,10 +208,11 @@ def test_the_nominal_threshold_is_that_of_a_normal_law() -> None:
 @pytest.mark.parametrize(("bounds", "found"), [(2.8, False), (3.2, True)])
 def test_a_derivative_that_moves_by_three_bounds_had_absorbed_the_effect(bounds: float, found: bool) -> None:
     def baseline(value: float) -> Any:
-        values = {"Cn_p": value, "timing_x": 100.0 * value}
+        values = {"Cn_p": value, "timing_x": 100.0 * value, "form_w1": 100.0 * value}
         fit = stub(free=tuple(values), values=values, std=lambda: dict.fromkeys(values, 0.1))
         problem = stub(nuisance=lambda n: n == "timing_x")
-        return stub(fit=fit, criteria=AS_SET, problem=problem, model=stub(parameter=lambda n: stub(reference=0.5)))
+        read, model = stub(parameter_names=("Cn_p", "timing_x")), stub(parameter=lambda n: stub(reference=0.5))
+        return stub(fit=fit, criteria=AS_SET, problem=problem, model=model, clean=read)
 
     moved = migrated(baseline(1.0), baseline(1.0 + 0.1 * bounds))
     assert list(moved) == (["Cn_p"] if found else [])
