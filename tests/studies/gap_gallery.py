@@ -133,7 +133,7 @@ TERMS: Mapping[str, str] = {
     "Cn_betadot": "Cn bdot", "stall_separation": "Cl ph alpha",
 }  # fmt: skip
 TERMS_OF_BOTH: Mapping[str, str] = {
-    "Cm_beta2": "Cm beta beta", "CL_beta2": "CL beta beta", "CD_beta2": "CD beta beta",
+    "Cm_beta2": "Cm beta beta", "CL_beta2": "CL beta beta", "CD_beta2": "CD beta beta, CD size_beta",
     "CL_da2": "CL da da", "CD_da2": "CD da da", "Cm_da2": "Cm da da",
     "Cl_alpha_da": "Cl alpha da", "Cn_alpha_da": "Cn alpha da", "Cn_alpha_dr": "Cn alpha dr",
     "Cl_alpha_p": "Cl alpha ph", "Cn_alpha_p": "Cn alpha ph", "CY_p_r": "CY ph, CY rh",
@@ -196,7 +196,7 @@ def _explained(flown: Sequence[Flown], line: str, known: Sequence[str], more: st
             "bdot": np.gradient(c["beta"], c["time"]) * a.span / (2 * c["V"]), "1": np.ones_like(c["V"]), "CL": made["CL"],
             "qh": c["q"] * a.chord / (2 * c["V"]), "adot": np.gradient(c["alpha"], c["time"]) * a.chord / (2 * c["V"]),
         }  # fmt: skip
-        signals["size_ph"] = np.abs(signals["ph"])
+        signals |= {"size_ph": np.abs(signals["ph"]), "size_beta": np.abs(signals["beta"])}
         terms = [np.prod([signals[f] for f in t.split()], axis=0) for t in (*BASE[line].split(","), *known, more)]
         columns.append(np.column_stack(terms))
         wanted.append(made[line])

@@ -13,7 +13,7 @@ _ALL = ("CY", "CL")  # lines of both planes
 
 
 def _even(name: str, title: str, line: str, of: str, term: str, typical: float, reach: float, source: str, physics: str,
-          confusions: dict[str, str], separate_by: str) -> Effect:  # fmt: skip
+          confusions: dict[str, str], separate_by: str, more: tuple[Form, ...] = ()) -> Effect:  # fmt: skip
     return Effect(
         name,
         title,
@@ -24,7 +24,7 @@ def _even(name: str, title: str, line: str, of: str, term: str, typical: float, 
         f"{'pitch-rate' if line == 'Cm' else 'a_x and V' if line == 'CD' else 'a_z'} residual even in {of}",
         confusions,
         separate_by,
-        one_term(name, line, term, typical, reach, f"per {of}²", "1/rad2", requires=_ALL),
+        (*one_term(name, line, term, typical, reach, f"per {of}²", "1/rad2", requires=_ALL), *more),
         family=f"even in {of}",
     )
 
@@ -37,8 +37,11 @@ EVEN = (
           {"prop_gyroscopic": "even in the direction of the turn, H r is odd", "Cm_da2": BOTH_WAYS}, BOTH_WAYS),
     _even("CL_beta2", "lift lost in sideslip", "CL", "β", "beta^2", 1.0, 6.0, "−1 (6), engineering estimate", _SLIP,
           {"Cm_beta2": "a_z against q"}, BOTH_WAYS),
-    _even("CD_beta2", "drag of sideslip", "CD", "β", "beta^2", 0.4, 3.0, "0.4 (3), cross-flow of body and fin", _SLIP,
-          {"CD_da2": BOTH_WAYS, "thrust_scale": BOTH_WAYS}, BOTH_WAYS),
+    _even("CD_beta2", "drag of sideslip", "CD", "β", "beta^2", 0.4, 3.0,
+          "0.4 (3), cross-flow of body and fin; 0.13 to 0.18 |β| in files of JSBSim's aircraft", _SLIP,
+          {"CD_da2": BOTH_WAYS, "thrust_scale": BOTH_WAYS}, BOTH_WAYS,
+          (Form("in proportion", (EffectParameter("CD_abs_beta", "1/rad", 0.15, -0.3, 1.0, meaning="drag per |β|"),),
+                terms={"CD": ("CD_abs_beta*abs(beta)",)}, requires=(*_ALL, "beta")),)),
     _even("CL_da2", "lift from aileron", "CL", "δa", "delta_a^2", 0.3, 3.0, "0.3 (3), engineering estimate", _ROLL,
           {"Cm_da2": "a_z against q"}, "ailerons at two elevator trims"),
     _even("CD_da2", "drag of the ailerons", "CD", "δa", "delta_a^2", 0.3, 3.0, "0.3 (3), engineering estimate", _ROLL,
