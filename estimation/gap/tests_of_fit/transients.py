@@ -288,8 +288,8 @@ def _scored(
         if e not in taken:
             gains[e] = single[columns[0]] if len(columns) == 1 else _gains(products, beside, e)
     unknowns = np.array([len(c) for c in asked.inside])
-    scores = equivalent(gains, unknowns, [(e.kind, e.channel, e.air) for e in asked.events])
-    return scores[:, 0], gains[:, 0], event_limit(scores[:, 1:].max(axis=0), criteria)
+    scores, largest = standing_out(gains, unknowns, [(e.kind, e.channel, e.air) for e in asked.events])
+    return scores, gains[:, 0], event_limit(largest, criteria)
 
 
 def _without(round_: Round, asked: Asked, sizes: Mapping[int, float]) -> Round | None:
@@ -310,16 +310,24 @@ def event_limit(largest: Array, criteria: Criteria) -> float:
     return criteria.unknown_margin * upper_quantile(largest, criteria.nameless_level)
 
 
-def equivalent(gains: Array, unknowns: Array, groups: Sequence[Hashable]) -> Array:
-    """(events, 1 + nulls) |z| of one unknown as improbable as gains of so many, scattered as on the nulls or more widely.
+def standing_out(gains: Array, unknowns: Array, groups: Sequence[Hashable]) -> tuple[Array, Array]:
+    """(events,) scores of the data and (nulls,) largest score of every null, of gains (events, 1 + nulls) of events with so many
+    unknowns, scattered as on the nulls or more widely.
 
     The scatter is that of a whole group of events: one instant's own is known from the nulls to a tenth, by which a neighbour
     would be taken for it.
     """
     own = gains[:, 1:].mean(axis=1) / unknowns
     pooled = {g: max(float(np.mean([o for o, h in zip(own, groups, strict=True) if h == g])), 1.0) for g in set(groups)}
-    inflation = np.array([pooled[g] for g in groups])
-    tail = chi2.logsf(gains / inflation[:, None], unknowns[:, None])
+    even = gains / np.array([pooled[g] for g in groups])[:, None]
+    # of as many unknowns the largest gain is the largest score
+    largest = [equivalent(even[unknowns == k, 1:].max(axis=0), np.array(k)) for k in np.unique(unknowns)]
+    return equivalent(even[:, 0], unknowns), np.asarray(np.max(largest, axis=0))
+
+
+def equivalent(gains: Array, unknowns: Array) -> Array:
+    """|z| of one unknown as improbable as gains of so many."""
+    tail = chi2.logsf(gains, unknowns)
     return np.asarray(norm.isf(0.5 * np.exp(np.maximum(tail, SMALLEST_TAIL))))
 
 

@@ -50,6 +50,7 @@ from estimation.models.base import Model
 
 BAND = 20  # nulls from which the band of the floor in pictures is taken
 NOT_SEARCHED = ShapeSearch(None, ())
+EXPLAINED = (Verdict.NO_GAP, Verdict.GAP_CLOSED, Verdict.GAP_REDUCED)
 LEFT = 5  # nameless signals in the JSON file
 
 
@@ -75,6 +76,8 @@ def concluded(setting: Setting, search: SearchState, check: KinematicCheck) -> G
         about = standing_round(setting, search, kept)
         found = searched(setting, search, about, decision)
         event = happened(setting, about) if found.shape is None else None
+    elif unsearched:  # names say nothing of what happens at one time
+        event = happened(setting, standing_round(setting, search, kept))
     if unsearched and found.shape is None and event is None:
         late = late_rest(setting, search, kept)
         if late is not None:
@@ -100,7 +103,7 @@ def concluded(setting: Setting, search: SearchState, check: KinematicCheck) -> G
         still = how_it_shows(rest) if rest.score > setting.options.criteria.unknown_margin * rest.threshold else ""
     elif event is not None:
         decision, unnamed = as_unknown(decision), event_step(event, Gap(left, left, floor.training_median))
-    elif decision.verdict is Verdict.NO_GAP and (held := held_back(first.baseline, prepared)):
+    elif decision.verdict in EXPLAINED and (held := held_back(standing, prepared)):
         decision, unnamed = as_unknown(decision), held_step(held, Gap(left, left, floor.training_median))
     steps = told(decision, named, rest, check, left, floor, unnamed, follower_of(found))
     after = standing if found.shape is None else found.shape.measured.child

@@ -20,7 +20,7 @@ from estimation.gap.likelihood.whitening import NoiseModel, Whitener
 from estimation.gap.records.candidate_model import DISTURBANCE
 from estimation.gap.records.flight_records import Record
 from estimation.gap.tests_of_fit.calibration import Round
-from estimation.gap.tests_of_fit.transients import asked_of, equivalent, event_limit, find_transients
+from estimation.gap.tests_of_fit.transients import asked_of, equivalent, event_limit, find_transients, standing_out
 from estimation.gap.verdict.decide import Decision, as_unknown, with_shape
 from estimation.gap.verdict.nameless import event_step, happening
 from estimation.models.base import Model, Parameter, Signal
@@ -33,13 +33,18 @@ MOVED = 0.05 * np.sin(2.0 * TIME) + 0.02 * np.sin(5.0 * TIME)  # rad, of the one
 
 def test_several_unknowns_count_as_one_that_is_as_improbable() -> None:
     gains = np.array([[16.0, 1.0, 1.0], [25.0, 3.0, 3.0], [60.0, 8.0, 4.0], [60.0, 4.0, 8.0]])
-    found = equivalent(gains, np.array([1, 3, 3, 3]), ["a", "b", "c", "c"])
-    assert found[0, 0] == pytest.approx(4.0)
-    assert found[1, 0] == pytest.approx(norm.isf(chi2.sf(25.0, 3) / 2))
-    assert found[2:, 0] == pytest.approx([norm.isf(chi2.sf(30.0, 3) / 2)] * 2), (
+    found, largest = standing_out(gains, np.array([1, 3, 3, 3]), ["a", "b", "c", "c"])
+    assert found[0] == pytest.approx(4.0)
+    assert found[1] == pytest.approx(norm.isf(chi2.sf(25.0, 3) / 2))
+    assert found[2:] == pytest.approx([norm.isf(chi2.sf(30.0, 3) / 2)] * 2), (
         "twice as scattered on nulls as theory says"
     )
-    assert np.isfinite(equivalent(np.full((1, 2), 1e6), np.array([2]), ["a"])).all()
+    nulls = [
+        norm.isf(chi2.sf([1.0, 3.0, 4.0, 2.0], [1, 3, 3, 3]) / 2),
+        norm.isf(chi2.sf([1.0, 3.0, 2.0, 4.0], [1, 3, 3, 3]) / 2),
+    ]
+    assert largest == pytest.approx(np.max(nulls, axis=1))
+    assert np.isfinite(equivalent(np.array([1e6]), np.array([2]))).all()
 
 
 def test_something_happened_above_a_third_more_than_one_set_of_nulls_in_a_hundred_shows() -> None:
