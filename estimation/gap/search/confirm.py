@@ -27,6 +27,7 @@ NEAREST, FARTHEST = 0.3, 3.0  # usual sizes from no effect, between which a fit 
 SHORTER = (0.3, 0.03)  # of the first start, where the motion runs away from it
 AT_LIMIT = 1e-6  # of a parameter's range: an estimate so near its end was stopped there
 AT_NOTHING = 1e-3  # usual sizes: so near to none it has shrunk to nothing, and the words say so
+ABOVE = 1.0  # of the log-likelihood: a fit that ends so far above the base, which it holds, is lost
 
 
 @dataclass(frozen=True)
@@ -57,9 +58,9 @@ def fit_hypothesis(
 
     Delays, lags and plays are also started at their usual size, and the better end is kept: far from no effect the base
     parameters sit elsewhere, and a small step does not find the way. An end at nothing is not believed while another start
-    is still on its way to something. Where the motion runs away from every start, the fit begins nearer to no effect: with the
-    base where it was without it, a guess that is right can be unstable. beyond: a cost that must be in reach, or the fit ends
-    early.
+    is still on its way to something. Where the motion runs away from every start, or the best end is worse than the base,
+    the fit begins nearer to no effect: with the base where it was without it, a guess that is right can be unstable, or
+    another valley lies between. beyond: a cost that must be in reach, or the fit ends early.
     """
     starts = [_inside(hypothesis, problem, guess)]
     if hypothesis.form.nonlinear:
@@ -70,7 +71,7 @@ def fit_hypothesis(
         done.append(_begun(problem, base_fit, hypothesis, _nearer(hypothesis, problem, starts[0], share), beyond))
         if not done[-1][1].diverged:
             break
-    ordered = sorted(done, key=lambda pair: pair[1].cost if not pair[1].diverged else np.inf)
+    ordered = sorted(done, key=_cost)
     ends: list[tuple[Problem, Fit]] = []
     for trial, begun in ordered:
         if ends and (begun.diverged or _nothing(hypothesis, problem, begun)):
@@ -78,7 +79,24 @@ def fit_hypothesis(
         ends.append((trial, _carried_on(trial, begun, beyond)))
         if not _nothing(hypothesis, problem, ends[-1][1]):
             break
-    return min(ends, key=lambda pair: pair[1].cost if not pair[1].diverged else np.inf)
+    best = min(ends, key=_cost)
+    for share in SHORTER if _lost(hypothesis, problem, base_fit, best[1]) else ():
+        trial, begun = _begun(problem, base_fit, hypothesis, _nearer(hypothesis, problem, starts[0], share), beyond)
+        best = min(best, (trial, _carried_on(trial, begun, beyond)), key=_cost)
+        if _cost(best) < base_fit.cost:
+            break
+    return best
+
+
+def _cost(pair: tuple[Problem, Fit]) -> float:
+    return pair[1].cost if not pair[1].diverged else np.inf
+
+
+def _lost(hypothesis: Hypothesis, problem: Problem, base_fit: Fit, found: Fit) -> bool:
+    """Whether a fit came to rest above the base that it holds, not at a limit: another valley lies between."""
+    inside = all(p.lower < found.values[p.name] < p.upper for p in hypothesis.form.parameters)
+    above = found.cost > base_fit.cost + ABOVE
+    return found.converged and above and inside and not _nothing(hypothesis, problem, found)
 
 
 def _carried_on(trial: Problem, begun: Fit, beyond: float) -> Fit:

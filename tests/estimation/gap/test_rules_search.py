@@ -478,5 +478,26 @@ def test_an_end_at_nothing_is_not_believed_while_another_start_goes_on(
         confirm, "_begun", lambda p, b, h, start, _: (p, fitted("near" if start["play"] < 0.5 else "usual", 0))
     )
     monkeypatch.setattr(confirm, "fit", lambda trial, values, locals_, **_: fitted(str(values["which"]), 1))
-    _, found = confirm.fit_hypothesis(stub(model=None, criteria=AS_SET), stub(), hypothesis, {"play": 0.0})
+    _, found = confirm.fit_hypothesis(stub(model=None, criteria=AS_SET), stub(cost=20.0), hypothesis, {"play": 0.0})
+    assert found.cost == kept
+
+
+@pytest.mark.parametrize(
+    ("end", "kept"),
+    [((30.0, 1.5), 3.0), ((20.5, 1.5), 20.5), ((30.0, 3.0), 30.0), ((30.0, 0.0), 30.0)],
+    ids=["another valley", "as good as the base", "at its limit", "nothing"],
+)
+def test_a_fit_that_ends_above_the_base_it_holds_begins_nearer_to_no_effect(
+    monkeypatch: pytest.MonkeyPatch, end: tuple[float, float], kept: float
+) -> None:
+    """A rudder with a degree of play: from four fifths of it and more another valley, from two thirds and less the right one."""
+
+    def begun(problem: Any, base: Any, hypothesis: Any, start: Any, beyond: float) -> Any:
+        cost, play = (3.0, 1.0) if start["play"] < 0.2 else end
+        values = {"play": play}
+        return problem, stub(cost=cost, values=values, locals=[], converged=True, diverged=False, model=None)
+
+    monkeypatch.setattr(confirm, "_begun", begun)
+    hypothesis = stub(form=stub(parameters=(EffectParameter("play", "rad", 1.0, 0.0, 3.0),), nonlinear=True))
+    _, found = confirm.fit_hypothesis(stub(model=None, criteria=AS_SET), stub(cost=20.0), hypothesis, {"play": 0.0})
     assert found.cost == kept
