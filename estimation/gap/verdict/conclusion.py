@@ -65,11 +65,10 @@ def concluded(setting: Setting, search: SearchState, check: KinematicCheck) -> G
     decision = decide(only_steered(facts) if setting.steered else facts, setting.options.criteria)
     kept = search.findings[: decision.kept]
     standing = kept[-1].child if kept else first.baseline
-    found, event, unnamed = NOT_SEARCHED, None, None
-    if [f.doubted for f in kept] == [True]:
-        again = searched(setting, search, first, replace(decision, verdict=Verdict.UNKNOWN))
-        if again.shape is not None and as_good(again.shape, named[0], setting.options.criteria):
-            decision, kept, standing, found = without_name(decision, kept[0], again.shape), (), first.baseline, again
+    found, event, unnamed, beside = NOT_SEARCHED, None, None, None
+    instead = without_doubted(setting, search, kept, named, decision)
+    if instead is not None:
+        decision, kept, standing, found, beside = instead
     rest = search.omnibus
     unsearched = found.shape is None and not setting.steered
     if unsearched and (not kept or decision.verdict is Verdict.UNKNOWN):
@@ -89,7 +88,8 @@ def concluded(setting: Setting, search: SearchState, check: KinematicCheck) -> G
                 left = rms_over_noise(standing.problem, standing.fit, setting.scatter)
         follower = settled(found.follower, standing) if late is None else late.follower
         found, decision = replace(found, follower=follower), as_unknown(decision) if follower else decision
-    beside = names_beside(setting, search, standing, found, decision) if event is None else None
+    if instead is None and event is None:
+        beside = names_beside(setting, search, standing, found, decision)
     if beside is not None:
         kept, standing, found = (*kept, *beside.findings), beside.standing, beside.found
         own = floor_about(setting, beside.round_)
@@ -177,12 +177,32 @@ def as_good(shape: Shape, name: Step, criteria: Criteria) -> bool:
     return shape.measured.closed >= closed - criteria.form_equal
 
 
-def without_name(decision: Decision, finding: Finding, shape: Shape) -> Decision:
-    """The decision where a shape without a name takes the place of a lone name that it explains more than."""
+def without_doubted(
+    setting: Setting, search: SearchState, kept: Sequence[Finding], named: Sequence[Step], decision: Decision
+) -> tuple[Decision, tuple[Finding, ...], Baseline, ShapeSearch, Beside | None] | None:
+    """A shape in place of the first name that it explains more than: the decision, the names before it, the model with these, the
+    shape and what stands beside it. None where there is no such name, or names found after it do not stand beside it."""
+    number = next((k for k, f in enumerate(kept) if f.doubted), None)
+    if number is None:
+        return None
+    about = kept[number].round_
+    again = searched(setting, search, about, as_unknown(decision))
+    if again.shape is None or not as_good(again.shape, named[number], setting.options.criteria):
+        return None
+    without = without_name(decision, kept[number], number, again.shape)
+    beside = names_beside(setting, search, about.baseline, again, without)
+    found = {f.candidate.hypothesis.effect.name for f in beside.findings} if beside is not None else set()
+    if not {f.candidate.hypothesis.effect.name for f in kept[number + 1 :]} <= found:
+        return None
+    return without, tuple(kept[:number]), about.baseline, again, beside
+
+
+def without_name(decision: Decision, finding: Finding, number: int, shape: Shape) -> Decision:
+    """The decision where a shape without a name takes the place of a name that it explains more than, after `number` others."""
     place = shape.fitted.increment.place.words
     why = f"a smooth function without a name ({place}) explains clearly more than this form of it"
     effect = finding.candidate.hypothesis.effect.name
-    return replace(decision, kept=0, withdrawn=(*decision.withdrawn, (effect, why)))
+    return replace(decision, kept=number, withdrawn=(*decision.withdrawn, (effect, why)))
 
 
 def facts_of(
