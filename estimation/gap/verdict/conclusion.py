@@ -10,6 +10,7 @@ from estimation.gap.answer.shape import Held, Late, Swinging
 from estimation.gap.answer.words import conclude, describe_step
 from estimation.gap.criteria import Criteria
 from estimation.gap.effects.base import Effect
+from estimation.gap.errors import GapError
 from estimation.gap.form.search import Shape, ShapeSearch
 from estimation.gap.likelihood.baseline import Baseline
 from estimation.gap.search.search_state import Finding, SearchState, Setting
@@ -66,7 +67,7 @@ def concluded(setting: Setting, search: SearchState, check: KinematicCheck) -> G
     kept = search.findings[: decision.kept]
     standing = kept[-1].child if kept else first.baseline
     found, event, unnamed, beside = NOT_SEARCHED, None, None, None
-    instead = without_doubted(setting, search, kept, named, decision)
+    instead = None if setting.steered else without_doubted(setting, search, kept, named, decision)
     if instead is not None:
         decision, kept, standing, found, beside = instead
     rest = search.omnibus
@@ -99,8 +100,7 @@ def concluded(setting: Setting, search: SearchState, check: KinematicCheck) -> G
     if found.shape is not None:
         decision, unnamed = with_shape(decision), shaped_step(found.shape, standing, setting)
         last = found.shape.measured.round_
-        rest = examine(last)
-        still = how_it_shows(rest) if rest.score > setting.options.criteria.unknown_margin * rest.threshold else ""
+        rest, still = still_left(last, rest)
     elif event is not None:
         decision, unnamed = as_unknown(decision), event_step(event, Gap(left, left, floor.training_median))
     elif decision.verdict in EXPLAINED and (held := held_back(standing, prepared)):
@@ -161,6 +161,15 @@ def concluded(setting: Setting, search: SearchState, check: KinematicCheck) -> G
             "seed": setting.options.seed,
         },
     )
+
+
+def still_left(round_: Round, before: Omnibus) -> tuple[Omnibus, str]:
+    """What stands out without a name about a model, and how it shows where it matters; `before` where that cannot be examined."""
+    try:
+        rest = examine(round_)
+    except GapError:  # a motion that cannot be linearised
+        return before, ""
+    return rest, how_it_shows(rest) if rest.score > round_.criteria.unknown_margin * rest.threshold else ""
 
 
 def turned_down(search: SearchState, beside: Beside | None) -> tuple[Rejected, ...]:

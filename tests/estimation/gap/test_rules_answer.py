@@ -9,11 +9,13 @@ import pytest
 from estimation.gap.answer.result import Gap, Step, Verdict, Where
 from estimation.gap.criteria import AS_SET
 from estimation.gap.effects import catalogue
+from estimation.gap.errors import GapError
 from estimation.gap.search import accept as accepting
 from estimation.gap.search.accept import confirmed
 from estimation.gap.tests_of_fit.omnibus import Omnibus, Signal
-from estimation.gap.verdict.conclusion import facts_of, models, told
-from estimation.gap.verdict.decide import Decision
+from estimation.gap.verdict import conclusion as concluding
+from estimation.gap.verdict.conclusion import facts_of, models, told, without_doubted
+from estimation.gap.verdict.decide import Decision, with_names
 from estimation.gap.verdict.steps import unknown_step
 from estimation.models.load import load_model
 
@@ -145,3 +147,60 @@ def test_the_child_has_the_effects_that_stand_at_their_fitted_values() -> None:
     assert (after.parameter("Cl_p").start, after.parameter("Cn_da").start) == (-0.4, -0.01)
     assert models(base, first, [])[1] == before
     assert np.isfinite(after.parameter("Cn_da").lower)
+
+
+def test_what_is_left_beside_a_shape_is_said_where_it_matters_and_where_it_can_be_examined(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def left(score: float) -> Any:
+        return Omnibus(score, 4.0, (Signal("term", "q_dot", "alpha", score),))
+
+    before, about = left(20.0), stub(criteria=AS_SET)
+    for score, said in (
+        (1.05 * AS_SET.unknown_margin * 4.0, "q_dot: like alpha"),
+        (0.95 * AS_SET.unknown_margin * 4.0, ""),
+    ):
+        monkeypatch.setattr(concluding, "examine", lambda round_, score=score: left(score))
+        rest, words = concluding.still_left(about, before)
+        assert (rest.score, words) == (score, said)
+
+    def runs_away(round_: Any) -> Any:
+        raise GapError("runs away")
+
+    monkeypatch.setattr(concluding, "examine", runs_away)
+    assert concluding.still_left(about, before) == (before, "")
+
+
+def test_a_name_that_stands_beside_a_shape_is_withdrawn_no_longer() -> None:
+    withdrawn = (("rudder_lag", "closes only 26% of the gap"), ("CY_beta3", "a smooth function explains more"))
+    decision = with_names(Decision(Verdict.UNKNOWN, 0, withdrawn), ["rudder_lag"])
+    assert (decision.kept, decision.withdrawn) == (1, withdrawn[1:])
+
+
+@pytest.mark.parametrize(
+    ("others", "found", "replaced"),
+    [((), None, True), ((), ("Cn_da",), True), (("Cn_da",), ("Cn_da", "beta_lag"), True), (("Cn_da",), None, False),
+     (("Cn_da",), ("beta_lag",), False)],
+    ids=["alone", "another comes with it", "the other stands beside it", "no name does", "another one does"],
+)  # fmt: skip
+def test_a_shape_takes_the_place_of_a_doubted_name_beside_which_the_others_stand(
+    monkeypatch: pytest.MonkeyPatch, others: tuple[str, ...], found: tuple[str, ...] | None, replaced: bool
+) -> None:
+    def finding(name: str, doubted: bool = False) -> Any:
+        candidate = stub(hypothesis=stub(effect=stub(name=name)))
+        return stub(candidate=candidate, doubted=doubted, round_=stub(baseline=f"before {name}"))
+
+    shape = stub(measured=stub(closed=0.99), fitted=stub(increment=stub(place=stub(words="CY by beta"))))
+    monkeypatch.setattr(concluding, "searched", lambda *given: stub(shape=shape))
+    beside: Any = None if found is None else stub(findings=tuple(finding(n) for n in found))
+    monkeypatch.setattr(concluding, "names_beside", lambda *given: beside)
+    kept = [finding("beta_scale"), finding("CY_beta3", doubted=True), *(finding(n) for n in others)]
+    named: Any = [stub(holdout=stub(closed=0.95)) for _ in kept]
+    setting: Any = stub(options=stub(criteria=AS_SET))
+    answer = without_doubted(setting, stub(), kept, named, Decision(Verdict.GAP_CLOSED, len(kept), ()))
+    assert (answer is not None) is replaced
+    if answer is not None:
+        decision, before = answer[:2]
+        assert (decision.kept, before, str(answer[2])) == (1, tuple(kept[:1]), "before CY_beta3")
+        assert [effect for effect, _ in decision.withdrawn] == ["CY_beta3"]
+    assert without_doubted(setting, stub(), kept[:1], named, Decision(Verdict.GAP_CLOSED, 1, ())) is None
