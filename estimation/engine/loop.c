@@ -41,13 +41,7 @@ typedef struct {
 } Beforehand;
 
 static void beforehand(Function function, const double *u, const double *p, double *h) {
-    const double *arg[WORK];
-    double *res[WORK];
-    double w[WORK];
-    int iw[WORK];
-    arg[0] = u; arg[1] = p;
-    res[0] = h;
-    function(arg, res, iw, w, 0);
+    call(function, u, p, 0, 0, h, 0, 0, 0);
 }
 
 /* n sensitivity columns in rows of `stride` doubles, nt input transforms; what of the derivatives they take */

@@ -8,10 +8,9 @@ import numpy as np
 from estimation.engine.kernel import Array
 from estimation.gap.answer.result import Rejected
 from estimation.gap.criteria import Criteria
-from estimation.gap.likelihood.baseline import Baseline, fit_afresh, fit_baseline
-from estimation.gap.records.candidate_model import awakened
+from estimation.gap.likelihood.baseline import Baseline, fit_baseline
 from estimation.gap.search.confirm import Candidate, assess, fit_hypothesis
-from estimation.gap.search.search_state import Finding, Setting
+from estimation.gap.search.search_state import Finding, Setting, afresh_with
 from estimation.gap.search.select import Choice
 from estimation.gap.tests_of_fit.hypotheses import hypotheses_for
 from estimation.gap.tests_of_fit.screen import build_screen, linear_gains, linear_guess
@@ -24,7 +23,7 @@ def backward_check(setting: Setting, findings: Sequence[Finding]) -> tuple[list[
     for finding in findings[:-1]:
         others = [f for f in findings if f is not finding]
         old = finding.candidate
-        without = _without(setting, others, last.child)
+        without = afresh_with(setting, others, last.child)
         if without is None:
             continue
         gain = 2.0 * (without.fit.cost - last.child.fit.cost)
@@ -47,17 +46,6 @@ def backward_check(setting: Setting, findings: Sequence[Finding]) -> tuple[list[
 def idle(gain: float, threshold: float) -> bool:
     """Whether an effect that gains so much (twice a log-likelihood) beside the others would not be significant any more."""
     return float(np.sqrt(max(gain, 0.0))) < threshold
-
-
-def _without(setting: Setting, others: Sequence[Finding], child: Baseline) -> Baseline | None:
-    """The model with the other effects only, fitted with the noise of the model with all of them; None where it runs away: then
-    the effect is needed."""
-    model, clean = setting.working, setting.clean
-    for f in others:
-        at = {n: v for n, (v, _) in f.candidate.estimates.items()}
-        form = f.candidate.hypothesis.form
-        model, clean = awakened(model, form, at), form.added_to(clean, at)
-    return fit_afresh(child, model, clean)
 
 
 def _rival(setting: Setting, without: Baseline, old: Candidate, gain: float) -> Candidate | None:

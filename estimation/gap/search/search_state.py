@@ -1,14 +1,15 @@
 """State of the search: what its rounds share (options, the setting) and what they leave (findings, the rest)."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from estimation.engine.kernel import Array
 from estimation.gap.answer.result import Rejected
 from estimation.gap.criteria import AS_SET, Criteria
 from estimation.gap.effects.base import Effect
-from estimation.gap.likelihood.baseline import Baseline, fit_baseline
+from estimation.gap.likelihood.baseline import Baseline, fit_afresh, fit_baseline
 from estimation.gap.random_streams import ROUND
+from estimation.gap.records.candidate_model import awakened
 from estimation.gap.records.flight_records import FlightRecords
 from estimation.gap.search.confirm import Candidate
 from estimation.gap.search.select import Choice
@@ -109,3 +110,14 @@ class Setting:
             name_threshold,
             tick,
         )
+
+
+def afresh_with(setting: Setting, findings: Sequence[Finding], child: Baseline) -> Baseline | None:
+    """The working model with the effects of some findings, fitted afresh with the noise of `child`, which has more in it; None
+    where the motion runs away without that."""
+    model, clean = setting.working, setting.clean
+    for f in findings:
+        at = {n: v for n, (v, _) in f.candidate.estimates.items()}
+        form = f.candidate.hypothesis.form
+        model, clean = awakened(model, form, at), form.added_to(clean, at)
+    return fit_afresh(child, model, clean)

@@ -5,7 +5,6 @@ found for it, it is explained: the rounds are gone through once more about the m
 the shape is sought again beside these names, so that it is fitted to what they leave.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from estimation.gap.answer.result import Rejected
@@ -13,10 +12,9 @@ from estimation.gap.errors import GapError
 from estimation.gap.form.fitted import fit_increment
 from estimation.gap.form.search import Shape, ShapeSearch
 from estimation.gap.form.swing import Swing
-from estimation.gap.likelihood.baseline import Baseline, fit_afresh, fit_baseline
-from estimation.gap.records.candidate_model import awakened
+from estimation.gap.likelihood.baseline import Baseline, fit_baseline
 from estimation.gap.search.rounds import run_rounds
-from estimation.gap.search.search_state import Finding, SearchState, Setting
+from estimation.gap.search.search_state import Finding, SearchState, Setting, afresh_with
 from estimation.gap.tests_of_fit.calibration import Round
 from estimation.gap.verdict.decide import Decision
 from estimation.gap.verdict.nameless import searched
@@ -53,7 +51,10 @@ def names_beside(
         more = run_rounds(
             replace(setting, working=child.model, clean=child.clean, options=options, tell=_silent), child
         )
-        without = _without_shape(standing, more.findings) if more.findings else None
+        if not more.findings:
+            return None
+        bare = replace(setting, working=standing.model, clean=standing.clean)
+        without = afresh_with(bare, more.findings, more.findings[-1].child)
         if without is None:
             return None
         again = searched(setting, search, setting.screened(without, len(search.rounds)), decision)
@@ -82,16 +83,6 @@ def _shaped(
         return None, None
     model, clean = fitted.problem.model, standing.clean
     return shape, fit_baseline(model, clean, setting.prepared, setting.scatter, fitted.fit, standing.noise)
-
-
-def _without_shape(standing: Baseline, findings: Sequence[Finding]) -> Baseline | None:
-    """The model in which a shape was found with the names beside it, and without the shape; None where it runs away."""
-    model, clean = standing.model, standing.clean
-    for f in findings:
-        at = {n: v for n, (v, _) in f.candidate.estimates.items()}
-        form = f.candidate.hypothesis.form
-        model, clean = awakened(model, form, at), form.added_to(clean, at)
-    return fit_afresh(findings[-1].child, model, clean)
 
 
 def _silent(what: str, share: float) -> None:

@@ -393,7 +393,7 @@ def test_an_earlier_effect_is_dropped_exchanged_or_stands(
 ) -> None:
     """Threshold 4, so a gain of 2 (57 - 50) = 14 is too little and 40 enough."""
     without = stub(fit=stub(cost=cost, values={}, locals=()), noise=None, model=None, clean=None)
-    monkeypatch.setattr(checking, "_without", lambda *given: without)
+    monkeypatch.setattr(checking, "afresh_with", lambda *given: without)
     monkeypatch.setattr(checking, "_rival", lambda *given: None if rival is None else candidate(rival))
     monkeypatch.setattr(checking, "fit_baseline", lambda *given: "fresh")
     setting = stub(prepared=None, scatter=None, child=lambda *given: "child")
