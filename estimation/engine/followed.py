@@ -15,7 +15,7 @@ from estimation.engine.kernel import Array
 from estimation.models.base import Model
 from estimation.signals.feedback import STEP, Piece, following, gains
 from estimation.signals.preprocess import QUIET
-from estimation.signals.raw_steps import near_steps
+from estimation.signals.raw_steps import around, near_steps
 
 PITCHES = "q"  # the column of a state: pitch rate
 SEED = 22
@@ -55,12 +55,12 @@ def keep_what_follows(
         parts = [Piece(np.asarray(column[a:b], float), u[a:b, i].copy(), states[a:b][:, known]) for a, b in whole]
         found = gains(parts, level) if known else None
         rng = np.random.default_rng([SEED, i])
-        draws = errors.shape[2]
+        draws, reach = errors.shape[2], around(told.flight.sample_interval)
         for (a, b), part in zip(whole, parts, strict=True):
             if found is not None:
                 u[a:b, i], drawn = following(part, found, level, draws, rng)
                 errors[a:b, i] = drawn.T
-            near = np.flatnonzero(near_steps(part.smooth, level, STEP))
+            near = np.flatnonzero(near_steps(part.smooth, level, STEP, reach))
             u[a + near, i] = part.values[near]
             errors[a + near, i] = level * rng.standard_normal((near.size, draws))
         removed = np.concatenate([part.values - u[a:b, i] for (a, b), part in zip(whole, parts, strict=True)])

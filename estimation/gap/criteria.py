@@ -43,6 +43,12 @@ class Criteria:
         "between a vane read at 10 Hz in a record of 20 Hz (1.5 to 1.8) and one at 6.7 Hz (2.1 to 2.5), 2026-11-24",
     )
     clipped_run: int = criterion(4, "samples", "so many in a row at the end of a range are a clipped channel")
+    slow_control: float = criterion(
+        1.5,
+        "samples",
+        "a flight is read at the rate of a control whose values come more rarely than that",
+        "by hand: servos logged at 10 Hz in 20 Hz (2) gave servo_lag or an unknown on half the sets of nothing, 2026-11-25",
+    )
     longest_record: float = criterion(
         75.0,
         "s",
@@ -254,6 +260,12 @@ class Criteria:
         "a surface late by less is not told from one that was sampled so",
         "0.25 with the flights through the simulated bus (2026-11-21); lowered with own_timing_share (2026-11-23): lags of 15 ms "
         "at 20 Hz are estimated at 12, for all surfaces together may be late",
+    )
+    play_in_noise: float = criterion(
+        2.25,
+        "noise of the control",
+        "a play no wider than that takes noise off a measured control, and says nothing of its linkage",
+        "nothing hidden at 5 and 10 Hz was given plays of 1.5 to 2.2 of it; the smallest hidden ones are 2.5, 2026-11-25",
     )
     promising: float = criterion(
         2.0,

@@ -22,10 +22,12 @@ from estimation.gap.likelihood.channel_noise import (
 )
 from estimation.gap.random_streams import Stream
 from estimation.gap.records.candidate_model import with_dormant
+from estimation.gap.records.doubts import doubts_of, refuse_twice, with_doubts
 from estimation.gap.records.flight_records import FlightRecords, prepare_flights
 from estimation.gap.records.nuisance import with_nuisance
 from estimation.gap.records.own_motion import only_following, without_hardware_of, words_on
 from estimation.gap.records.sample_faults import sample_notes, stale_channels
+from estimation.gap.records.slow_controls import at_own_rates
 from estimation.gap.search.rounds import run_rounds
 from estimation.gap.search.search_state import AS_USUAL, LOOK, Options, Setting
 from estimation.gap.tests_of_fit.kinematic_check import kinematic_check
@@ -50,19 +52,27 @@ def run_gap(
     """
     if not training:
         raise GapError("no training flight given; name at least one flight file before --holdout")
+    refuse_twice(training, holdout)
     chosen = tuple(effects) if effects is not None else catalogue(model=model)
     chosen += missing_derivatives(model, {e.name for e in chosen})
     tell("preparing the flights", 0.0)
-    prepared = prepare_flights(model, chosen, training, holdout, options.criteria)
-    told = sample_notes([*training, *holdout], [s.source for s in (*model.outputs, *model.inputs)], options.criteria)
-    stale = stale_channels(training, [s.source for s in model.outputs], options.criteria)
+    controls = [s.source for s in model.inputs if s.control and not s.computed]
+    outputs = [s.source for s in model.outputs]
+    flown, kept = (at_own_rates(given, controls, outputs, options.criteria) for given in (training, holdout))
+    prepared = prepare_flights(model, chosen, flown, kept, options.criteria)
+    told = sample_notes([*training, *holdout], [*outputs, *(s.source for s in model.inputs)], options.criteria)
+    stale = stale_channels(flown, outputs, options.criteria)
     setting = _setting(replace(prepared, notes=(*prepared.notes, *told), stale=stale), chosen, options, tell)
     tell("fitting the baseline", 0.05)
-    search = run_rounds(setting, fit_baseline(setting.working, setting.clean, setting.prepared, setting.scatter))
+    doubts = doubts_of([*training, *holdout], model)
+    try:
+        search = run_rounds(setting, fit_baseline(setting.working, setting.clean, setting.prepared, setting.scatter))
+    except GapError as error:
+        raise GapError("; ".join([str(error), *doubts[:1]])) from error
     tell("kinematic check", 0.9)
     check = kinematic_check(training, chosen, options.nulls, options.seed, options.criteria, model)
     tell("measuring what is closed", 0.95)
-    return concluded(setting, search, check)
+    return with_doubts(concluded(setting, search, check), doubts)
 
 
 def _setting(prepared: FlightRecords, effects: tuple[Effect, ...], options: Options, tell: LOOK) -> Setting:

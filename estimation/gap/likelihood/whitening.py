@@ -277,9 +277,8 @@ def shapes_of(
     for j, name in enumerate(linear.controls):
         moved = np.asarray(reply @ linear.B[:, j] + linear.D[:, j], complex)
         parts[NoisePart(Source.CONTROL, name)] = moved
-        if left:
-            size = left.get(name, np.zeros(s.size))
-            parts[NoisePart(Source.PREPARED, name)] = moved * np.sqrt(size)[:, None]
+        # of every record, for one flight's control may be too coarse to have its noise taken off, and the next one's not
+        parts[NoisePart(Source.PREPARED, name)] = moved * np.sqrt(left.get(name, np.zeros(s.size)))[:, None]
     for i, name in enumerate(model.output_names):
         if name in RATE_OF:
             before = np.exp(-s * linear.dt)  # one sample ago: a filter adds up sampled rates by straight lines

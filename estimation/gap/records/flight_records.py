@@ -203,7 +203,7 @@ def _raw_steps(
         if signal.control and level > 0.0 and flight.measured(signal.source):
             measured = flight.columns[signal.source][first : first + inputs[signal.name].size]
             inputs[signal.name], taken[signal.name] = with_raw_steps(
-                inputs[signal.name], measured, level, criteria.surface_step
+                inputs[signal.name], measured, level, criteria.surface_step, flight.sample_interval
             )
             levels[signal.name] = noise_between_steps(measured, taken[signal.name], level)
     return taken, levels

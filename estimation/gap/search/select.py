@@ -10,7 +10,7 @@ from estimation.gap.answer.result import Rejected
 from estimation.gap.criteria import Criteria
 from estimation.gap.likelihood.baseline import whiteners_for
 from estimation.gap.likelihood.fitting import fit, prior_cost
-from estimation.gap.records.flight_records import FlightRecords
+from estimation.gap.records.flight_records import FlightRecords, Record
 from estimation.gap.records.nuisance import TIMING
 from estimation.gap.search.confirm import ENOUGH, Candidate, assess, fit_hypothesis, leading
 from estimation.gap.tests_of_fit.calibration import Round
@@ -46,13 +46,14 @@ def choose(round_: Round, prepared: FlightRecords) -> Choice:
         return Choice((), {}, ())
     inflation, own = comparable(round_), alone(round_)
     interval = float(np.median([np.median(np.diff(s.time)) for s in problem.coarse]))
+    noise = control_noise(problem.records)
     judged: list[Candidate] = []
     beyond = np.inf
     for h in leading(screen, promise(round_), criteria):
         hypothesis = screen.hypotheses[h]
         _, found = fit_hypothesis(problem, base_fit, hypothesis, linear_guess(screen, problem, h), beyond)
         candidate = assess(problem, base_fit, hypothesis, found, inflation[hypothesis.key], own[hypothesis.key])
-        judged.append(material(candidate, interval, criteria))
+        judged.append(material(candidate, interval, noise, criteria))
         if not judged[-1].why_not:
             beyond = min(beyond, found.cost + OUT_OF_REACH * max(inflation.values()))
     sound = sorted((c for c in judged if not c.why_not), key=lambda c: -c.evidence)
@@ -123,9 +124,15 @@ def alone(round_: Round) -> dict[tuple[str, str], float]:
     }
 
 
-def material(candidate: Candidate, interval: float, criteria: Criteria) -> Candidate:
-    """The candidate, rejected where its estimate is far below the size at which the effect matters, or where a surface would
-    be late by so little of the sample `interval` [s] that nobody sampled it finely enough to tell."""
+def control_noise(records: Sequence[Record]) -> dict[str, float]:
+    """Input -> standard deviation of the noise found on it, median over the records."""
+    return {n: float(np.median([r.input_noise.get(n, 0.0) for r in records])) for n in records[0].inputs}
+
+
+def material(candidate: Candidate, interval: float, noise: Mapping[str, float], criteria: Criteria) -> Candidate:
+    """The candidate, rejected where its estimate is far below the size at which the effect matters, where a surface would
+    be late by so little of the sample `interval` [s] that nobody sampled it finely enough to tell, or where a play is no wider
+    than the noise of its control. noise: input -> standard deviation."""
     if candidate.why_not:
         return candidate
     tied = candidate.hypothesis.effect.tied_to
@@ -138,6 +145,9 @@ def material(candidate: Candidate, interval: float, criteria: Criteria) -> Candi
         return replace(
             candidate, why_not=f"is less than {criteria.unsampled:.0%} of a sample interval: sampling does the same"
         )
+    for play in (t for t in candidate.hypothesis.form.transforms if t.kind == "backlash"):
+        if abs(candidate.estimates[play.parameters[0]][0]) < criteria.play_in_noise * noise.get(play.input, 0.0):
+            return replace(candidate, why_not=f"is no wider than the noise of {play.input}, which it takes off")
     return candidate
 
 

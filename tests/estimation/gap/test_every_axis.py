@@ -24,7 +24,7 @@ from estimation.gap.workflow import Options, run_gap
 from estimation.models.base import Signal
 from estimation.models.load import load_model
 from estimation.signals.preprocess import noise_level
-from estimation.signals.raw_steps import near_steps, with_raw_steps
+from estimation.signals.raw_steps import around, near_steps, with_raw_steps
 from groundstation.flight import Flight
 from tests.estimation.gap.test_rules_search import candidate
 from tests.studies import gap_benchmark
@@ -84,14 +84,17 @@ def test_the_linear_picture_of_pitching_has_the_short_period_of_the_textbook() -
 
 def test_a_control_is_taken_as_measured_by_its_steps_only() -> None:
     smooth = np.concatenate([np.zeros(20), np.full(20, 0.05)])
-    near = near_steps(smooth, 0.001, 4.0)
+    near = near_steps(smooth, 0.001, 4.0, around(0.05))
     assert np.flatnonzero(near).tolist() == list(range(16, 26))
-    assert not near_steps(smooth, 0.02, 4.0).any()
+    assert not near_steps(smooth, 0.02, 4.0, around(0.05)).any()
     measured = smooth + 0.001
     measured[20] = np.nan
-    taken, where = with_raw_steps(smooth, measured, 0.001, 4.0)
+    taken, where = with_raw_steps(smooth, measured, 0.001, 4.0, 0.05)
     assert np.flatnonzero(where).tolist() == [*range(16, 20), *range(21, 26)]
     np.testing.assert_allclose(taken - smooth, np.where(where, 0.001, 0.0), atol=1e-15)
+    assert [around(1.0 / rate) for rate in (5.0, 10.0, 20.0, 50.0)] == [
+        range(-1, 3), range(-2, 4), range(-3, 7), range(-3, 7),
+    ]  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -217,8 +220,8 @@ def test_what_derivatives_carry_is_never_named_however_well_it_fits() -> None:
     tied, free = candidate("cg_x", score=30.0), candidate("Cm_alpha2", score=30.0)
     effect = replace(tied.hypothesis.effect, tied_to=("Cm_*",))
     tied = replace(tied, hypothesis=replace(tied.hypothesis, effect=effect))
-    assert material(tied, 0.05, AS_SET).why_not == "cannot be told from Cm_*"
-    assert not material(free, 0.05, AS_SET).why_not
+    assert material(tied, 0.05, {}, AS_SET).why_not == "cannot be told from Cm_*"
+    assert not material(free, 0.05, {}, AS_SET).why_not
 
 
 QUICK = Options(seed=3, nulls=30, most=1)

@@ -188,14 +188,22 @@ def test_an_estimate_at_a_limit_that_is_no_effect_has_shrunk_to_nothing() -> Non
 
 @pytest.mark.parametrize(("size", "called"), [(0.14, False), (0.16, True)])
 def test_an_effect_of_a_seventh_of_its_usual_size_is_immaterial(size: float, called: bool) -> None:
-    assert (not material(candidate(size=size), 0.05, AS_SET).why_not) is called
+    assert (not material(candidate(size=size), 0.05, {}, AS_SET).why_not) is called
 
 
 @pytest.mark.parametrize(("late", "called"), [(0.18, False), (0.22, True)])
 def test_a_surface_late_by_a_fifth_of_a_sample_was_sampled_so(late: float, called: bool) -> None:
     found = candidate("late", "delay", estimates={"late": (late * 0.05, 0.001)})
-    assert (not material(found, 0.05, AS_SET).why_not) is called
-    assert not material(candidate("play", "backlash", estimates={"play": (0.0, 0.1)}), 0.05, AS_SET).why_not
+    assert (not material(found, 0.05, {}, AS_SET).why_not) is called
+    assert not material(candidate("play", "backlash", estimates={"play": (0.0, 0.1)}), 0.05, {}, AS_SET).why_not
+
+
+@pytest.mark.parametrize(("width", "called"), [(2.2, False), (2.3, True)])
+def test_a_play_no_wider_than_the_noise_of_its_control_takes_that_off(width: float, called: bool) -> None:
+    found = candidate("play", "backlash", estimates={"play": (width * 0.001, 0.0001)})
+    assert (not material(found, 0.05, {"delta_a": 0.001}, AS_SET).why_not) is called
+    late = candidate("late", "delay", estimates={"late": (0.02, 0.001)})
+    assert not material(late, 0.05, {"delta_a": 1.0}, AS_SET).why_not
 
 
 def test_the_six_best_are_compared_again_where_the_best_is_promising() -> None:

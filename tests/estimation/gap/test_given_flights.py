@@ -1,0 +1,173 @@
+"""A stranger's flights: controls logged more rarely than the motion, channels that an import drew, one record twice."""
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+import pytest
+
+from estimation.engine.kernel import Array
+from estimation.errors import DataError
+from estimation.gap.criteria import AS_SET
+from estimation.gap.records.doubts import doubts_of, refuse_twice
+from estimation.gap.records.slow_controls import at_own_rates, slow
+from estimation.gap.workflow import Options, run_gap
+from estimation.models.load import load_model
+from groundstation.flight import Flight, Provenance
+from groundstation.flight.quality.same_record import one_record_twice
+from tests.studies import second_truth as truth
+from tests.studies.gap_benchmark import flights, requests
+
+COUNT = 600
+TIME: Array = np.arange(COUNT) / 50.0
+Drawn = Callable[[Array, int], Array]
+
+
+def noisy(seed: int, count: int = COUNT) -> Array:
+    """A pot on a surface that moves slowly."""
+    return 0.1 * np.sin(0.05 * np.arange(count)) + 0.002 * np.random.default_rng(seed).standard_normal(count)
+
+
+def empty(values: Array, every: int) -> Array:
+    return np.where(np.arange(values.size) % every == 0, values, np.nan)
+
+
+def held(values: Array, every: int) -> Array:
+    return values[np.arange(values.size) // every * every]
+
+
+def lines(values: Array, every: int) -> Array:
+    at = np.arange(values.size)
+    return np.interp(at, at[::every], values[::every])
+
+
+def between(values: Array, every: int) -> Array:
+    """Lines whose ends lie between samples, as an import draws them."""
+    at = np.arange(values.size)
+    return np.interp(at, at[::every] + 0.4, values[::every])
+
+
+def named(name: str, columns: Mapping[str, Array], provenance: Provenance | None = None) -> Flight:
+    return Flight.build(name, TIME, columns, provenance=provenance)
+
+
+def built(**columns: Array) -> Flight:
+    return named("f", columns)
+
+
+@pytest.mark.parametrize("drawn", [empty, held, lines, between])
+@pytest.mark.parametrize("every", [3, 5])
+def test_a_control_logged_more_rarely_than_the_motion_is_read_at_its_own_rate(drawn: Drawn, every: int) -> None:
+    given = built(delta_a=drawn(noisy(1), every), p=noisy(2), beta=noisy(3))
+    (read,) = at_own_rates([given], ["delta_a"], ["p", "beta"], AS_SET)
+    assert read.sample_interval == pytest.approx(0.02 * every)
+    assert np.isfinite(read["delta_a"]).sum() >= len(read) - 1
+    assert set(read["p"]) <= set(given["p"])
+    assert f"values of delta_a come at {50 / every:.3g} Hz only" in read.notes[-1].text
+
+
+def test_its_values_are_those_that_were_measured() -> None:
+    whole = noisy(1)
+    for drawn in (empty, held, lines):
+        (read,) = at_own_rates([built(delta_a=drawn(whole, 5), p=noisy(2))], ["delta_a"], ["p"], AS_SET)
+        np.testing.assert_allclose(read["delta_a"], whole[::5], atol=1e-12)
+
+
+def test_a_control_that_is_new_in_every_sample_is_left_as_it_is() -> None:
+    rng = np.random.default_rng(4)
+    steps = np.where(TIME % 2.0 < 1.0, 0.1, -0.1)
+    ramps = np.interp(TIME, np.cumsum(rng.uniform(0.2, 1.5, 20)), rng.standard_normal(20))
+    holes = np.where(rng.uniform(size=COUNT) < 0.3, np.nan, noisy(1))
+    coarse = np.round(noisy(1) / 0.02) * 0.02
+    for values in (noisy(1), steps, ramps, holes, coarse, 0.1 * np.sin(TIME), np.zeros(COUNT)):
+        given = built(delta_a=values, p=noisy(2))
+        assert at_own_rates([given], ["delta_a"], ["p"], AS_SET) == (given,)
+
+
+@pytest.mark.parametrize(("hz", "thinned"), [(40.0, False), (25.0, True)])
+def test_what_an_import_says_of_its_log_counts_where_the_samples_do_not_show_it(hz: float, thinned: bool) -> None:
+    """Half the rate of the samples, ends between them: no three samples lie on one line."""
+    about = Provenance(detail={"native_hz": {"delta_a": hz}})
+    (read,) = at_own_rates([named("f", {"delta_a": noisy(1), "p": noisy(2)}, about)], ["delta_a"], ["p"], AS_SET)
+    assert (len(read) < COUNT) is thinned
+
+
+@pytest.mark.parametrize(("every", "thinned"), [(1.4, False), (1.6, True)])
+def test_a_control_at_two_thirds_of_the_samples_is_read_with_them(every: float, thinned: bool) -> None:
+    about = Provenance(detail={"native_hz": {"delta_a": 50.0 / every}})
+    (read,) = at_own_rates([named("f", {"delta_a": noisy(1), "p": noisy(2)}, about)], ["delta_a"], ["p"], AS_SET)
+    assert (len(read) < COUNT) is thinned
+
+
+def test_a_hole_in_a_slow_control_stays_one() -> None:
+    values = empty(noisy(1), 5)
+    values[200:260] = np.nan
+    found = slow(built(delta_a=values, p=noisy(2)), "delta_a")
+    assert found is not None
+    assert np.isnan(found.values[200:256]).all()
+    assert np.isfinite(found.values[:196]).all()
+
+
+def test_sensors_keep_their_own_new_values_and_none_is_lost_to_the_control() -> None:
+    rare = empty(noisy(3), 5)
+    odd = np.roll(rare, 2)
+    (read,) = at_own_rates([built(delta_a=empty(noisy(1), 5), beta=rare)], ["delta_a"], ["beta"], AS_SET)
+    assert np.isfinite(read["beta"]).all()
+    assert len(read) == COUNT // 5
+    given = built(delta_a=empty(noisy(1), 5), beta=odd)
+    assert len(at_own_rates([given], ["delta_a"], ["beta"], AS_SET)[0]) == COUNT
+
+
+def test_an_output_is_compared_at_the_ends_of_drawn_lines_only() -> None:
+    whole = noisy(3)
+    (read,) = at_own_rates([built(delta_a=noisy(1), beta=lines(whole, 5))], ["delta_a"], ["beta"], AS_SET)
+    seen = np.isfinite(read["beta"])
+    assert seen.sum() == pytest.approx(COUNT / 5, abs=2)
+    np.testing.assert_allclose(read["beta"][seen], whole[seen])
+    assert "beta lies on straight lines between values at 10 Hz" in read.notes[-1].text
+
+
+def motion(seed: int) -> dict[str, Array]:
+    return {c: noisy(10 * seed + k) for k, c in enumerate(("p", "r", "phi", "beta", "ay"))}
+
+
+def test_one_record_given_twice_is_refused() -> None:
+    one, two = named("one", motion(1)), named("two", motion(2))
+    again = named("again", {c: v.astype(np.float32) for c, v in motion(1).items()})
+    half = named("half", motion(1)).part(slice(250, 600), "half")
+    assert one_record_twice([one, two]) is None
+    assert one_record_twice([two, one, half]) == (1, 2)
+    with pytest.raises(DataError, match="again is of the same record as one: give every flight once"):
+        refuse_twice([one, again, two], [])
+    with pytest.raises(DataError, match="half, held out, is of the same record as one"):
+        refuse_twice([one, two], [half])
+
+
+def test_aircraft_at_rest_and_flights_that_begin_alike_are_not_one_record() -> None:
+    rest = {c: np.full(COUNT, 0.01) for c in motion(1)}
+    assert one_record_twice([named("one", rest), named("two", rest)]) is None
+    begun = {c: np.concatenate([motion(1)[c][:100], motion(2)[c][100:]]) for c in motion(1)}
+    assert one_record_twice([named("one", motion(1)), named("two", begun)]) is None
+
+
+def test_a_channel_of_another_unit_is_told_where_the_model_needs_it() -> None:
+    size = {"ax": 0.0, "ay": 0.0, "az": -1.0}
+    given = named("f", {c: v + 0.01 * noisy(k) for k, (c, v) in enumerate(size.items())})
+    (told,) = doubts_of([given], load_model("lateral", "cdfp"))
+    assert told.startswith("f: ax, ay, az: the median specific force")
+    assert "are ax, ay, az in g?" in told
+    assert doubts_of([built(p=noisy(1), psi=np.full(COUNT, 7.0))], load_model("lateral", "cdfp")) == []
+
+
+def test_flights_with_servos_at_half_the_rate_have_nothing_hidden_and_a_coarse_surface_ends_nothing() -> None:
+    """Servos at 10 Hz in flights of 20 Hz, drawn as lines, had given `servo_lag` at 1.7 times its threshold; a surface too coarse
+    to have its noise taken off on one flight and not on the next ended in a KeyError."""
+    flown = truth.fly(requests({}, 7112, 0.15, "rich"))
+    four = flights(
+        [{n: lines(np.asarray(v), 2) if n.startswith("delta") else v for n, v in one.items()} for one in flown]
+    )
+    coarse = four[0].with_columns(delta_r=np.round(four[0]["delta_r"] / 0.01) * 0.01)
+    options = Options(seed=1, nulls=40)
+    result = run_gap(load_model("lateral", "cdfp"), four[:3], four[3:], options=options)
+    assert result.verdict.value == "no_gap"
+    assert any("the flight is read at 10 Hz" in note for note in result.notes)
+    assert run_gap(load_model("lateral", "cdfp"), [coarse, *four[1:3]], four[3:], options=options).verdict
