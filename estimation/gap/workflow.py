@@ -22,7 +22,7 @@ from estimation.gap.likelihood.channel_noise import (
 )
 from estimation.gap.random_streams import Stream
 from estimation.gap.records.candidate_model import with_dormant
-from estimation.gap.records.doubts import doubts_of, refuse_twice, with_doubts
+from estimation.gap.records.doubts import doubts_of, refuse_twice
 from estimation.gap.records.flight_records import FlightRecords, prepare_flights
 from estimation.gap.records.nuisance import with_nuisance
 from estimation.gap.records.own_motion import only_following, without_hardware_of, words_on
@@ -72,7 +72,7 @@ def run_gap(
     tell("kinematic check", 0.9)
     check = kinematic_check(training, chosen, options.nulls, options.seed, options.criteria, model)
     tell("measuring what is closed", 0.95)
-    return with_doubts(concluded(setting, search, check), doubts)
+    return _with_doubts(concluded(setting, search, check), doubts)
 
 
 def _setting(prepared: FlightRecords, effects: tuple[Effect, ...], options: Options, tell: LOOK) -> Setting:
@@ -91,3 +91,12 @@ def _setting(prepared: FlightRecords, effects: tuple[Effect, ...], options: Opti
     errors = tuple(input_errors(r, clean, rng) for r, rng in zip(prepared.records, streams, strict=True))
     prepared = replace(prepared, records=with_errors(prepared.records, clean, errors), notes=(*prepared.notes, *told))
     return Setting(base, clean, working, prepared, effects, following, untold, errors, scatter, options, tell)
+
+
+def _with_doubts(result: GapResult, doubts: Sequence[str]) -> GapResult:
+    """The answer, told to be of flights that are to be looked at first."""
+    if not doubts:
+        return result
+    more = f" (and {len(doubts) - 1} more, in the notes)" if len(doubts) > 1 else ""
+    text = f"Before any of this, look at the flights: {doubts[0]}{more}. {result.text}"
+    return replace(result, text=text, notes=(*result.notes, *doubts))

@@ -1,10 +1,8 @@
 """What of the flights themselves cannot be right: one record given twice, a column of another unit or sign."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 from estimation.errors import DataError
-from estimation.gap.answer.result import GapResult
 from estimation.models.base import Model
 from groundstation.flight import Flight
 from groundstation.flight.quality.plausibility import suspicions
@@ -26,12 +24,3 @@ def doubts_of(flights: Sequence[Flight], model: Model) -> list[str]:
     """One sentence for every channel that the model needs and that looks like another unit or sign, of each flight."""
     used = {"time", *(s.source for s in (*model.inputs, *model.states, *model.outputs))}
     return [f"{f.name}: {s.text}" for f in flights for s in suspicions(f.time, f.columns) if used & set(s.columns)]
-
-
-def with_doubts(result: GapResult, doubts: Sequence[str]) -> GapResult:
-    """The answer, told to be of flights that are to be looked at first."""
-    if not doubts:
-        return result
-    more = f" (and {len(doubts) - 1} more, in the notes)" if len(doubts) > 1 else ""
-    text = f"Before any of this, look at the flights: {doubts[0]}{more}. {result.text}"
-    return replace(result, text=text, notes=(*result.notes, *doubts))
