@@ -129,6 +129,12 @@ class Criteria:
         "theory: the inverse of the weight the onboard filter gives to plumb line and compass",
     )
     gust_memory: float = criterion(1.0, "s", "correlation time of the gusts whose derivative drives a force equation")
+    twist_memory: float = criterion(
+        0.15,
+        "s",
+        "correlation time of gusts across the span, which drive a force equation themselves; with the root of the span",
+        "MIL-F-8785C, of 1.5 m at 17 m/s; without it 7 of 9 sets of nothing in such gusts were unknown, 2026-11-25",
+    )
     surface_step: float = criterion(
         4.0,
         "scatter of a control",

@@ -26,6 +26,7 @@ from scipy.fft import fft
 from estimation.engine.kernel import Array
 from estimation.engine.simulate import Segment, Simulator
 from estimation.gap.criteria import Criteria
+from estimation.gap.effects.sizes import REFERENCE
 from estimation.gap.records.nuisance import RATE_OF
 from estimation.gap.records.steady import steady_outputs, steady_state
 from estimation.models.base import Model
@@ -38,6 +39,7 @@ FOLLOWING = 20  # steps from an earlier estimate
 LOWEST = 0.25  # of a record's own frequency, in place of none at all: it knows no lower than a part of its own
 BEGIN = 0.3  # of the measurement noise: where the strength of every part starts, from which the steps find their way
 AT_ONCE = 128  # columns transformed together: more do not stay in a processor's cache
+SPAN = REFERENCE["b"]
 FLOOR = 1e-7  # smallest share of the total a part keeps, so that the spectral matrix stays regular
 
 
@@ -45,6 +47,7 @@ class Source(Enum):
     """Where noise enters."""
 
     RATE = "rate of a state"  # white, or with a memory: the derivative of coloured noise, as gusts have it
+    TWIST = "rate of a state, fading"  # coloured itself, as what gusts across the span do to it
     CONTROL = "control"  # of one sample
     PREPARED = "control as prepared"  # what taking its noise off left wrong, of known strength
     WANDERING = (
@@ -274,6 +277,8 @@ def shapes_of(
         parts[NoisePart(Source.RATE, name)] = reply[:, :, i]
         tau = criteria.gust_memory
         parts[NoisePart(Source.RATE, name, tau)] = reply[:, :, i] * (s / (s + 1 / tau))[:, None]
+        fading = twist_memory(model, criteria)
+        parts[NoisePart(Source.TWIST, name, fading)] = reply[:, :, i] / (1 + s * fading)[:, None]
     for j, name in enumerate(linear.controls):
         moved = np.asarray(reply @ linear.B[:, j] + linear.D[:, j], complex)
         parts[NoisePart(Source.CONTROL, name)] = moved
@@ -288,6 +293,13 @@ def shapes_of(
                 own = np.eye(ny)[model.output_names.index(RATE_OF[name])]
                 parts[NoisePart(Source.GYRO, name)] = own + 0.5 * (1.0 + before)[:, None] * summed
     return Shapes({k: v.reshape(-1, ny) for k, v in parts.items()}, count, linear.dt)
+
+
+def twist_memory(model: Model, criteria: Criteria) -> float:
+    """Correlation time [s] of gusts that differ from wing tip to wing tip. By Froude's law as the square root of the span, where
+    the model states it: sqrt(L b)/(2.6 V) of MIL-F-8785C with speeds and lengths of gusts that suit the size."""
+    span = model.constants.get("b", SPAN)
+    return criteria.twist_memory * float(np.sqrt(span / SPAN)) if 0.0 < span < np.inf else criteria.twist_memory
 
 
 def as_seen(shapes: Shapes, measured: Array) -> Shapes:

@@ -171,12 +171,12 @@ class NullFlyer:
         """Add disturbances of the rates with the spectra of the noise model to the inputs (2N - 1, nu)."""
         h = float(np.median(np.diff(time)))
         for part, strength in self.noise.process.items():
-            if part.source is not Source.RATE or part.of not in self.states:
+            if part.source not in (Source.RATE, Source.TWIST) or part.of not in self.states:
                 continue
             # strength counts per sample of the record (2 h); white noise sampled every h has variance density / h
             white = np.sqrt(strength * 2.0) * rng.standard_normal(time.size)
-            if part.memory:
-                white = white - _slow(white, h, part.memory)
+            slow = _slow(white, h, part.memory) if part.memory else np.zeros_like(white)
+            white = slow if part.source is Source.TWIST else white - slow
             u[:, self.states[part.of]] += white
 
 
