@@ -1,9 +1,10 @@
 """The gap workflow on flights that went the whole way: sensors, bus, logger, attitude filter and calibration.
 
 `python -m tests.studies.gap_through_chain [--nulls-from 400 --nulls 8] [--effects NAME ...] [--gust DEG] [--budget SECONDS]
-[--model lateral|longitudinal|six-dof]`:
+[--model lateral|longitudinal|six-dof] [--direct]`:
 for each set three training flights and one held out of one aircraft are flown and given to the workflow, which is told
-nothing. A line a set, then the counts. The last result is kept in docs/gap.md.
+nothing; with `--direct` the truth with white noise of
+sensors, sampled at once, in place of the chain. A line a set, then the counts. The last result is kept in docs/gap.md.
 """
 
 import argparse
@@ -14,7 +15,7 @@ from pathlib import Path
 from estimation.gap.effects import catalogue
 from estimation.gap.workflow import run_gap
 from estimation.models.load import load_model
-from firmware_sim.runs.campaign import Campaign
+from firmware_sim.runs.campaign import Campaign, fly_campaigns
 from groundstation.flight import Flight, read_flight
 from sideslip import fly_scenario
 
@@ -52,6 +53,15 @@ def flown(hidden: tuple[tuple[str, float], ...], seed: int, gust_deg: float, pla
     return flights
 
 
+def direct(hidden: tuple[tuple[str, float], ...], seed: int, gust_deg: float, plan: str = "rich") -> list[Flight]:
+    """The same flights as the sensors alone would show them."""
+    (done,) = fly_campaigns([Campaign(hidden=hidden, seed=seed, gust_deg=gust_deg, manoeuvres=plan)])
+    return [
+        Flight.build(f"f{i}", c["time"], {n: v for n, v in c.items() if n != "time"})
+        for i, c in enumerate([*done.training, *done.holdout])
+    ]
+
+
 def main() -> None:
     """Fly, ask, count."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -60,6 +70,7 @@ def main() -> None:
     parser.add_argument("--effects", nargs="*", help="default: what suits the model")
     parser.add_argument("--model", default="lateral", choices=SUBJECTS)
     parser.add_argument("--gust", type=float, default=0.15)
+    parser.add_argument("--direct", action="store_true", help="the truth with sensor noise in place of the chain")
     parser.add_argument("--budget", type=float, default=float("inf"), help="begin no further set after so many seconds")
     given = parser.parse_args()
     plan: list[tuple[str, ...]] = []
@@ -75,7 +86,7 @@ def main() -> None:
         if time.monotonic() - begun > given.budget:
             break
         hidden = tuple((name, 1.0) for name in names)
-        flights = flown(hidden, given.nulls_from + number, given.gust, manoeuvres)
+        flights = (direct if given.direct else flown)(hidden, given.nulls_from + number, given.gust, manoeuvres)
         result = run_gap(model, flights[:3], flights[3:], catalogue(model=model))
         said = [step.effect for step in result.steps]
         print(f"{'+'.join(names) or 'nothing':<16} {result.verdict:<15} {' '.join(said)}", flush=True)

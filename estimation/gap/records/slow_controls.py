@@ -27,6 +27,7 @@ STRAIGHT = (
 KNOTS = 20  # values, at least, before a control is called slow
 EVEN = 0.8  # share of their intervals within a fifth of the usual one: a hand and an ideal input move unevenly
 APART = 0.2  # of the usual interval
+BETWEEN = 2  # samples at which a course bends whose line ends between them
 CLOCKS = 2.0  # samples: from here on a clock of its own comes a sample early now and then
 HOLE = 3.5  # usual intervals without a value, as an import takes for a gap
 LONGEST = 0.6  # s: what is known still more rarely is no history of a control
@@ -54,12 +55,12 @@ def at_own_rates(
 
 def _undrawn(flight: Flight, outputs: Sequence[str], criteria: Criteria) -> Flight:
     for column in outputs:
-        ends = _knots(flight, flight[column])
-        every = _usual(np.flatnonzero(ends), flight)
+        lines = _lines(flight, flight[column])
+        every = _usual(np.flatnonzero(lines.ends), flight)
         if every is not None and every > criteria.slow_control:
             rate = 1.0 / (every * flight.sample_interval)
             said = f"{column} lies on straight lines between values at {rate:.3g} Hz: compared at these only"
-            flight = flight.with_columns(**{column: np.where(ends, flight[column], np.nan)}).with_notes(said)
+            flight = flight.with_columns(**{column: np.where(lines.ends, lines.values, np.nan)}).with_notes(said)
     return flight
 
 
@@ -106,13 +107,20 @@ def slow(flight: Flight, column: str) -> Slow | None:
     if known.sum() < KNOTS or np.ptp(values[known]) == 0.0:
         return None
     fresh = known & ~repeats(flight, column).held
-    for new, on in ((fresh, fresh), (_knots(flight, values), known)):
-        every = _usual(np.flatnonzero(new), flight)
-        if every is not None and every > 1.0:
-            return Slow(column, every, new, _joined(values, on, every))
+    every = _usual(np.flatnonzero(fresh), flight)
+    if every is not None and every > 1.0:
+        return Slow(column, every, fresh, _joined(values, fresh, every))
+    lines = _lines(flight, values)
     logged = float(flight.provenance.detail.get("native_hz", {}).get(column, 0.0))  # before an import drew its lines
-    every = 1.0 / (logged * flight.sample_interval) if logged > 0.0 else 1.0
-    return Slow(column, every, known, _joined(values, known, every)) if every > 1.0 and fresh.all() else None
+    stated = 1.0 / (logged * flight.sample_interval) if logged > 0.0 else None
+    seen = _usual(np.flatnonzero(lines.ends), flight)
+    every = stated or seen
+    if every is None or every <= 1.0 or not fresh[known].all():
+        return None
+    if seen is None:
+        return Slow(column, every, known, values)
+    drawn = _joined(lines.values, lines.ends | lines.rest, every)
+    return Slow(column, every, lines.ends, np.where(np.isfinite(drawn), drawn, values))
 
 
 def _joined(values: Array, known: Mask, every: float) -> Array:
@@ -124,19 +132,36 @@ def _joined(values: Array, known: Mask, every: float) -> Array:
     return np.where(close, np.interp(here, at, values[at]), np.nan)
 
 
-def _knots(flight: Flight, values: Array) -> Mask:
-    """(N,) the first sample of each bend of a course made of straight lines. Where it rests or is no such course, every sample
-    is of one bend: values that repeat are no line."""
-    inner = np.zeros(values.size, bool)
+@dataclass(frozen=True)
+class _Lines:
+    """A course made of straight lines. ends: (N,) samples nearest to where one ends; values: (N,) those of the ends there, as
+    they are elsewhere; rest: (N,) samples between two equal ones."""
+
+    ends: Mask
+    values: Array
+    rest: Mask
+
+
+def _lines(flight: Flight, values: Array) -> _Lines:
+    """Where a course bends. One that rests or is not made of lines is one long bend: values that repeat are no line."""
+    inner, bend, rest = (np.zeros(values.size, bool) for _ in range(3))
     inner[1:-1] = np.diff(flight.segment, 2) == 0
-    bend = np.ones(values.size, bool)
     with np.errstate(invalid="ignore"):
         least = STRAIGHT * span_of(values[np.isfinite(values)])
-        bend[1:-1] = ~((np.abs(np.diff(values, 2)) <= least) & (np.abs(np.diff(values[:-1])) > least))
-    first = np.zeros(values.size, bool)
-    for a, _ in runs_of(bend & inner):
-        first[a] = True
-    return first
+        moves, bends = np.abs(np.diff(values)) > least, np.diff(values, 2)
+        rest[1:-1] = (np.abs(np.diff(values))[:-1] <= least) & (np.abs(np.diff(values))[1:] <= least)
+        bend[1:-1] = ~((np.abs(bends) <= least) & moves[:-1])
+    ends, at_ends = np.zeros(values.size, bool), values.copy()
+    for a, b in runs_of(bend & inner):
+        share = 0.0
+        if (
+            b - a == BETWEEN and bends[a - 1] * bends[a] > 0.0
+        ):  # the end of a line between two samples bends the course at both
+            share = float(bends[a] / (bends[a - 1] + bends[a]))
+        near = a + round(share)
+        ends[near] = True
+        at_ends[near] = values[a] + share * (values[a] - values[a - 1])
+    return _Lines(ends, at_ends, rest)
 
 
 def _usual(at: NDArray[np.int64], flight: Flight) -> float | None:

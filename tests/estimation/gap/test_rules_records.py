@@ -1,6 +1,8 @@
 """Rules that decide before and within every fit, each at its limit: samples, priors, noise, steps of surfaces."""
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,12 +14,13 @@ from estimation.gap.effects import catalogue
 from estimation.gap.likelihood.baseline import estimated_noise, noise_parts
 from estimation.gap.likelihood.fitting import Problem
 from estimation.gap.likelihood.surface_steps import SurfaceSteps, find_surface_steps, freedom_of
-from estimation.gap.likelihood.whitening import Linear, NoisePart, Shapes, Source, shapes_of
+from estimation.gap.likelihood.whitening import Linear, NoiseModel, NoisePart, Shapes, Source, shapes_of
 from estimation.gap.records.flight_records import Record, prepare_flights, with_own_noise
 from estimation.gap.records.nuisance import with_nuisance
 from estimation.gap.records.own_motion import only_following, without_hardware_of
 from estimation.gap.records.sample_faults import sample_notes
 from estimation.gap.records.stretches import stretches
+from estimation.gap.tests_of_fit.nulls import NullFlyer
 from estimation.models.base import Parameter, ParameterRole
 from estimation.models.load import load_model
 from groundstation.flight import Flight
@@ -155,6 +158,37 @@ def test_gusts_have_a_memory_of_a_second() -> None:
     s = 2j * np.pi * 10 / (1200 * STEP)
     ratio = shapes.parts[coloured][10, 0] / shapes.parts[NoisePart(Source.RATE, "p")][10, 0]
     assert ratio == pytest.approx(s / (s + 1.0))
+
+
+def test_gusts_across_the_span_have_a_memory_of_a_seventh_of_a_second_and_grow_with_its_root() -> None:
+    s = 2j * np.pi * 10 / (1200 * STEP)
+    for span, memory in ((None, 0.15), (1.5, 0.15), (6.0, 0.3)):
+        model = ROLL if span is None else replace(ROLL, constants={**ROLL.constants, "b": span})
+        shapes = shapes_of(model, linear(1, 1), 1200, AS_SET, ("p",))
+        fading = next(part for part in shapes.parts if part.source is Source.TWIST)
+        assert fading.memory == pytest.approx(memory)
+        ratio = shapes.parts[fading][10, 0] / shapes.parts[NoisePart(Source.RATE, "p")][10, 0]
+        assert ratio == pytest.approx(1.0 / (1.0 + s * memory))
+
+
+def test_nulls_fly_through_gusts_that_fade_and_through_the_rates_of_those_that_last() -> None:
+    """Both of white noise that is twice its strength at every half sample: the one as a first-order lag leaves it, the other
+    what that takes away."""
+    model = SimpleNamespace(inputs=(), criteria=AS_SET)
+    time = 0.5 * STEP * np.arange(200_000)
+    for source, memory in ((Source.TWIST, 0.15), (Source.RATE, 1.0), (Source.RATE, 0.0)):
+        flyer: Any = SimpleNamespace(
+            noise=NoiseModel(np.ones(1), {NoisePart(source, "p", memory): 3.0}), states={"p": 0}, problem=model
+        )
+        u = np.zeros((time.size, 1))
+        NullFlyer._disturb(flyer, u, time, np.random.default_rng(1))
+        keep = np.exp(-0.5 * STEP / memory) if memory else 0.0
+        if source is Source.TWIST:
+            expected, after = 6.0 * (1.0 - keep) / (1.0 + keep), keep
+            assert np.mean(u[1:] * u[:-1]) / np.mean(u**2) == pytest.approx(after, abs=0.01)
+        else:
+            expected = 6.0 * 2.0 * keep**2 / (1.0 + keep) if memory else 6.0
+        assert np.mean(u**2) == pytest.approx(expected, rel=0.03)
 
 
 def nowhere(count: int) -> SurfaceSteps:
