@@ -133,7 +133,7 @@ class Criteria:
         0.15,
         "s",
         "correlation time of gusts across the span, which drive a force equation themselves; with the root of the span",
-        "MIL-F-8785C, of 1.5 m at 17 m/s; without it 7 of 9 sets of nothing in such gusts were unknown, 2026-11-25",
+        "MIL-F-8785C, of 1.5 m at 17 m/s; without it 7 of 8 sets of nothing in such gusts were unknown, 2026-11-25",
     )
     surface_step: float = criterion(
         4.0,

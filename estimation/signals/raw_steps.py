@@ -5,7 +5,7 @@ measured one (0.077 against 0.069 deg rms on flights of the second truth, away f
 one side, late by a hundredth of a sample. An elevator turns so light a body so fast that pitch rate shows even that, and it
 looks like a lag of the elevator or a moment that goes with the rate of angle of attack. From three samples before a step to
 six behind it, 0.15 and 0.3 s at the most, the measured value is taken; everywhere would be too much: the noise of a quiet control
-looks like play, which takes it off (with as many samples at 5 Hz three sets in eight of nothing hidden were named so).
+looks like play, which takes it off (with as many samples at 5 Hz three sets in seven of nothing hidden were named so).
 """
 
 import math

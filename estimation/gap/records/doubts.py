@@ -1,10 +1,10 @@
-"""What of the flights themselves cannot be right: one record given twice, a column of another unit or sign."""
+"""What of the flights themselves is to be doubted: one record given twice, a column of another unit or sign, or not measured."""
 
 from collections.abc import Sequence
 
 from estimation.errors import DataError
 from estimation.models.base import Model
-from groundstation.flight import Flight
+from groundstation.flight import RECONSTRUCTED, Flight
 from groundstation.flight.quality.plausibility import suspicions
 from groundstation.flight.quality.same_record import one_record_twice
 
@@ -21,6 +21,13 @@ def refuse_twice(training: Sequence[Flight], holdout: Sequence[Flight]) -> None:
 
 
 def doubts_of(flights: Sequence[Flight], model: Model) -> list[str]:
-    """One sentence for every channel that the model needs and that looks like another unit or sign, of each flight."""
+    """One sentence for every channel that the model needs and that looks like another unit or sign, or was found from the
+    others, of each flight."""
     used = {"time", *(s.source for s in (*model.inputs, *model.states, *model.outputs))}
-    return [f"{f.name}: {s.text}" for f in flights for s in suspicions(f.time, f.columns) if used & set(s.columns)]
+    told = [f"{f.name}: {s.text}" for f in flights for s in suspicions(f.time, f.columns) if used & set(s.columns)]
+    for flight in flights:
+        made = [c for c in flight.provenance.detail.get(RECONSTRUCTED, {}).get("columns", ()) if c in used]
+        if made:
+            said = f"{', '.join(made)} not measured but found from the motion, whose errors look like something that is missing"
+            told.append(f"{flight.name}: {said}")
+    return told

@@ -12,7 +12,7 @@ from estimation.gap.records.doubts import doubts_of, refuse_twice
 from estimation.gap.records.slow_controls import at_own_rates, slow
 from estimation.gap.workflow import Options, run_gap
 from estimation.models.load import load_model
-from groundstation.flight import Flight, Provenance
+from groundstation.flight import RECONSTRUCTED, Flight, Provenance
 from groundstation.flight.quality.same_record import one_record_twice
 from tests.studies import second_truth as truth
 from tests.studies.gap_benchmark import flights, requests
@@ -156,6 +156,13 @@ def test_a_channel_of_another_unit_is_told_where_the_model_needs_it() -> None:
     assert told.startswith("f: ax, ay, az: the median specific force")
     assert "are ax, ay, az in g?" in told
     assert doubts_of([built(p=noisy(1), psi=np.full(COUNT, 7.0))], load_model("lateral", "cdfp")) == []
+
+
+def test_air_data_that_nobody_measured_are_told() -> None:
+    about = Provenance(detail={RECONSTRUCTED: {"columns": ["alpha", "beta", "V"]}})
+    given = named("f", {c: noisy(k) for k, c in enumerate(("beta", "p", "ay"))}, about)
+    (told,) = doubts_of([given], load_model("lateral", "cdfp"))
+    assert told.startswith("f: alpha, beta, V not measured but found from the motion")
 
 
 def test_flights_with_servos_at_half_the_rate_have_nothing_hidden_and_a_coarse_surface_ends_nothing() -> None:
