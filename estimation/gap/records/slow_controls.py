@@ -8,7 +8,7 @@ to trust a surface between two *samples* and leaves its path open there. So ever
 An output that an import drew in straight lines is measured at their ends only; what lies on them is no measurement.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -49,7 +49,10 @@ def at_own_rates(
 ) -> tuple[Flight, ...]:
     """The flights, those with a slow control read at its rate, and outputs without what was drawn between their values; each with
     a note. controls, outputs: columns."""
-    read = (_thinned(f, [c for c in controls if f.measured(c)], criteria) for f in flights)
+    read = (
+        _thinned(f, [c for c in controls if f.measured(c)], [c for c in outputs if f.measured(c)], criteria)
+        for f in flights
+    )
     return tuple(_undrawn(f, [c for c in outputs if f.measured(c)], criteria) for f in read)
 
 
@@ -64,21 +67,18 @@ def _undrawn(flight: Flight, outputs: Sequence[str], criteria: Criteria) -> Flig
     return flight
 
 
-def _thinned(flight: Flight, controls: Sequence[str], criteria: Criteria) -> Flight:
+def _thinned(flight: Flight, controls: Sequence[str], outputs: Sequence[str], criteria: Criteria) -> Flight:
     found = [s for s in (slow(flight, c) for c in controls) if s is not None and s.every > criteria.slow_control]
     if not found:
         return flight
     slowest = max(found, key=lambda s: s.every)
     every = int(np.ceil(slowest.every - APART))
-    fresh = {c: np.isfinite(v) & ~repeats(flight, c).held for c, v in flight.columns.items() if c not in controls}
+    fresh = {c: np.isfinite(flight[c]) & ~repeats(flight, c).held for c in outputs}
     keep = np.zeros(len(flight), bool)
     for whole in flight.segments:
-        keep[
-            whole.start + _phase(slowest.new[whole], [f[whole] for f in fresh.values()], every) : whole.stop : every
-        ] = True
-    if any(
-        f.any() and not (f & keep).any() for f in fresh.values()
-    ):  # a sensor that is new only where the control is not
+        first = whole.start + _phase(slowest.new[whole], [f[whole] for f in fresh.values()], every)
+        keep[first : whole.stop : every] = True
+    if not all((f & keep).any() for f in fresh.values()):  # a sensor that is new only where the control is not
         return flight
     rate = 1.0 / (slowest.every * flight.sample_interval)
     names = " and ".join(s.column for s in found)
@@ -111,8 +111,7 @@ def slow(flight: Flight, column: str) -> Slow | None:
     if every is not None and every > 1.0:
         return Slow(column, every, fresh, _joined(values, fresh, every))
     lines = _lines(flight, values)
-    logged = float(flight.provenance.detail.get("native_hz", {}).get(column, 0.0))  # before an import drew its lines
-    stated = 1.0 / (logged * flight.sample_interval) if logged > 0.0 else None
+    stated = _as_logged(flight, column)
     seen = _usual(np.flatnonzero(lines.ends), flight)
     every = stated or seen
     if every is None or every <= 1.0 or not fresh[known].all():
@@ -121,6 +120,15 @@ def slow(flight: Flight, column: str) -> Slow | None:
         return Slow(column, every, known, values)
     drawn = _joined(lines.values, lines.ends | lines.rest, every)
     return Slow(column, every, lines.ends, np.where(np.isfinite(drawn), drawn, values))
+
+
+def _as_logged(flight: Flight, column: str) -> float | None:
+    """Samples from one value to the next before an import drew lines between them, where the flight says it and it can be."""
+    rates = flight.provenance.detail.get("native_hz")
+    rate = rates.get(column) if isinstance(rates, Mapping) else None
+    if not isinstance(rate, float | int) or not rate * LONGEST >= 1.0:
+        return None
+    return 1.0 / (rate * flight.sample_interval)
 
 
 def _joined(values: Array, known: Mask, every: float) -> Array:

@@ -91,6 +91,19 @@ def test_what_an_import_says_of_its_log_counts_where_the_samples_do_not_show_it(
     assert (len(read) < COUNT) is thinned
 
 
+@pytest.mark.parametrize(
+    "stated", ["fast", {"delta_a": "x"}, {"delta_a": 0.0}, {"delta_a": 1e-300}, {"delta_a": np.nan}]
+)
+def test_what_cannot_be_a_rate_counts_for_nothing(stated: object) -> None:
+    given = named("f", {"delta_a": noisy(1), "p": noisy(2)}, Provenance(detail={"native_hz": stated}))
+    assert at_own_rates([given], ["delta_a"], ["p"], AS_SET) == (given,)
+
+
+def test_a_column_that_nobody_asks_for_decides_nothing() -> None:
+    given = built(delta_a=empty(noisy(1), 5), p=noisy(2), vn=np.roll(empty(noisy(3), 50), 2))
+    assert len(at_own_rates([given], ["delta_a"], ["p"], AS_SET)[0]) == COUNT // 5
+
+
 @pytest.mark.parametrize(("every", "thinned"), [(1.4, False), (1.6, True)])
 def test_a_control_at_two_thirds_of_the_samples_is_read_with_them(every: float, thinned: bool) -> None:
     about = Provenance(detail={"native_hz": {"delta_a": 50.0 / every}})
