@@ -91,10 +91,9 @@ def fresh(flight: Flight, columns: Sequence[str]) -> NDArray[np.bool_]:
 
 def _interval(flight: Flight, columns: Sequence[str], values: Array) -> float:
     """Least time between two samples of their own [s]."""
-    stated = flight.provenance.detail.get("native_hz", {})
-    rates = [stated[c] for c in columns if isinstance(stated, dict) and isinstance(stated.get(c), (int, float))]
+    rates = [rate for rate in map(flight.native_rate, columns) if rate is not None]
     dt = flight.sample_interval
-    if rates and min(rates) > 0.0:
+    if rates:
         return max(1.0 / min(rates), dt) - 0.5 * dt
     bend = np.abs(np.diff(values, 2, axis=0)).max(axis=1)
     moving = bend > 1e-6 * max(float(np.median(np.abs(values).max(axis=1))), 1e-3)

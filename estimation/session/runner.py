@@ -16,7 +16,7 @@ from estimation.session.flights import unique_names
 from estimation.session.scatter import scatter
 from estimation.session.session import FlightEstimates, Session
 from estimation.session.verdict import verdict
-from groundstation.flight import RECONSTRUCTED, Flight
+from groundstation.flight import Flight
 
 NUMERICAL = (LinAlgError, ArithmeticError)
 """What a method's own arithmetic may end in on a flight that it cannot settle: no fault of the flight or the program."""
@@ -79,10 +79,8 @@ def _judged(session: Session) -> Session:
 
 def _reconstructed_angles(model: Model, flight: Flight) -> tuple[str, ...]:
     """Flow angles of the model that `sideslip reconstruct` has put into the flight."""
-    detail = flight.provenance.detail.get(RECONSTRUCTED)
-    columns = detail.get("columns", ()) if isinstance(detail, Mapping) else ()
-    used = {s.source for s in (*model.inputs, *model.outputs, *model.states)} & set(map(str, columns))
-    return tuple(sorted(used & {"alpha", "beta"}))
+    used = {s.source for s in (*model.inputs, *model.outputs, *model.states)}
+    return tuple(sorted(used & set(flight.reconstructed) & {"alpha", "beta"}))
 
 
 def _tried(estimator: Estimator, task: Task) -> Outcome:

@@ -32,6 +32,9 @@ GAP_FACTOR = 4.5
 LATEST = 9e9
 """Latest time [s] of a sample, either way: what 64 bits of nanoseconds hold, 285 years."""
 
+FASTEST = 1e9
+"""Rate [Hz] beyond which nothing is sampled: a nanosecond, of which time is made."""
+
 AIRCRAFT_FILE = "aircraft_file"
 """Key of a provenance's detail under which the text of the aircraft's file travels with the flight."""
 RECONSTRUCTED = "reconstructed"
@@ -182,6 +185,20 @@ class Flight:
         missing = [c for c in columns if not self.measured(c)]
         if missing:
             raise MissingColumnError(self.name, missing, purpose, unknown=self.unknown_columns)
+
+    @property
+    def reconstructed(self) -> tuple[str, ...]:
+        """Columns that nobody measured, found from the others; none where the flight says what is no list of names."""
+        detail = self.provenance.detail.get(RECONSTRUCTED)
+        columns = detail.get("columns") if isinstance(detail, Mapping) else None
+        return tuple(c for c in columns if isinstance(c, str)) if isinstance(columns, list | tuple) else ()
+
+    def native_rate(self, column: str) -> float | None:
+        """Rate [Hz] at which a column stood in its log before an import brought all to one time base; None where the flight does
+        not say, or says what is no rate."""
+        rates = self.provenance.detail.get("native_hz")
+        rate = rates.get(column) if isinstance(rates, Mapping) else None
+        return float(rate) if isinstance(rate, float | int) and 0.0 < rate < FASTEST else None
 
     @property
     def unknown_columns(self) -> tuple[str, ...]:

@@ -34,9 +34,12 @@ FACTORS = (0.7, 1.4)
 SMALL = 0.005  # a move of evidence or of sizes below it is none
 KINDS = {"null": 0.0, "effect": 1.0, "half": 0.5, "unknown": 1.0, "function": 0.0}
 SETS = (
-    "null:none:9401", "half:aileron_delay:401004", "unknown:stale_vane:401006", "function:CY dead band in beta:9410",
+    "null:none:9401",
+    "half:aileron_delay:401004",
+    "unknown:stale_vane:401006",
+    "function:CY dead band in beta:9410",
     "half:alpha_lag:401009:longitudinal",
-)  # fmt: skip
+)
 
 
 @dataclass(frozen=True)

@@ -3,8 +3,8 @@
 `python -m tests.studies.gap_through_chain [--nulls-from 400 --nulls 8] [--effects NAME ...] [--gust DEG] [--budget SECONDS]
 [--model lateral|longitudinal|six-dof] [--direct]`:
 for each set three training flights and one held out of one aircraft are flown and given to the workflow, which is told
-nothing; with `--direct` the truth with white noise of
-sensors, sampled at once, in place of the chain. A line a set, then the counts. The last result is kept in docs/gap.md.
+nothing; with `--direct` the truth with white noise of sensors, sampled at once, in place of the chain. A line a set, then
+the counts. The last result is kept in docs/gap.md.
 """
 
 import argparse
@@ -18,6 +18,7 @@ from estimation.models.load import load_model
 from firmware_sim.runs.campaign import Campaign, fly_campaigns
 from groundstation.flight import Flight, read_flight
 from sideslip import fly_scenario
+from tests.studies.gap_benchmark import flights as from_columns
 
 EFFECTS = (
     "Cn_da", "beta_lag", "Cl_alpha_beta", "rudder_delay", "Cl_beta3", "aileron_delay", "CY_da", "beta_scale",
@@ -56,10 +57,7 @@ def flown(hidden: tuple[tuple[str, float], ...], seed: int, gust_deg: float, pla
 def direct(hidden: tuple[tuple[str, float], ...], seed: int, gust_deg: float, plan: str = "rich") -> list[Flight]:
     """The same flights as the sensors alone would show them."""
     (done,) = fly_campaigns([Campaign(hidden=hidden, seed=seed, gust_deg=gust_deg, manoeuvres=plan)])
-    return [
-        Flight.build(f"f{i}", c["time"], {n: v for n, v in c.items() if n != "time"})
-        for i, c in enumerate([*done.training, *done.holdout])
-    ]
+    return from_columns([*done.training, *done.holdout])
 
 
 def main() -> None:

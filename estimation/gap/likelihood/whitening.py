@@ -56,6 +56,9 @@ class Source(Enum):
     GYRO = "gyro of an attitude filter"  # of one sample on the attitude's rate, integrated with the same forgetting
 
 
+ON_FORCES = (Source.RATE, Source.TWIST)
+
+
 @dataclass(frozen=True, slots=True)
 class NoisePart:
     """One way in which noise enters. of: the state, control or attitude; memory: correlation time [s], 0 where white."""
@@ -267,6 +270,7 @@ def shapes_of(
     """Responses of a record of `count` samples to noise. states: where process noise may enter. left: control -> (frequencies,)
     variance per sample of what its preparation left wrong."""
     nx, ny = len(model.states), len(model.outputs)
+    lasting, fading = criteria.gust_memory, twist_memory(model, criteria)
     s = 2j * np.pi * np.fft.rfftfreq(count, linear.dt)
     s[0] = 2j * np.pi * LOWEST / (count * linear.dt)
     resolvent = np.linalg.inv(s[:, None, None] * np.eye(nx) - linear.A)
@@ -275,9 +279,7 @@ def shapes_of(
     for name in force_states(model) if states is None else states:
         i = model.state_names.index(name)
         parts[NoisePart(Source.RATE, name)] = reply[:, :, i]
-        tau = criteria.gust_memory
-        parts[NoisePart(Source.RATE, name, tau)] = reply[:, :, i] * (s / (s + 1 / tau))[:, None]
-        fading = twist_memory(model, criteria)
+        parts[NoisePart(Source.RATE, name, lasting)] = reply[:, :, i] * (s / (s + 1 / lasting))[:, None]
         parts[NoisePart(Source.TWIST, name, fading)] = reply[:, :, i] / (1 + s * fading)[:, None]
     for j, name in enumerate(linear.controls):
         moved = np.asarray(reply @ linear.B[:, j] + linear.D[:, j], complex)

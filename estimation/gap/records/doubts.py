@@ -1,10 +1,10 @@
 """What of the flights themselves is to be doubted: one record given twice, a column of another unit or sign, or not measured."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 from estimation.errors import DataError
 from estimation.models.base import Model
-from groundstation.flight import RECONSTRUCTED, Flight
+from groundstation.flight import Flight
 from groundstation.flight.quality.plausibility import suspicions
 from groundstation.flight.quality.same_record import one_record_twice
 
@@ -26,9 +26,7 @@ def doubts_of(flights: Sequence[Flight], model: Model) -> list[str]:
     used = {"time", *(s.source for s in (*model.inputs, *model.states, *model.outputs))}
     told = [f"{f.name}: {s.text}" for f in flights for s in suspicions(f.time, f.columns) if used & set(s.columns)]
     for flight in flights:
-        about = flight.provenance.detail.get(RECONSTRUCTED)
-        made = [c for c in about.get("columns", ()) if c in used] if isinstance(about, Mapping) else []
-        if made:
+        if made := [c for c in flight.reconstructed if c in used]:
             said = f"{', '.join(made)} not measured but found from the motion, whose errors look like something that is missing"
             told.append(f"{flight.name}: {said}")
     return told

@@ -8,7 +8,7 @@ to trust a surface between two *samples* and leaves its path open there. So ever
 An output that an import drew in straight lines is measured at their ends only; what lies on them is no measurement.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,6 +28,7 @@ KNOTS = 20  # values, at least, before a control is called slow
 EVEN = 0.8  # share of their intervals within a fifth of the usual one: a hand and an ideal input move unevenly
 APART = 0.2  # of the usual interval
 BETWEEN = 2  # samples at which a course bends whose line ends between them
+EARLY = 0.2  # samples by which a control may be read before its next value is there
 CLOCKS = 2.0  # samples: from here on a clock of its own comes a sample early now and then
 HOLE = 3.5  # usual intervals without a value, as an import takes for a gap
 LONGEST = 0.6  # s: what is known still more rarely is no history of a control
@@ -72,8 +73,8 @@ def _thinned(flight: Flight, controls: Sequence[str], outputs: Sequence[str], cr
     if not found:
         return flight
     slowest = max(found, key=lambda s: s.every)
-    every = int(np.ceil(slowest.every - APART))
-    fresh = {c: np.isfinite(flight[c]) & ~repeats(flight, c).held for c in outputs}
+    every = int(np.ceil(slowest.every - EARLY))
+    fresh = {c: _fresh(flight, c) for c in outputs}
     keep = np.zeros(len(flight), bool)
     for whole in flight.segments:
         first = whole.start + _phase(slowest.new[whole], [f[whole] for f in fresh.values()], every)
@@ -106,12 +107,13 @@ def slow(flight: Flight, column: str) -> Slow | None:
     known = np.isfinite(values)
     if known.sum() < KNOTS or np.ptp(values[known]) == 0.0:
         return None
-    fresh = known & ~repeats(flight, column).held
+    fresh = _fresh(flight, column)
     every = _usual(np.flatnonzero(fresh), flight)
     if every is not None and every > 1.0:
         return Slow(column, every, fresh, _joined(values, fresh, every))
     lines = _lines(flight, values)
-    stated = _as_logged(flight, column)
+    logged = flight.native_rate(column)  # before an import drew its lines
+    stated = 1.0 / (logged * flight.sample_interval) if logged is not None and logged * LONGEST >= 1.0 else None
     seen = _usual(np.flatnonzero(lines.ends), flight)
     every = stated or seen
     if every is None or every <= 1.0 or not fresh[known].all():
@@ -122,13 +124,9 @@ def slow(flight: Flight, column: str) -> Slow | None:
     return Slow(column, every, lines.ends, np.where(np.isfinite(drawn), drawn, values))
 
 
-def _as_logged(flight: Flight, column: str) -> float | None:
-    """Samples from one value to the next before an import drew lines between them, where the flight says it and it can be."""
-    rates = flight.provenance.detail.get("native_hz")
-    rate = rates.get(column) if isinstance(rates, Mapping) else None
-    if not isinstance(rate, float | int) or not rate * LONGEST >= 1.0:
-        return None
-    return 1.0 / (rate * flight.sample_interval)
+def _fresh(flight: Flight, column: str) -> Mask:
+    """(N,) samples at which a column shows a measurement, and no repeat of a slow sensor."""
+    return np.isfinite(flight[column]) & ~repeats(flight, column).held
 
 
 def _joined(values: Array, known: Mask, every: float) -> Array:

@@ -15,7 +15,7 @@ from scipy.signal import lfilter
 from estimation.engine.kernel import Array
 from estimation.gap.likelihood.fitting import Fit, Problem
 from estimation.gap.likelihood.surface_steps import find_surface_steps
-from estimation.gap.likelihood.whitening import NoiseModel, NoisePart, Source, linear_motion
+from estimation.gap.likelihood.whitening import ON_FORCES, NoiseModel, NoisePart, Source, linear_motion
 from estimation.gap.random_streams import Stream
 from estimation.gap.records.candidate_model import DISTURBANCE
 from estimation.gap.records.flight_records import Record
@@ -106,7 +106,7 @@ class NullFlyer:
     @classmethod
     def build(cls, problem: Problem, fit: Fit, noise: NoiseModel, errors: Sequence[InputErrors]) -> "NullFlyer":
         names = problem.model.input_names
-        disturbed = {part.of for part in noise.process if part.source is Source.RATE}
+        disturbed = {part.of for part in noise.process if part.source in ON_FORCES}
         states = {s: names.index(DISTURBANCE.format(s)) for s in sorted(disturbed) if DISTURBANCE.format(s) in names}
         jumps = []
         outputs = {n: i for i, n in enumerate(problem.model.output_names)}
@@ -171,7 +171,7 @@ class NullFlyer:
         """Add disturbances of the rates with the spectra of the noise model to the inputs (2N - 1, nu)."""
         h = float(np.median(np.diff(time)))
         for part, strength in self.noise.process.items():
-            if part.source not in (Source.RATE, Source.TWIST) or part.of not in self.states:
+            if part.source not in ON_FORCES or part.of not in self.states:
                 continue
             # strength counts per sample of the record (2 h); white noise sampled every h has variance density / h
             white = np.sqrt(strength * 2.0) * rng.standard_normal(time.size)

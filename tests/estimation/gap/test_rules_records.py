@@ -14,16 +14,26 @@ from estimation.gap.effects import catalogue
 from estimation.gap.likelihood.baseline import estimated_noise, noise_parts
 from estimation.gap.likelihood.fitting import Problem
 from estimation.gap.likelihood.surface_steps import SurfaceSteps, find_surface_steps, freedom_of
-from estimation.gap.likelihood.whitening import Linear, NoiseModel, NoisePart, Shapes, Source, shapes_of
+from estimation.gap.likelihood.whitening import (
+    Linear,
+    NoiseModel,
+    NoisePart,
+    Shapes,
+    Source,
+    estimate_noise,
+    shapes_of,
+    spectral_matrix,
+)
 from estimation.gap.records.flight_records import Record, prepare_flights, with_own_noise
 from estimation.gap.records.nuisance import with_nuisance
 from estimation.gap.records.own_motion import only_following, without_hardware_of
 from estimation.gap.records.sample_faults import sample_notes
+from estimation.gap.records.slow_controls import at_own_rates
 from estimation.gap.records.stretches import stretches
 from estimation.gap.tests_of_fit.nulls import NullFlyer
 from estimation.models.base import Parameter, ParameterRole
 from estimation.models.load import load_model
-from groundstation.flight import Flight
+from groundstation.flight import Flight, Provenance
 from tests.estimation.gap.roll import ROLL
 from tests.studies import second_truth as truth
 
@@ -193,6 +203,31 @@ def test_nulls_fly_through_gusts_that_fade_and_through_the_rates_of_those_that_l
 
 def nowhere(count: int) -> SurfaceSteps:
     return SurfaceSteps((), np.zeros(0, dtype=int), np.zeros(0), np.zeros((count, 1, 0)), AS_SET)
+
+
+def test_noise_is_estimated_of_records_of_which_one_has_a_control_prepared_and_the_next_has_not() -> None:
+    control = "delta_a"
+    moved = replace(linear(1, 1), controls=(control,), B=np.ones((1, 1)), D=np.zeros((1, 1)))
+    quiet = shapes_of(ROLL, moved, 100, AS_SET, ("p",))
+    prepared = shapes_of(ROLL, moved, 100, AS_SET, ("p",), {control: np.full(51, 1e-6)})
+    residuals = [np.random.default_rng(k).standard_normal((100, 1)) for k in range(2)]
+    for shapes in ([prepared, quiet], [quiet, prepared]):
+        noise = estimate_noise(residuals, shapes, np.ones(1), np.full(1, 0.1))
+        assert noise.process[NoisePart(Source.PREPARED, control)] == 1.0
+        assert [spectral_matrix(noise, one).shape for one in shapes] == [(51, 1, 1)] * 2
+
+
+@pytest.mark.parametrize(("every", "read_so"), [(1.4, False), (1.6, True)])
+def test_a_control_at_two_thirds_of_the_samples_is_read_with_them(every: float, read_so: bool) -> None:
+    rng, count = np.random.default_rng(1), 600
+    flight = Flight.build(
+        "f",
+        STEP * np.arange(count),
+        {"delta_a": wave(count) + 0.01 * rng.standard_normal(count), "p": wave(count) + rng.standard_normal(count)},
+        provenance=Provenance(detail={"native_hz": {"delta_a": 1.0 / (STEP * every)}}),
+    )
+    (read,) = at_own_rates([flight], ["delta_a"], ["p"], AS_SET)
+    assert (len(read) < count) is read_so
 
 
 def test_no_channel_is_trusted_more_than_half_its_scatter() -> None:
