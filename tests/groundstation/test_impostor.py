@@ -2,6 +2,7 @@
 
 import json
 import tracemalloc
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -207,21 +208,22 @@ def test_no_frame_an_impostor_can_make_ends_a_session(
     tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
 ) -> None:
     folder = tmp_path_factory.mktemp("any")
-    rig = Rig(folder, ground=LinkConfig(ports=("memory",), backfill="all"))
-    station = Station(GroundConfig(), rig.ground, rig.clock, folder)
-    rig.look = station.step  # type: ignore[method-assign]
-    fly(rig, 10)
-    encoder = FrameEncoder(1, 1)
-    edges = st.sampled_from([0, 1, 7, 255])
-    for _ in range(30):
-        made = data.draw(st.sampled_from(list(message_types().values())))
-        fill = data.draw(edges | st.none())
-        size = made.codec.size
-        payload = bytes([fill]) * size if fill is not None else data.draw(st.binary(min_size=size, max_size=size))
-        rig._ground.write(encoder.frame(made.msg_id, payload))
-        fly(rig, 1)
-    station.close()
-    rig.close()
+    # a draw may be given up half-way, and what it began has to end all the same
+    with (
+        closing(Rig(folder, ground=LinkConfig(ports=("memory",), backfill="all"))) as rig,
+        closing(Station(GroundConfig(), rig.ground, rig.clock, folder)) as station,
+    ):
+        rig.look = station.step  # type: ignore[method-assign]
+        fly(rig, 10)
+        encoder = FrameEncoder(1, 1)
+        edges = st.sampled_from([0, 1, 7, 255])
+        for _ in range(30):
+            made = data.draw(st.sampled_from(list(message_types().values())))
+            fill = data.draw(edges | st.none())
+            size = made.codec.size
+            payload = bytes([fill]) * size if fill is not None else data.draw(st.binary(min_size=size, max_size=size))
+            rig._ground.write(encoder.frame(made.msg_id, payload))
+            fly(rig, 1)
     json.dumps(rig.ground.summary(), allow_nan=False)
     assert rig.ground.port_faults == {}
     for path in folder.glob("*.mcap"):
