@@ -77,9 +77,10 @@ class LoopOptions:
     """tolerance: predicted reduction [log likelihood] below which the estimates have settled (1e-7: steps below
     5e-4 of a bound). relative: the same as a share of the cost, where that is more. gain: a step that lowered the cost by
     less than the tolerance ends the search too. kept: so does one that promised less than this and gave it to within
-    half the tolerance: by the law of such steps the next would promise less than what this one was wrong by. beyond: cost
-    which a search has to come near to be worth going on with. flat: tolerances a step that lowers nothing may still promise
-    at rounding."""
+    half the tolerance, where the next, smaller in the ratio in which this one was smaller than the last, would promise less
+    than the tolerance (a promise kept alone says little, but it is all that a first step can tell). beyond: cost which a
+    search has to come near to be worth going on with. flat: tolerances a step that lowers nothing may still promise at
+    rounding."""
 
     iterations: int = 60
     tolerance: float = 1e-7
@@ -124,6 +125,7 @@ def minimise(problem: Problem[P], start: Array, options: LoopOptions = AS_USUAL_
     if not math.isfinite(point.cost):
         return Outcome(Status.DIVERGED, unknowns, point, 0, count, tuple(history))
     damping = 0.0
+    last = math.inf
     past = _Past(options.memory)
     for iteration in range(1, options.iterations + 1):
         step = problem.step(unknowns, point, damping)
@@ -147,8 +149,10 @@ def minimise(problem: Problem[P], start: Array, options: LoopOptions = AS_USUAL_
         history.append(point.cost)
         if options.gain and gained < options.settled(point.cost):
             return Outcome(Status.CONVERGED, unknowns, point, iteration, count, tuple(history))
-        if promised < options.kept and abs(gained - promised) < 0.5 * options.settled(point.cost):
+        settled = options.settled(point.cost)
+        if promised < options.kept and abs(gained - promised) < 0.5 * settled and promised * promised < settled * last:
             return Outcome(Status.CONVERGED, unknowns, point, iteration, count, tuple(history))
+        last = promised
     return Outcome(Status.LIMIT, unknowns, point, options.iterations, count, tuple(history))
 
 

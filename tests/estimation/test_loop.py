@@ -49,3 +49,22 @@ def test_far_away_steps_are_taken_as_they_are() -> None:
     first = minimise(Quadratic(True), start, LoopOptions(iterations=2))
     alone = minimise(Quadratic(False), start, LoopOptions(iterations=2))
     assert np.array_equal(first.unknowns, alone.unknowns)
+
+
+class Exact(Quadratic):
+    """Steps that fall short and yet give just what they promise, as those of a bent cost do where its errors change sign."""
+
+    def step(self, unknowns: np.ndarray, point: Point, damping: float) -> Step:
+        step = super().step(unknowns, point, damping)
+        return Step(step.direction, point.cost - self.evaluate(unknowns + step.direction, False).cost, step.weight)
+
+
+@pytest.mark.parametrize("away", [2.0, 8.0, 40.0])
+def test_a_promise_kept_ends_the_search_only_where_steps_shrink_fast(away: float) -> None:
+    """The slowest unknown leaves half of the cost with each step, the fastest a hundredth."""
+    options = LoopOptions(tolerance=1e-3, kept=1.0)
+    slow = minimise(Exact(False), TRUE + SCALE * np.array([0.0, 0.0, away]), options)
+    assert slow.status is Status.CONVERGED
+    assert slow.point.cost < 2e-3
+    fast = minimise(Exact(False), TRUE + SCALE * np.array([away, 0.0, 0.0]), options)
+    assert fast.iterations <= 3
