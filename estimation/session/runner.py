@@ -7,7 +7,7 @@ from numpy.linalg import LinAlgError
 
 from daq.contract.errors import UserError
 from estimation.aircraft import Aircraft
-from estimation.errors import EstimationError
+from estimation.errors import DataError, EstimationError
 from estimation.estimators.estimator import NO_EXTRAS, Estimator, Extras, Task
 from estimation.estimators.registry import check_extras, find, names
 from estimation.estimators.result import Result
@@ -17,6 +17,7 @@ from estimation.session.scatter import scatter
 from estimation.session.session import FlightEstimates, Session
 from estimation.session.verdict import verdict
 from groundstation.flight import Flight
+from groundstation.flight.quality.same_record import one_record_twice
 
 NUMERICAL = (LinAlgError, ArithmeticError)
 """What a method's own arithmetic may end in on a flight that it cannot settle: no fault of the flight or the program."""
@@ -39,13 +40,19 @@ def estimate(
     """Run every method on every flight, and on all of them together where `joint`.
 
     device: where networks are trained. progress: told each piece of work as it begins. Raises EstimationError for an
-    unknown method, and what the first method raises when a flight cannot feed the model.
+    unknown method, DataError where a joint estimate would count one record twice, and what the first method raises when a
+    flight cannot feed the model.
     """
     if not methods:
         raise EstimationError(f"no method given; choose from {', '.join(names())}")
     chosen = [find(m) for m in methods]
     _check(extras, model, chosen)
     flights = unique_names(flights)
+    if joint and (same := one_record_twice(flights)) is not None:
+        first, second = (flights[k].name for k in same)
+        raise DataError(
+            f"{second} is of the same record as {first}, which would count twice jointly: give every flight once"
+        )
     task = Task(model, flights, aircraft, extras, device, tell=progress or (lambda text: None))
     found = {e.name: _each(e, task) for e in chosen}
     for flight, outcomes in zip(flights, zip(*found.values(), strict=True), strict=True):

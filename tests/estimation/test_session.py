@@ -61,6 +61,14 @@ def test_scatter_says_when_bounds_are_too_small(made_flights: list[Flight]) -> N
     assert "too small" in scatter(small)["Cl_p"].text
 
 
+def test_a_joint_estimate_of_one_record_given_twice_is_refused(made_flights: list[Flight]) -> None:
+    one, other = made_flights[:2]
+    again = one.part(slice(20, None), "again")
+    with pytest.raises(EstimationError, match=f"again is of the same record as {one.name}, .* give every flight once"):
+        runner.estimate(LATERAL, [one, other, again], load_aircraft("cdfp"), ["ls"], joint=True)
+    assert len(runner.estimate(LATERAL, [one, again], load_aircraft("cdfp"), ["ls"]).flights) == 2
+
+
 def test_session_json_has_the_promised_names(made_flights: list[Flight]) -> None:
     session = runner.estimate(LATERAL, made_flights[:2], load_aircraft("cdfp"), ["ml", "ls"], joint=True)
     data = json.loads(json.dumps(session.to_json(), allow_nan=False))
