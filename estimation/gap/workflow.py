@@ -33,6 +33,7 @@ from estimation.gap.search.search_state import AS_USUAL, LOOK, Options, Setting
 from estimation.gap.tests_of_fit.kinematic_check import kinematic_check
 from estimation.gap.tests_of_fit.nulls import input_errors, with_errors
 from estimation.gap.verdict.conclusion import concluded
+from estimation.gap.verdict.turned_signs import turned_signs
 from estimation.models.base import Model
 from estimation.models.driven import force_states
 from groundstation.flight import Flight
@@ -66,7 +67,9 @@ def run_gap(
     tell("fitting the baseline", 0.05)
     doubts = doubts_of([*training, *holdout], model)
     try:
-        search = run_rounds(setting, fit_baseline(setting.working, setting.clean, setting.prepared, setting.scatter))
+        baseline = fit_baseline(setting.working, setting.clean, setting.prepared, setting.scatter)
+        doubts += turned_signs(baseline)
+        search = run_rounds(setting, baseline)
     except GapError as error:
         raise GapError("; ".join([str(error), *doubts[:1]])) from error
     tell("kinematic check", 0.9)

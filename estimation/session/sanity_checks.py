@@ -6,13 +6,12 @@ from enum import Enum
 import numpy as np
 
 from estimation.estimators.result import Result
-from estimation.estimators.uncertainty import companions
 from estimation.models.base import ParameterRole
+from estimation.session.signs import controls_of_another_unit, turned_controls, turned_outputs, turned_side_force
 from estimation.signals.preprocess import noise_level
 
 UNEXPLAINED = 0.5  # r2 below which a channel is not explained
 AUDIBLE = 3.0  # residual in units of the channel's white noise from which that is no matter of noise
-FAR = 8.0  # times what was believed
 SURE = 2.0  # bounds by which a constant must lie beyond what is possible
 TRIM = 0.26  # rad (15 deg) of sideslip or surface that a lateral constant may stand for: no aircraft is flown further out of trim
 SYMMETRIC = ("CY", "Cl", "Cn")  # coefficients that vanish in symmetric flight: their constants are offsets
@@ -27,6 +26,7 @@ class DoubtKind(Enum):
 
     UNEXPLAINED = "unexplained channel"
     SIGN = "sign of a control"
+    CHANNEL_SIGN = "sign of a channel"
     UNIT = "unit of a control"
     FAILED = "failed"
     PROCESS_NOISE = "process noise"
@@ -62,32 +62,11 @@ def doubts_of(result: Result) -> list[Doubt]:
                 f"{name} is not explained by the model (r2 {f.r2:.2f}): check its unit, sign and sensor, and the model"
             )
             said.append(Doubt(DoubtKind.UNEXPLAINED, text))
-    for signal in result.model.inputs:
-        if signal.control:
-            said += _doubts_of_control(result, signal.source, signal.name)
-    return said
-
-
-def _doubts_of_control(result: Result, column: str, control: str) -> list[Doubt]:
-    """Where every derivative of a control has the wrong sign, or the wrong order of magnitude."""
-    ratios = {
-        e.name: e.estimate / e.reference
-        for e in result.parameters.values()
-        if e.identifiable
-        and e.reference
-        and control in companions(result.model, e.name)
-        and abs(e.estimate) > 5.0 * e.std_coloured
-    }
-    names = " and ".join(ratios)
-    if ratios and all(r < 0.0 for r in ratios.values()):
-        return [
-            Doubt(DoubtKind.SIGN, f"{names}: of the opposite sign of what was believed: check the sign of {column}")
-        ]
-    for far in (all(abs(r) > FAR for r in ratios.values()), all(abs(r) < 1.0 / FAR for r in ratios.values())):
-        if ratios and far:
-            times = ", ".join(f"{r:.2g}" for r in ratios.values())
-            return [Doubt(DoubtKind.UNIT, f"{names}: {times} times what was believed: check the unit of {column}")]
-    return []
+    model, found = result.model, result.parameters
+    turned = turned_outputs(model, [(f.measured, f.outputs) for f in result.flights])
+    said += [Doubt(DoubtKind.CHANNEL_SIGN, text) for text in (*turned, *turned_side_force(model, found))]
+    said += [Doubt(DoubtKind.SIGN, text) for text in turned_controls(model, found)]
+    return said + [Doubt(DoubtKind.UNIT, t) for t in controls_of_another_unit(model, found)]
 
 
 def impossible(result: Result) -> list[str]:

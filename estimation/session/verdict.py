@@ -123,7 +123,7 @@ def _own_doubts(case: _Case, method: str, result: Result) -> None:
     for text in impossible(result):
         case.object_to(method, DoubtKind.INSTRUMENT, text)
     for doubt in doubts_of(result):
-        if doubt.kind in (DoubtKind.SIGN, DoubtKind.UNIT):
+        if doubt.kind in (DoubtKind.SIGN, DoubtKind.CHANNEL_SIGN, DoubtKind.UNIT):
             case.against.setdefault(method, doubt.text)
     if not any(e.identifiable for e in result.parameters.values()):
         case.against.setdefault(method, "it can tell none of the parameters")

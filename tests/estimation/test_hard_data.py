@@ -85,7 +85,8 @@ def test_a_channel_that_is_not_explained_is_named(made_flights: list[Flight]) ->
     flight = made_flights[0].with_columns(r=-made_flights[0]["r"])
     session = runner.estimate(LATERAL, [flight], load_aircraft("cdfp"))
     assert any("is not explained by the model" in n for n in session.flights[0].notes)
-    assert {d.kind for d in session.flights[0].doubts} == {DoubtKind.UNEXPLAINED}
+    assert {d.kind for d in session.flights[0].doubts} == {DoubtKind.UNEXPLAINED, DoubtKind.CHANNEL_SIGN}
+    assert any(n.startswith("r: moves against what the other channels make of it") for n in session.flights[0].notes)
     turned = made_flights[0].with_columns(delta_a=-made_flights[0]["delta_a"])
     session = runner.estimate(LATERAL, [turned], load_aircraft("cdfp"))
     assert any("check the sign of delta_a" in n for n in session.flights[0].notes)
