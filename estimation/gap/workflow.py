@@ -24,6 +24,7 @@ from estimation.gap.random_streams import Stream
 from estimation.gap.records.candidate_model import with_dormant
 from estimation.gap.records.doubts import doubts_of, refuse_twice
 from estimation.gap.records.flight_records import FlightRecords, prepare_flights
+from estimation.gap.records.lost_rows import with_lost_rows
 from estimation.gap.records.nuisance import with_nuisance
 from estimation.gap.records.own_motion import only_following, without_hardware_of, words_on
 from estimation.gap.records.sample_faults import sample_notes, stale_channels
@@ -59,7 +60,8 @@ def run_gap(
     tell("preparing the flights", 0.0)
     controls = [s.source for s in model.inputs if s.control and not s.computed]
     outputs = [s.source for s in model.outputs]
-    flown, kept = (at_own_rates(given, controls, outputs, options.criteria) for given in (training, holdout))
+    even = ([with_lost_rows(f) for f in given] for given in (training, holdout))
+    flown, kept = (at_own_rates(given, controls, outputs, options.criteria) for given in even)
     prepared = prepare_flights(model, chosen, flown, kept, options.criteria)
     told = sample_notes([*training, *holdout], [*outputs, *(s.source for s in model.inputs)], options.criteria)
     stale = stale_channels(flown, outputs, options.criteria)
@@ -101,5 +103,6 @@ def _with_doubts(result: GapResult, doubts: Sequence[str]) -> GapResult:
     if not doubts:
         return result
     more = f" (and {len(doubts) - 1} more, in the notes)" if len(doubts) > 1 else ""
-    text = f"Before any of this, look at the flights: {doubts[0]}{more}. {result.text}"
+    first = f"{doubts[0]}{more}".removesuffix(".")
+    text = f"Before any of this, look at the flights: {first}{'' if first.endswith('?') else '.'} {result.text}"
     return replace(result, text=text, notes=(*result.notes, *doubts))

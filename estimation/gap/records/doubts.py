@@ -2,7 +2,10 @@
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from estimation.errors import DataError
+from estimation.gap.records.lost_rows import clock_step
 from estimation.models.base import Model
 from groundstation.flight import Flight
 from groundstation.flight.quality.plausibility import suspicions
@@ -22,10 +25,16 @@ def refuse_twice(training: Sequence[Flight], holdout: Sequence[Flight]) -> None:
 
 def doubts_of(flights: Sequence[Flight], model: Model) -> list[str]:
     """One sentence for every channel that the model needs and that looks like another unit or sign, or was found from the
-    others, of each flight."""
+    others, and for uneven times, of each flight."""
     used = {"time", *(s.source for s in (*model.inputs, *model.states, *model.outputs))}
     told = [f"{f.name}: {s.text}" for f in flights for s in suspicions(f.time, f.columns) if used & set(s.columns)]
     for flight in flights:
+        if clock_step(flight) is None:
+            steps = 1e3 * np.quantile(np.diff(flight.time), (0.05, 0.95))
+            said = f"its rows come {steps[0]:.0f} to {steps[1]:.0f} ms after one another"
+            told.append(
+                f"{flight.name}: {said}: if that is the clock that stamped them and not the sampling, give even times"
+            )
         if made := [c for c in flight.reconstructed if c in used]:
             said = f"{', '.join(made)} not measured but found from the motion, whose errors look like something that is missing"
             told.append(f"{flight.name}: {said}")

@@ -168,6 +168,7 @@ def restless_times(problem: Problem, white: Sequence[Array], nulls: int) -> tupl
     for i, series in enumerate(white):
         time = problem.coarse[i].time
         width = max(round(problem.criteria.nameless_window / float(np.median(np.diff(time)))), FEWEST)
+        width = min(width, len(time))  # a stretch between two gaps may be shorter: one window then
         energy, z = window_energy(series, width)
         largest = np.maximum(largest, z[:, :, 1:].max(axis=(0, 1)))
         for w, c in zip(*np.unravel_index(np.argsort(-z[:, :, 0].ravel())[:RESTLESS], z.shape[:2]), strict=True):

@@ -140,7 +140,9 @@ def _coefficient_per_rate(problem: Problem, state: str, index: int) -> float | N
 
 def by_regime(baseline: Baseline) -> dict[str, list[dict[str, float]]]:
     """Map of the disagreement over the flight regime: per signal, bins of rms residual / noise over all outputs."""
-    total = np.concatenate([np.nanmean((r / baseline.scatter) ** 2, axis=1) for r in baseline.fit.residuals])
+    squares = np.concatenate([(r / baseline.scatter) ** 2 for r in baseline.fit.residuals])
+    known = np.isfinite(squares).sum(axis=1)
+    total = np.where(known > 0, np.nansum(squares, axis=1) / np.maximum(known, 1), np.nan)
     return {name: binned(values, total, baseline.criteria) for name, values in signals_of(baseline).items()}
 
 

@@ -55,7 +55,7 @@ def channels_that_gain(gain: Array, criteria: Criteria) -> list[int]:
 
 def spans_of(time: Array, gain: Array, criteria: Criteria) -> list[tuple[float, float]]:
     """Stretches that hold most of the gain (N,), best first."""
-    n = max(round(criteria.span_window / float(np.median(np.diff(time)))), 2)
+    n = min(max(round(criteria.span_window / float(np.median(np.diff(time)))), 2), time.size)
     smooth = np.convolve(gain, np.ones(n) / n, mode="same")
     limit = max(criteria.span_share * float(smooth.max()), NOTHING)
     changes = np.flatnonzero(np.diff(np.concatenate([[0], (smooth > limit).astype(int), [0]])))

@@ -1,6 +1,8 @@
 """A stranger's flights: controls logged more rarely than the motion, channels that an import drew, one record twice."""
 
 from collections.abc import Callable, Mapping
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,7 +11,10 @@ from estimation.engine.kernel import Array
 from estimation.errors import DataError
 from estimation.gap.criteria import AS_SET
 from estimation.gap.records.doubts import doubts_of, refuse_twice
+from estimation.gap.records.lost_rows import clock_step, with_lost_rows
 from estimation.gap.records.slow_controls import at_own_rates, slow
+from estimation.gap.tests_of_fit.omnibus import restless_times
+from estimation.gap.verdict.effect_location import spans_of
 from estimation.gap.workflow import Options, run_gap
 from estimation.models.load import load_model
 from groundstation.flight import RECONSTRUCTED, Flight, Provenance
@@ -193,3 +198,62 @@ def test_flights_too_coarse_for_their_noise_to_be_taken_off_everywhere_are_answe
     flown = truth.fly(requests({}, 7112, 0.15, "rich"))
     four = flights([{n: v if n == "time" else coarse(np.asarray(v)) for n, v in one.items()} for one in flown])
     assert run_gap(load_model("lateral", "cdfp"), four[:3], four[3:], options=Options(seed=1, nulls=20)).verdict
+
+
+@pytest.mark.parametrize("finer", [1, 2])
+def test_lost_rows_are_put_back_as_not_measured(finer: int) -> None:
+    """A third of the rows, or all but every second or third of them as where 11.5 Hz are read from 20."""
+    rng = np.random.default_rng(2)
+    kept = (
+        rng.random(COUNT) > 1 / 3
+        if finer == 1
+        else np.isin(np.arange(COUNT), np.arange(0, COUNT, 20 / 11.5).astype(int))
+    )
+    kept[[0, -1]] = True
+    kept[300:320] = False
+    given = built(p=noisy(1), beta=noisy(2)).part(kept)
+    assert clock_step(given) == pytest.approx(0.02)
+    read = with_lost_rows(given)
+    at = np.round(read.time / 0.02).astype(int)
+    np.testing.assert_allclose(read.time, TIME[at], atol=1e-9)
+    assert np.array_equal(np.isfinite(read["p"]), kept[at])
+    np.testing.assert_array_equal(read["beta"][kept[at]], given["beta"])
+    assert len(read.segments) == 1 + np.sum(np.diff(np.flatnonzero(kept)) > 4) > 1  # more than three in a row are a gap
+    assert "rows lost here and there" in read.notes[-1].text
+
+
+def test_rows_on_no_grid_and_whole_flights_are_left_as_they_are() -> None:
+    whole = built(p=noisy(1))
+    assert with_lost_rows(whole) is whole
+    rng = np.random.default_rng(3)
+    late = Flight.build("late", TIME + rng.uniform(-0.002, 0.002, COUNT), {"p": noisy(1)})
+    assert with_lost_rows(late) is late
+    uneven = Flight.build("uneven", np.sort(TIME + rng.uniform(-0.006, 0.006, COUNT)), {"p": noisy(1)})
+    assert with_lost_rows(uneven) is uneven
+    (told,) = doubts_of([uneven], load_model("lateral", "cdfp"))
+    assert told.startswith("uneven: its rows come 1")
+    assert "give even times" in told
+    assert doubts_of([late], load_model("lateral", "cdfp")) == []
+
+
+def test_a_stretch_shorter_than_a_window_of_energy_is_one_window() -> None:
+    """Lost rows leave stretches of half a second: looking for restless times in one had ended in a ValueError."""
+    model = load_model("lateral", "cdfp")
+    rng = np.random.default_rng(4)
+    series = [rng.standard_normal((n, len(model.outputs), 1 + 40)) for n in (600, 9)]
+    series[1][:, 2, 0] *= 30.0
+    problem: Any = SimpleNamespace(
+        criteria=AS_SET,
+        model=model,
+        coarse=[SimpleNamespace(time=0.05 * np.arange(len(s))) for s in series],
+        records=[SimpleNamespace(flight=k) for k in range(2)],
+    )
+    signals, largest = restless_times(problem, series, 40)
+    worst = max(signals, key=lambda s: s.score)
+    assert (worst.flight, worst.span) == (1, (0.0, pytest.approx(0.4)))
+    assert worst.score > 2.0 * largest.max()
+
+
+def test_where_an_effect_shows_may_be_a_stretch_shorter_than_what_it_is_smoothed_over() -> None:
+    time = 0.05 * np.arange(9)
+    assert spans_of(time, np.ones(9), AS_SET) == [(0.0, pytest.approx(0.4))]
