@@ -164,8 +164,17 @@ def assess(
         size = max(size, abs(value - none) / p.typical)
         evidence -= price(value - none, bound, criteria.prior_width * p.typical, criteria.prior_tail)
         why_not = why_not or impossible(p, value, none)
-    score = equivalent_z(deflated(gain, freed, inflation if own is None else own), len(hypothesis.form.parameters))
+    begun = len(hypothesis.form.states) * begun_anew(problem)
+    evidence -= 0.5 * begun  # what as many unknowns gain of noise
+    unknowns = len(hypothesis.form.parameters) + begun
+    score = equivalent_z(deflated(gain, freed, inflation if own is None else own), unknowns)
     return Candidate(hypothesis, found, gain, score, evidence, estimates, size, why_not)
+
+
+def begun_anew(problem: Problem) -> int:
+    """Stretches that a state begins in beyond one for each flight: where a link breaks twenty times, what a lag or a flow of its
+    own begins with is free twenty times, and pays for much that is no such effect."""
+    return len(problem.records) - len({r.flight for r in problem.records})
 
 
 def freed_by(problem: Problem, base_fit: Fit, found: Fit) -> float:

@@ -1,6 +1,7 @@
 """Rules of the search, each at its limit, on rounds and candidates made by hand: which are fitted, weighed and accepted."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -24,7 +25,7 @@ from estimation.gap.search.search_state import Finding, Options
 from estimation.gap.search.select import Choice, comparable, credible_set, material, promise, worth_comparing
 from estimation.gap.tests_of_fit.hypotheses import Column, Hypothesis
 from estimation.gap.tests_of_fit.omnibus import Omnibus, Signal
-from estimation.gap.tests_of_fit.screen import Projected, Reduced, Screen
+from estimation.gap.tests_of_fit.screen import Projected, Reduced, Screen, equivalent_z
 from estimation.models.base import InputTransform, Model, Parameter
 from estimation.models.base import Signal as Variable
 
@@ -160,10 +161,13 @@ def test_the_price_of_an_estimate_is_its_distance_and_the_width_of_the_prior() -
     assert price(3.0, np.inf, 3.0, 3.0) == 0.0
 
 
-def assessed(value: float, forms: int = 1) -> Candidate:
+def assessed(value: float, forms: int = 1, stretches: Sequence[int] = (0,), states: Sequence[str] = ()) -> Candidate:
+    """stretches: the flight of each. states: of the hypothesis' own."""
     fitted = stub(values={"x": value}, cost=40.0, diverged=False, std=lambda: {"x": 0.03})
-    problem = stub(model=BASE, criteria=AS_SET, free=())
-    return assess(problem, stub(cost=100.0, values={}), hypothesis("x", forms=forms), fitted, 4.0, 1.0)
+    problem = stub(model=BASE, criteria=AS_SET, free=(), records=[stub(flight=k) for k in stretches])
+    tried = hypothesis("x", forms=forms)
+    tried = replace(tried, form=replace(tried.form, states=tuple(Variable(n) for n in states)))
+    return assess(problem, stub(cost=100.0, values={}), tried, fitted, 4.0, 1.0)
 
 
 def test_evidence_is_the_gain_over_the_inflation_less_the_price_of_the_size() -> None:
@@ -174,6 +178,18 @@ def test_evidence_is_the_gain_over_the_inflation_less_the_price_of_the_size() ->
     assert found.size == 1.5
     assert found.evidence == pytest.approx(0.5 * 120.0 / 4.0 - 2.0 * np.log(4.0 / 3.0) - np.log(3.0 / 0.06))
     assert found.evidence - assessed(3.0, forms=2).evidence == pytest.approx(np.log(2.0))
+
+
+@pytest.mark.parametrize(("states", "begun"), [((), 0), (("late",), 3), (("late", "later"), 6)])
+def test_a_state_that_begins_anew_in_every_stretch_is_an_unknown_of_each(states: Sequence[str], begun: int) -> None:
+    """Two flights in five stretches: the gain of 120 is one of 1 + 3 unknowns, and half of the three is noise."""
+    found, whole = (
+        assessed(3.0, stretches=(0, 0, 0, 1, 1), states=states),
+        assessed(3.0, stretches=(0, 1), states=states),
+    )
+    assert whole.score == assessed(3.0).score
+    assert found.score == pytest.approx(equivalent_z(120.0, 1 + begun))
+    assert whole.evidence - found.evidence == pytest.approx(0.5 * begun)
 
 
 @pytest.mark.parametrize(("value", "why"), [(9.9, ""), (10.0, "outside"), (-10.0, "outside")])
