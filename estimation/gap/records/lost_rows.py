@@ -12,6 +12,7 @@ from groundstation.flight import Flight
 OFF_GRID = 0.25  # of the clock's step: a row further off is not on its grid
 ON_GRID = 0.95  # of the rows, for a grid to be one: clocks are late now and then
 FINER = (1, 2, 3)  # steps of the clock in the usual interval: every other row or two may be lost all the time
+SINGLE = 0.05  # of the rows that follow one step after another, or the grid is that of rounded times, not of a clock
 
 
 def with_lost_rows(flight: Flight) -> Flight:
@@ -44,6 +45,6 @@ def clock_step(flight: Flight) -> float | None:
     for finer in FINER:
         steps = np.diff(flight.time)[within] / (usual / finer)
         whole = np.maximum(np.round(steps), 1.0)
-        if np.mean(np.abs(steps - whole) < OFF_GRID) >= ON_GRID:
+        if np.mean(np.abs(steps - whole) < OFF_GRID) >= ON_GRID and np.mean(whole == 1.0) >= SINGLE:
             return usual / finer
     return None

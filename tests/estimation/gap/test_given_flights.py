@@ -234,6 +234,10 @@ def test_rows_on_no_grid_and_whole_flights_are_left_as_they_are() -> None:
     assert told.startswith("uneven: its rows come 1")
     assert "give even times" in told
     assert doubts_of([late], load_model("lateral", "cdfp")) == []
+    rounded = Flight.build("rounded", np.round(np.arange(COUNT) / 30.0, 2), {"p": noisy(1)})  # 30, 30, 40 ms
+    assert with_lost_rows(rounded) is rounded
+    (told,) = doubts_of([rounded], load_model("lateral", "cdfp"))
+    assert "30 to 40 ms" in told
 
 
 def test_a_stretch_shorter_than_a_window_of_energy_is_one_window() -> None:
