@@ -17,5 +17,9 @@ def turned_signs(baseline: Baseline) -> list[str]:
         for n in base.starts()
         if n in bounds
     }
-    believed = (turned_controls(base, found), controls_of_another_unit(base, found))
-    return [*outputs, *turned_side_force(base, found), *(text for texts in believed for text in texts)]
+    return [
+        *outputs,
+        *turned_side_force(base, found),
+        *turned_controls(base, found),
+        *controls_of_another_unit(base, found),
+    ]
