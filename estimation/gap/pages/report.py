@@ -61,7 +61,8 @@ def write_gap_report(result: GapResult, folder: Path, effects: Sequence[Effect] 
     write_all(
         [*(t for s in steps for t in s.tables), *(t for t in tables.values() if t is not None)], folder / "tables"
     )
-    flights = [h.flight + (" (held out)" if h.holdout else "") for h in result.histories]
+    # a flight of several stretches has a history for each
+    flights = dict.fromkeys(h.flight + (" (held out)" if h.holdout else "") for h in result.histories)
     return write_page(
         folder / "index.html",
         "report.html.j2",
