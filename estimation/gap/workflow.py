@@ -24,7 +24,7 @@ from estimation.gap.random_streams import Stream
 from estimation.gap.records.candidate_model import with_dormant
 from estimation.gap.records.doubts import doubts_of, refuse_twice
 from estimation.gap.records.flight_records import FlightRecords, prepare_flights
-from estimation.gap.records.lost_rows import with_lost_rows
+from estimation.gap.records.lost_rows import with_lost_rows, without_unseen_moves
 from estimation.gap.records.nuisance import with_nuisance
 from estimation.gap.records.own_motion import only_following, without_hardware_of, words_on
 from estimation.gap.records.sample_faults import sample_notes, stale_channels
@@ -61,7 +61,8 @@ def run_gap(
     controls = [s.source for s in model.inputs if s.control and not s.computed]
     outputs = [s.source for s in model.outputs]
     even = ([with_lost_rows(f) for f in given] for given in (training, holdout))
-    flown, kept = (at_own_rates(given, controls, outputs, options.criteria) for given in even)
+    read = (at_own_rates(given, controls, outputs, options.criteria) for given in even)
+    flown, kept = ([without_unseen_moves(f, controls, outputs, options.criteria) for f in given] for given in read)
     prepared = prepare_flights(model, chosen, flown, kept, options.criteria)
     told = sample_notes([*training, *holdout], [*outputs, *(s.source for s in model.inputs)], options.criteria)
     stale = stale_channels(flown, outputs, options.criteria)

@@ -16,12 +16,14 @@ from estimation.engine.kernel import Array
 from estimation.engine.simulate import Segment
 from estimation.gap.criteria import Criteria
 from estimation.gap.effects.base import Effect, Form
+from estimation.gap.records.lost_rows import unseen_paths
 from estimation.gap.records.stretches import stretches
 from estimation.models.base import Model, Signal
 from estimation.signals.preprocess import noise_level
 from estimation.signals.raw_steps import noise_between_steps, with_raw_steps
 from groundstation.flight import Flight
 
+PATHS = 20  # of the random stream of paths across samples that a control lacks
 LOST = 0.005  # of the samples of a record, which may go unused
 SMALL_PRIMES = (2, 3, 5, 7, 11)  # for which a Fourier transform has its own steps
 
@@ -139,7 +141,8 @@ def prepare_flights(
             inputs = {n: np.ascontiguousarray(segment.u[:, i]) for i, n in enumerate(probe.input_names)}
             raw, own = _raw_steps(base, flight, segment.first, inputs, noise, criteria)
             level = {**noise, **own}
-            wrong, apart = _draws(probe, data, segment, level), _not_compared(base, flight, segment)
+            wrong = _with_unseen_paths(probe, flight, segment, _draws(probe, data, segment, level), criteria)
+            apart = _not_compared(base, flight, segment)
             records.append(
                 Record(
                     index,
@@ -228,6 +231,19 @@ def _draws(
     own = data.errors[segment.first : segment.first + len(segment)]
     share = {n: np.float32(level[n] / found) for n, (found, _) in data.noise.items() if found > 0.0}
     return {s.name: own[:, i].T * share.get(s.name, np.float32(1.0)) for i, s in enumerate(model.inputs)}
+
+
+def _with_unseen_paths(
+    model: Model, flight: Flight, segment: Segment, wrong: dict[str, NDArray[np.float32]], criteria: Criteria
+) -> dict[str, NDArray[np.float32]]:
+    """The draws, with where controls may have been at samples that they lack."""
+    here = slice(segment.first, segment.first + len(segment))
+    for signal in (s for s in model.inputs if s.control and s.name in wrong and flight.measured(s.source)):
+        rng = np.random.default_rng([PATHS, segment.first])
+        paths = unseen_paths(flight.columns[signal.source][here], len(wrong[signal.name]), rng, criteria)
+        if paths.any():
+            wrong[signal.name] = wrong[signal.name] + paths.astype(np.float32)
+    return wrong
 
 
 def with_own_noise(records: Sequence[Record], training: int, criteria: Criteria) -> tuple[Record, ...]:

@@ -66,7 +66,7 @@ def input_errors(record: Record, model: Model, rng: np.random.Generator) -> Inpu
     bank = {}
     for signal in model.inputs:
         sigma, drawn = record.input_noise.get(signal.name, 0.0), record.wrong.get(signal.name)
-        if sigma <= 0.0 or drawn is None:
+        if drawn is None or (sigma <= 0.0 and not drawn.any()):
             continue
         near = record.raw.get(signal.name, np.zeros(drawn.shape[1], dtype=bool))
         bank[signal.name] = np.where(near, sigma * rng.standard_normal(drawn.shape), np.asarray(drawn, float))

@@ -147,10 +147,15 @@ def by_regime(baseline: Baseline) -> dict[str, list[dict[str, float]]]:
 
 
 def binned(values: Array, squares: Array, criteria: Criteria) -> list[dict[str, float]]:
-    """Root mean of `squares` (N,) in equally filled bins of a signal (N,), low to high."""
+    """Root mean of `squares` (N,) in equally filled bins of a signal (N,), low to high; of samples where nothing was compared
+    (NaN) none counts."""
+    compared = np.isfinite(squares)
+    if not compared.any():
+        return []
+    values, squares = values[compared], squares[compared]
     ends = np.unique(np.quantile(values, np.linspace(0, 1, criteria.map_bins + 1)))
     rows = []
     for a, b in zip(ends[:-1], ends[1:], strict=True):
-        gap = float(np.sqrt(np.nanmean(squares[(values >= a) & (values <= b)])))
+        gap = float(np.sqrt(np.mean(squares[(values >= a) & (values <= b)])))
         rows.append({"from": round(float(a), 5), "to": round(float(b), 5), "gap": round(gap, 4)})
     return rows
