@@ -220,6 +220,7 @@ def _inputs(
             notes += told.of_stuck(signal.source, "is its sensor stuck?")
         else:
             u[:, i] = derived(flight, signal.source, pieces, notes)
+    notes += _bridges([(s.source, flight[s.source]) for i, s in enumerate(model.inputs) if i in rows], pieces)
     rows = {i: at for i, at in rows.items() if not model.inputs[i].computed}  # those have no noise of their own
     names = [s.name for s in model.inputs]
     draws = min(preparation.draws, draws_for(len(flight)))
@@ -234,6 +235,18 @@ def _inputs(
         _denoise_columns(u, errors, columns, pieces, order, names, noise, rng)
     _derive_errors(model, flight, pieces, errors)
     return u, errors
+
+
+def _bridges(columns: Sequence[tuple[str, Array]], pieces: list[tuple[int, int]]) -> list[Note]:
+    """A note on each input that lacks samples between others of a piece."""
+    notes = []
+    for column, values in columns:
+        absent = sum(int(np.isnan(values[a:b]).sum()) for a, b in pieces)
+        if absent:
+            share = 100.0 * absent / sum(b - a for a, b in pieces)
+            text = f"{column} not measured at {absent} samples here and there ({share:.2g}%): taken on straight lines"
+            notes.append(Note(NoteKind.NOT_MEASURED, text))
+    return notes
 
 
 def _rows(told: Conditioned, column: str, a: int, b: int) -> NDArray[np.int64]:

@@ -224,6 +224,11 @@ def test_gaps_and_holes_split_segments(clean_flight: Flight) -> None:
     assert [(s.first, len(s)) for s in data.segments] == [(0, 160), (160, 140), (340, 200)]
     assert any("gap" in n.text for n in data.notes)
     assert any("V not measured at 40 samples" in n.text for n in data.notes)
+    # 500 samples in all three
+    assert any(
+        n.text == "alpha not measured at 2 samples here and there (0.4%): taken on straight lines" for n in data.notes
+    )
+    assert not any("V not measured" in n.text and "here and there" in n.text for n in data.notes)
     assert all(np.isfinite(s.u).all() for s in data.segments)
 
 

@@ -61,9 +61,7 @@ def clock_step(flight: Flight) -> float | None:
     return None
 
 
-def without_unseen_moves(
-    flight: Flight, controls: Sequence[str], outputs: Sequence[str], criteria: Criteria
-) -> Flight:
+def without_unseen_moves(flight: Flight, controls: Sequence[str], outputs: Sequence[str], criteria: Criteria) -> Flight:
     """The flight without what outputs show at samples that a control lacks while it moves, and a note; itself where none does so.
     controls, outputs: columns."""
     unseen = np.zeros(len(flight), bool)
@@ -71,7 +69,9 @@ def without_unseen_moves(
     for control in (c for c in controls if flight.measured(c)):
         moved = unseen_moves(flight[control], criteria)
         if moved.any():
-            notes.append(f"{control} not measured at {int(moved.sum())} samples while it moved: nothing is compared there")
+            notes.append(
+                f"{control} not measured at {int(moved.sum())} samples while it moved: nothing is compared there"
+            )
         unseen |= moved
     if not notes:
         return flight

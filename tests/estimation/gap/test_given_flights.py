@@ -11,7 +11,14 @@ from estimation.engine.kernel import Array
 from estimation.errors import DataError
 from estimation.gap.criteria import AS_SET
 from estimation.gap.records.doubts import doubts_of, refuse_twice
-from estimation.gap.records.lost_rows import clock_step, with_lost_rows
+from estimation.gap.records.flight_records import prepare_flights
+from estimation.gap.records.lost_rows import (
+    clock_step,
+    unseen_moves,
+    unseen_paths,
+    with_lost_rows,
+    without_unseen_moves,
+)
 from estimation.gap.records.slow_controls import at_own_rates, slow
 from estimation.gap.tests_of_fit.omnibus import restless_times
 from estimation.gap.verdict.effect_location import spans_of
@@ -220,6 +227,59 @@ def test_lost_rows_are_put_back_as_not_measured(finer: int) -> None:
     np.testing.assert_array_equal(read["beta"][kept[at]], given["beta"])
     assert len(read.segments) == 1 + np.sum(np.diff(np.flatnonzero(kept)) > 4) > 1  # more than three in a row are a gap
     assert "rows lost here and there" in read.notes[-1].text
+
+
+def stepping(seed: int) -> Array:
+    """A surface that goes up and down again, and its pot."""
+    course = np.where((np.arange(COUNT) >= 100) & (np.arange(COUNT) < 200), 0.1, 0.0)
+    return course + 0.002 * np.random.default_rng(seed).standard_normal(COUNT)
+
+
+def test_a_control_is_unseen_where_it_lacks_samples_and_moves() -> None:
+    control = stepping(5)
+    control[[50, 99, 150, 200, 201]] = np.nan  # at rest, before a step up, at rest, through a step down
+    control[300:310] = np.nan  # no few in a row: a gap
+    control[[0, -1]] = np.nan
+    assert np.flatnonzero(unseen_moves(control, AS_SET)).tolist() == [99, 200, 201]
+    paths = unseen_paths(control, 4000, np.random.default_rng(6), AS_SET)
+    assert np.flatnonzero(np.abs(paths).max(axis=0)).tolist() == [99, 200, 201]
+    # the step is in the first or in the second interval: half of it up or down, as often
+    np.testing.assert_allclose(np.abs(paths[:, 99]), 0.5 * abs(control[100] - control[98]), rtol=1e-12)
+    assert np.mean(paths[:, 99] > 0.0) == pytest.approx(0.5, abs=0.05)
+    # through two samples: over neither, one, or both of them, each a third of the time, and one path for both
+    down = control[202] - control[199]
+    np.testing.assert_allclose(np.unique(np.round(paths[:, 200] / down, 9)), [-1 / 3, 2 / 3])
+    assert np.mean(paths[:, 200] / down > 0.0) == pytest.approx(1 / 3, abs=0.05)
+    assert np.mean(paths[:, 201] / down > 0.0) == pytest.approx(2 / 3, abs=0.05)
+    assert not ((paths[:, 200] / down > 0.0) & (paths[:, 201] / down < 0.0)).any()
+
+
+def test_nothing_is_compared_where_a_control_moves_unseen() -> None:
+    control = stepping(5)
+    control[[50, 99]] = np.nan
+    given = built(delta_a=control, p=noisy(1), beta=noisy(2))
+    read = without_unseen_moves(given, ["delta_a", "delta_r"], ["p", "beta", "r"], AS_SET)
+    for column in ("p", "beta"):
+        assert np.flatnonzero(np.isnan(read[column])).tolist() == [99]
+    assert read.notes[-1].text == "delta_a not measured at 1 samples while it moved: nothing is compared there"
+    assert without_unseen_moves(given, ["p"], ["beta"], AS_SET) is given
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("lost", ["elevator", "rows"])
+def test_a_third_of_an_elevators_samples_lost_is_nothing(lost: str) -> None:
+    """Straight lines across them had made it swing, or late."""
+    made = []
+    for columns in truth.fly(requests({}, 31, 0.15, "longitudinal")):
+        absent = np.random.default_rng(31).random(columns["time"].size) < 0.3
+        absent[[0, -1]] = False
+        some = {"delta_e": np.where(absent, np.nan, columns["delta_e"])}
+        made.append(columns | some if lost == "elevator" else {n: v[~absent] for n, v in columns.items()})
+    given = flights(made)
+    model = load_model("longitudinal", "cdfp")
+    prepared = prepare_flights(model, (), given, (), AS_SET)
+    assert prepared.records[0].wrong["delta_e"].std() > 0.0
+    assert run_gap(model, given[:3], given[3:], options=Options(seed=1, nulls=40)).verdict == "no_gap"
 
 
 def test_rows_on_no_grid_and_whole_flights_are_left_as_they_are() -> None:
