@@ -260,6 +260,13 @@ class Criteria:
         "an effect smaller than that is found but not called one",
         "raised from 0.12 (2026-11-21), reason not on record",
     )
+    known_size: float = criterion(
+        2.0,
+        "bounds",
+        "an effect whose size is less than that from none is not one, whatever it gains",
+        "between a separation of 1.4 bounds named on flights of many gaps, by the states it begins anew, and right names (3.4 "
+        "and more); 2026-11-25",
+    )
     unsampled: float = criterion(
         0.2,
         "sample intervals",

@@ -20,6 +20,8 @@ from estimation.signals.changepoints import Fits, by_length
 Array = NDArray[np.float64]
 
 LONGEST_PIECE = 80  # samples; longer quiet stretches are joined from pieces, at little cost in noise
+LEAST = 5  # third differences, for a level to be told
+IN_A_ROW = 40  # of them with nothing missing, for those across what is missing to be left out
 QUIET = 3e-4  # of the range of a signal: noise below this is left alone
 BLOCK = 640  # samples of a long signal treated at once
 RESCALE = 12  # steps between rescalings of the recursions
@@ -44,11 +46,15 @@ def noise_level(values: Array) -> float:
     """Standard deviation of the white part of a sampled signal, robust against edges and manoeuvres.
 
     Median of absolute third differences over samples in a row, scaled for Gaussian noise (sum of squares of
-    1 -3 3 -1 is 20). Zero for a signal without noise. values: (N,), finite.
+    1 -3 3 -1 is 20). Zero for a signal without noise. values: (N,), NaN where not measured: of four in a row where these are
+    enough, or else of those that were measured, as if they were in a row.
     """
-    if values.size < 8:
-        return 0.0
     third = np.abs(np.diff(values, 3))
+    third = third[np.isfinite(third)]
+    if third.size < IN_A_ROW and not np.isfinite(values).all():
+        third = np.abs(np.diff(values[np.isfinite(values)], 3))
+    if third.size < LEAST:
+        return 0.0
     return float(np.median(third) / 0.6744897501960817 / np.sqrt(20.0))
 
 

@@ -13,6 +13,21 @@ def steps(rng: np.random.Generator) -> np.ndarray:
     return levels + np.interp(np.arange(400), np.arange(0, 420, 40), 0.3 * DEG * rng.normal(size=11))
 
 
+def test_noise_level_of_what_was_measured() -> None:
+    """Across lost samples a signal that moves looks noisy; where few are in a row nothing better is known."""
+    rng = np.random.default_rng(3)
+    values = np.sin(0.6 * np.arange(600)) + 0.02 * rng.standard_normal(600)
+    lost = rng.random(600) < 0.3
+    whole, seen = noise_level(values), noise_level(np.where(lost, np.nan, values))
+    assert seen == pytest.approx(whole, rel=0.15)
+    assert noise_level(values[~lost]) > 2.0 * whole
+    quiet = 0.02 * rng.standard_normal(600)
+    every_other = np.where(np.arange(600) % 2 == 0, quiet, np.nan)
+    assert noise_level(every_other) == pytest.approx(0.02, rel=0.15)
+    assert noise_level(np.full(600, np.nan)) == 0.0
+    assert noise_level(np.array([])) == 0.0
+
+
 def test_noise_level_ignores_edges() -> None:
     rng = np.random.default_rng(1)
     for sigma in (0.03, 0.07, 0.3):

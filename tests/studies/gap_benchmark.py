@@ -165,6 +165,7 @@ def outcome(result: GapResult) -> dict[str, Any]:
             "score": round(s.score, 2),
             "threshold": round(s.threshold, 2),
             "estimates": {n: v for n, (v, _) in s.estimates.items()},
+            "bounds": {n: b for n, (_, b) in s.estimates.items()},
             "closed": s.gap.closed,
             "held": None if s.holdout is None else s.holdout.closed,
         }

@@ -46,14 +46,13 @@ def describe_unknown(step: Step) -> str:
         return describe_events(step.shape)
     if isinstance(step.shape, Held):
         return describe_held(step.shape)
+    where = step.where
+    place = (
+        f"it lives in {', '.join(where.channels)} ({where.regime})" if where.channels else "no channel shows it alone"
+    )
+    when = f", for example at {where.segments[0][0]:.1f} to {where.segments[0][1]:.1f} s" if where.segments else ""
     text = (
-        f"Something the catalogue does not hold: it lives in {', '.join(step.where.channels)} ({step.where.regime})"
-        + (
-            f", for example at {step.where.segments[0][0]:.1f} to {step.where.segments[0][1]:.1f} s"
-            if step.where.segments
-            else ""
-        )
-        + ". No name is given, because none explains enough of it."
+        f"Something the catalogue does not hold: {place}{when}. No name is given, because none explains enough of it."
     )
     if isinstance(step.shape, Late):
         s = step.shape

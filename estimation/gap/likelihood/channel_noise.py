@@ -9,6 +9,7 @@ from estimation.gap.records.flight_records import Record
 from estimation.gap.records.nuisance import RATE_OF
 from estimation.signals.preprocess import noise_level
 
+KNOWN = 0.2  # of the steps from sample to sample, for what is seen of them to stand for the rest
 QUIETEST = 1e-4  # of the span of a channel: a coarsely rounded one shows no scatter at all
 
 
@@ -21,7 +22,7 @@ def channel_noise(records: Sequence[Record]) -> Array:
         for i in range(ny):
             seen = record.z[np.isfinite(record.z[:, i]), i]
             if seen.size:
-                levels[k, i] = noise_level(seen)
+                levels[k, i] = noise_level(record.z[:, i])
                 span[i] = max(span[i], float(np.ptp(seen)))
     return np.maximum(np.median(levels, axis=0), QUIETEST * np.maximum(span, 1e-9))
 
@@ -54,20 +55,12 @@ def bank_error(records: Sequence[Record], outputs: Sequence[str], scatter: Array
     p, r, phi = (outputs.index(n) for n in ("p", "r", "phi"))
     errors = []
     for record in records:
-        if not {"q", "theta"} <= set(record.inputs) or not np.isfinite(record.z[:, [p, r, phi]]).all():
+        if not {"q", "theta"} <= set(record.inputs):
             continue
         bank = record.z[:, phi]
         turn = record.inputs["q"] * np.sin(bank) + record.z[:, r] * np.cos(bank)
-        rate = record.z[:, p] + np.tan(record.inputs["theta"]) * turn
-        dt = np.diff(record.time)
-        integrated = np.concatenate([[0.0], np.cumsum(0.5 * dt * (rate[1:] + rate[:-1]))])
-        line = np.polyfit(record.time, bank - integrated, 1)
-        errors.append(float(np.std(bank - integrated - np.polyval(line, record.time))))
-    if not errors:
-        return scatter
-    wider = scatter.copy()
-    wider[phi] = max(scatter[phi], float(np.median(errors)))
-    return wider
+        errors.append(slow_error(record.time, bank, record.z[:, p] + np.tan(record.inputs["theta"]) * turn))
+    return _widened(scatter, phi, errors)
 
 
 def pitch_error(records: Sequence[Record], outputs: Sequence[str], scatter: Array) -> Array:
@@ -78,18 +71,29 @@ def pitch_error(records: Sequence[Record], outputs: Sequence[str], scatter: Arra
     q, theta = outputs.index("q"), outputs.index("theta")
     errors = []
     for record in records:
-        if not np.isfinite(record.z[:, [q, theta]]).all():
-            continue
         bank, yaw = (_measured(record, outputs, n) for n in ("phi", "r"))
         rate = record.z[:, q] * np.cos(bank) - yaw * np.sin(bank)
-        dt = np.diff(record.time)
-        integrated = np.concatenate([[0.0], np.cumsum(0.5 * dt * (rate[1:] + rate[:-1]))])
-        apart = record.z[:, theta] - integrated
-        errors.append(float(np.std(apart - np.polyval(np.polyfit(record.time, apart, 1), record.time))))
-    if not errors:
-        return scatter
+        errors.append(slow_error(record.time, record.z[:, theta], rate))
+    return _widened(scatter, theta, errors)
+
+
+def slow_error(time: Array, angle: Array, rate: Array) -> float | None:
+    """rms of how far a measured angle (N,) parts from its integrated rate (N,), without a constant and a drift. What it does
+    between samples of which one is missing (NaN) is taken to be as wrong as the rest; None where most of it is missing."""
+    dt = np.diff(time)
+    apart = np.diff(angle) - 0.5 * dt * (rate[1:] + rate[:-1])
+    known = np.isfinite(apart)
+    if np.mean(known) < KNOWN:
+        return None
+    course = np.concatenate([[0.0], np.cumsum(np.where(known, apart, 0.0))]) / np.mean(known)
+    return float(np.std(course - np.polyval(np.polyfit(time, course, 1), time)))
+
+
+def _widened(scatter: Array, column: int, errors: Sequence[float | None]) -> Array:
+    """`scatter` with the usual one of the errors that are known for a column, where that is more."""
+    told = [e for e in errors if e is not None]
     wider = scatter.copy()
-    wider[theta] = max(scatter[theta], float(np.median(errors)))
+    wider[column] = max(scatter[column], float(np.median(told))) if told else scatter[column]
     return wider
 
 

@@ -251,7 +251,7 @@ def with_own_noise(records: Sequence[Record], training: int, criteria: Criteria)
 
     A quieter one is left as usual: the scatter of few samples may look quiet by chance, and trusting it too much names effects.
     """
-    levels = np.array([[_level(r.z[:, c]) for c in range(r.z.shape[1])] for r in records])
+    levels = np.array([[noise_level(r.z[:, c]) for c in range(r.z.shape[1])] for r in records])
     usual = np.median([row for row, r in zip(levels, records, strict=True) if r.flight < training], axis=0)
     marked = []
     for record, row in zip(records, levels, strict=True):
@@ -259,8 +259,3 @@ def with_own_noise(records: Sequence[Record], training: int, criteria: Criteria)
         louder = np.where(ratio > criteria.louder_channel, ratio, 1.0) ** 2
         marked.append(replace(record, louder=louder) if (louder > 1.0).any() else record)
     return tuple(marked)
-
-
-def _level(values: Array) -> float:
-    seen = values[np.isfinite(values)]
-    return noise_level(seen) if seen.size else 0.0

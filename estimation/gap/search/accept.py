@@ -1,7 +1,9 @@
 """When a fitted hypothesis becomes an effect: significant, better than nameless, repeated, and held on unseen flights."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
 
 from estimation.gap.answer.result import Rejected
 from estimation.gap.criteria import Criteria
@@ -50,12 +52,37 @@ def confirmed(setting: Setting, round_: Round, candidate: Candidate, nameless: f
     if not repeats(cross, strong, timing, flight_gains(round_, candidate)):
         return None, "does not hold on the training flights it was not fitted to"
     child = setting.child(round_.baseline, candidate)
+    estimates = estimates_of(round_, candidate, child)
+    if not known(estimates, none_of(candidate, round_.baseline), criteria):
+        found = ", ".join(f"{n} = {value:.3g} +- {bound:.2g}" for n, (value, bound) in estimates.items())
+        return None, f"{found} cannot be told from no effect"
     held = held_gain(round_.baseline, child)
     sure = min(candidate.score, float(round_.standardised()[number]))
     spare = math.inf if strong or timing else to_spare(sure, round_.threshold)
     if not holds(None if held is None else held / own_inflation(candidate), spare, criteria):
         return None, "does not hold on the held-out flights"
     return child, ""
+
+
+def estimates_of(round_: Round, candidate: Candidate, child: Baseline) -> dict[str, tuple[float, float]]:
+    """Unknown of a candidate -> value and bound in the model that has it, as widely as the nulls scatter."""
+    inflation = {h.key: v for h, v in zip(round_.screen.hypotheses, round_.inflation, strict=True)}
+    wider, std = float(np.sqrt(inflation.get(candidate.hypothesis.key, 1.0))), child.fit.std()
+    return {
+        p.name: (float(child.fit.values[p.name]), wider * float(std[p.name]))
+        for p in candidate.hypothesis.form.parameters
+    }
+
+
+def none_of(candidate: Candidate, baseline: Baseline) -> dict[str, float]:
+    """Unknown of a candidate -> its value where there is no effect."""
+    return {p.name: p.null_value(baseline.problem.model) for p in candidate.hypothesis.form.parameters}
+
+
+def known(estimates: Mapping[str, tuple[float, float]], none: Mapping[str, float], criteria: Criteria) -> bool:
+    """Whether some unknown is so many bounds from no effect. What is significant is, but for an effect with states: what these
+    begin with gains too."""
+    return any(abs(value - none[n]) > criteria.known_size * bound for n, (value, bound) in estimates.items())
 
 
 def explains(gain: float, nameless: float, criteria: Criteria) -> bool:

@@ -19,6 +19,7 @@ SIZE, FOLLOWER = "nameless_late", "nameless_follower"
 SWING, FREQUENCY, DAMPING = "nameless_swing", "nameless_frequency", "nameless_damping"
 LEAST_DAMPING, MOST_DAMPING = 0.005, 1.0
 OCTAVE = 2.0  # to either side of the frequency it was found at
+NEAR_LIMIT = 1.01  # times a limit: stopped there by it
 
 
 def hypothesis_of(follower: Follower, flown: Flown) -> tuple[Hypothesis, dict[str, float]]:
@@ -81,11 +82,14 @@ def settled(follower: Follower | None, baseline: Baseline) -> Follower | None:
 
 
 def as_fitted(follower: Follower, found: Fit, criteria: Criteria) -> Follower | None:
-    """A lag as it is, a swing with what was fitted; none where that does not ring."""
+    """A lag as it is, a swing with what was fitted; none where that does not ring, or where a limit stopped it: a tone that never
+    dies is driven by nothing, and one that is elsewhere than it was found is another."""
     if not isinstance(follower, Swing) or found.diverged:
         return follower
     fitted = _with_bounds(follower, found.values, found.std())
-    return fitted if rings(fitted.damping, criteria) else None
+    moved = max(fitted.frequency / follower.frequency, follower.frequency / fitted.frequency)
+    inside = fitted.damping > LEAST_DAMPING * NEAR_LIMIT and moved < OCTAVE / NEAR_LIMIT
+    return fitted if inside and rings(fitted.damping, criteria) else None
 
 
 def _with_bounds(swing: Swing, values: Mapping[str, float], std: Mapping[str, float]) -> Swing:

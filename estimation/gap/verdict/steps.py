@@ -11,7 +11,7 @@ from estimation.gap.effects.base import Effect
 from estimation.gap.likelihood.baseline import Baseline
 from estimation.gap.likelihood.fitting import fit
 from estimation.gap.records.nuisance import timing_of
-from estimation.gap.search.accept import by_timing
+from estimation.gap.search.accept import by_timing, estimates_of
 from estimation.gap.search.search_state import Finding, Setting
 from estimation.gap.search.select import credible_set
 from estimation.gap.tests_of_fit.measure import Floors, rms_over_noise
@@ -61,16 +61,13 @@ def step_of(setting: Setting, finding: Finding, floor: Floors) -> Step:
     held = None
     if held_before is not None and held_after is not None and floor.holdout_median is not None:
         held = Gap(rms_over_noise(*held_before, scatter), rms_over_noise(*held_after, scatter), floor.holdout_median)
-    std = child.fit.std()
-    inflation = {h.key: v for h, v in zip(finding.round_.screen.hypotheses, finding.round_.inflation, strict=True)}
-    wider = float(np.sqrt(inflation.get(finding.candidate.hypothesis.key, 1.0)))
     titles = {e.name: e for e in setting.effects}
     return Step(
         effect=effect.name, title=effect.title, form=form.label,
         confidence=dict(members)[effect.name],
         members=tuple(Weighed(n, w, titles[n].title, titles[n].separate_by) for n, w in members),
         separate_by=_separate(effect, [n for n, _ in members]),
-        estimates={p.name: (float(child.fit.values[p.name]), wider * float(std[p.name])) for p in form.parameters},
+        estimates=estimates_of(finding.round_, finding.candidate, child),
         units={p.name: p.unit for p in form.parameters},
         score=finding.candidate.score, threshold=finding.round_.threshold,
         where=locate(parent, child, form),

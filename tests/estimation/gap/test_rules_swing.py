@@ -68,7 +68,7 @@ def test_a_swing_is_text_that_a_model_can_take(model: str) -> None:
     assert "nameless_swing_q_dot*q_dot + nameless_swing_ax*ax" in made.definitions["nameless_swing_rate_dot"]
 
 
-def test_a_swing_that_a_fit_damps_away_is_none_and_a_runaway_fit_says_nothing() -> None:
+def test_a_swing_that_a_fit_damps_away_or_stops_at_a_limit_is_none_and_a_runaway_fit_says_nothing() -> None:
     fit: Any = SimpleNamespace(
         diverged=False,
         values={"nameless_swing_q_dot": 1e-3, "nameless_swing_ax": 2e-3, FREQUENCY: 8.5, DAMPING_NAME: 0.06},
@@ -77,8 +77,10 @@ def test_a_swing_that_a_fit_damps_away_is_none_and_a_runaway_fit_says_nothing() 
     fitted = as_fitted(FOUND, fit, AS_SET)
     assert isinstance(fitted, Swing)
     assert (fitted.frequency, fitted.damping, fitted.frequency_std, fitted.by["ax"]) == (8.5, 0.06, 0.04, 2e-3)
-    fit.values = {**fit.values, DAMPING_NAME: 0.6}
-    assert as_fitted(FOUND, fit, AS_SET) is None
+    inside = fit.values
+    for there in ({DAMPING_NAME: 0.6}, {DAMPING_NAME: 0.005}, {FREQUENCY: 18.0}, {FREQUENCY: 4.5}):  # FOUND at 9 rad/s
+        fit.values = {**inside, **there}
+        assert as_fitted(FOUND, fit, AS_SET) is None
     fit.diverged = True
     assert as_fitted(FOUND, fit, AS_SET) is FOUND
 
