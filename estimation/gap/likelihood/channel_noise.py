@@ -55,17 +55,17 @@ def bank_error(records: Sequence[Record], outputs: Sequence[str], scatter: Array
     p, r, phi = (outputs.index(n) for n in ("p", "r", "phi"))
     errors = []
     for record in records:
-        if not {"q", "theta"} <= set(record.inputs):
+        if not {"q", "theta"} <= {*record.inputs, *outputs}:
             continue
-        bank = record.z[:, phi]
-        turn = record.inputs["q"] * np.sin(bank) + record.z[:, r] * np.cos(bank)
-        errors.append(slow_error(record.time, bank, record.z[:, p] + np.tan(record.inputs["theta"]) * turn))
+        bank, (pitching, pitch) = record.z[:, phi], (_measured(record, outputs, n) for n in ("q", "theta"))
+        turn = pitching * np.sin(bank) + record.z[:, r] * np.cos(bank)
+        errors.append(slow_error(record.time, bank, record.z[:, p] + np.tan(pitch) * turn))
     return _widened(scatter, phi, errors)
 
 
 def pitch_error(records: Sequence[Record], outputs: Sequence[str], scatter: Array) -> Array:
     """`scatter` with the noise of the pitch attitude replaced by its slow error where the attitude is a filter's: see
-    `bank_error`. Bank and yaw rate come from the outputs or the inputs, and are zero where neither has them."""
+    `bank_error`."""
     if "q" not in outputs or "theta" not in filtered_attitudes(records, outputs, scatter):
         return scatter
     q, theta = outputs.index("q"), outputs.index("theta")
@@ -98,9 +98,10 @@ def _widened(scatter: Array, column: int, errors: Sequence[float | None]) -> Arr
 
 
 def _measured(record: Record, outputs: Sequence[str], name: str) -> Array:
-    if name in outputs:
-        return np.nan_to_num(record.z[:, outputs.index(name)])
-    return record.inputs.get(name, np.zeros(len(record)))
+    """(N,) an output or an input, zero where the flight has neither."""
+    still = np.zeros(len(record))
+    seen = record.z[:, outputs.index(name)] if name in outputs else still
+    return record.inputs.get(name, still) if name not in outputs else seen if np.isfinite(seen).any() else still
 
 
 def sample_interval(records: Sequence[Record]) -> float:
