@@ -8,7 +8,7 @@ import pytest
 from estimation.engine.kernel import Array
 from estimation.engine.transforms import apply_transforms
 from estimation.gap.criteria import AS_SET
-from estimation.gap.likelihood.channel_noise import filtered_attitudes
+from estimation.gap.likelihood.channel_noise import bank_error, filtered_attitudes, slow_error
 from estimation.gap.likelihood.whitening import (
     Linear,
     NoiseModel,
@@ -48,6 +48,47 @@ def test_rate_may_be_an_input() -> None:
     one = replace(record(True), input_noise={"p": 0.007})
     assert filtered_attitudes([one], ("beta", "phi"), np.array([0.004, 1e-4])) == ("phi",)
     assert filtered_attitudes([one], ("beta", "phi"), np.array([0.004, 2e-3])) == ()
+
+
+def wandering(across: bool, lost: float = 0.0) -> tuple[Record, tuple[str, ...], Array]:
+    """A turning aircraft whose bank angle is a filter's and wanders; (record, outputs, noise). across: pitch is an output too."""
+    rng, time = np.random.default_rng(2), STEP * np.arange(600)
+    bank_rate = 0.2 * np.sin(0.6 * time)
+    q, r = np.full(600, 0.1), np.full(600, 0.15)
+    true = np.concatenate([[0.0], np.cumsum(0.5 * STEP * (bank_rate[1:] + bank_rate[:-1]))])
+    theta = np.full(600, 0.2)
+    p = bank_rate - np.tan(theta) * (q * np.sin(true) + r * np.cos(true))
+    noise = dict.fromkeys(("p", "r", "q"), 0.005)
+    seen = {
+        n: v + noise.get(n, 0.0) * rng.standard_normal(600) for n, v in {"p": p, "r": r, "q": q, "theta": theta}.items()
+    }
+    seen |= {"phi": true + 0.004 * np.sin(2.0 * np.pi * time / 12.0), "beta": 0.0 * time, "ay": 0.0 * time}
+    outputs = (*OUTPUTS, "q", "theta") if across else OUTPUTS
+    z = np.column_stack([seen[n] for n in outputs])
+    z[rng.random(600) < lost] = np.nan
+    inputs = {} if across else {n: seen[n] for n in ("q", "theta")}
+    white = np.array([{"phi": 1e-4, "theta": 1e-4, "beta": 1e-3, "ay": 1e-2}.get(n, 0.005) for n in outputs])
+    return Record(0, 0, time, inputs, z, np.zeros(4), {}), outputs, white
+
+
+@pytest.mark.parametrize("across", [False, True])
+@pytest.mark.parametrize("lost", [0.0, 0.1, 0.3])
+def test_how_far_a_filter_wanders_is_known_in_every_model_and_with_rows_lost(across: bool, lost: float) -> None:
+    one, outputs, white = wandering(across, lost)
+    assert "phi" in filtered_attitudes([one], outputs, white)
+    wider = bank_error([one], outputs, white)
+    at = outputs.index("phi")
+    assert wider[at] == pytest.approx(0.004 / np.sqrt(2.0), rel=0.35)  # a sine, and what gyro noise adds up to
+    assert np.array_equal(np.delete(wider, at), np.delete(white, at))
+
+
+def test_a_slow_error_that_hardly_any_step_shows_is_not_known() -> None:
+    time = STEP * np.arange(600)
+    every_third = np.where(np.arange(600) % 3 == 0, 0.0, np.nan)
+    assert slow_error(time, every_third, np.zeros(600)) is None
+    assert slow_error(time, np.zeros(600), np.zeros(600)) == pytest.approx(0.0, abs=1e-12)
+    one, outputs, white = wandering(False)
+    assert np.array_equal(bank_error([replace(one, inputs={})], outputs, white), white)  # nothing is known of its pitch
 
 
 def linear() -> Linear:

@@ -9,6 +9,7 @@ import pytest
 from estimation.gap.answer.result import Gap, Step, Verdict, Where
 from estimation.gap.criteria import AS_SET
 from estimation.gap.effects import catalogue
+from estimation.gap.effects.base import EffectParameter
 from estimation.gap.errors import GapError
 from estimation.gap.search import accept as accepting
 from estimation.gap.search.accept import confirmed
@@ -36,20 +37,25 @@ def asked(
     held: float | None = 1.0,
     timing: bool = False,
     linear: float | None = None,
+    bounds: float = 5.0,
 ) -> tuple[Any, str]:
-    """A linear candidate beside a nameless term that gains 100, threshold 4."""
+    """A linear candidate beside a nameless term that gains 100, threshold 4; its estimate so many bounds from none at 1, which
+    the nulls scatter four times as far."""
     patch.setattr(accepting, "held_gain", lambda *given: held)
     patch.setattr(accepting, "by_timing", lambda *given: timing)
     patch.setattr(accepting, "flight_gains", lambda *given: [50.0, 50.0])
-    hypothesis = stub(form=stub(nonlinear=False), label="x")
+    parameter = EffectParameter("x", "s", 2.0, -10.0, 10.0, none=1.0)
+    hypothesis = stub(form=stub(nonlinear=False, parameters=(parameter,)), label="x", key=("x", "x"))
+    child = stub(fit=stub(values={"x": 1.0 - bounds}, std=lambda: {"x": 0.5}))
     round_ = stub(
         criteria=AS_SET,
         threshold=4.0,
-        baseline=None,
+        baseline=stub(problem=stub(model=None)),
+        inflation=np.array([4.0]),
         screen=stub(hypotheses=[hypothesis], cross_gain=lambda h: cross),
         standardised=lambda: np.array([score if linear is None else linear]),
     )
-    setting = stub(child=lambda *given: "child", prepared=None)
+    setting = stub(child=lambda *given: child, prepared=None)
     return confirmed(setting, round_, stub(score=score, gain=gain, hypothesis=hypothesis), 100.0)
 
 
@@ -69,12 +75,14 @@ def asked(
         ({"held": -18.0, "score": 7.0}, ""),  # a gain of 100 at a score of 7: inflated twice, held out too
         ({"held": -19.0, "score": 7.0}, "does not hold on the held-out flights"),
         ({"held": None}, ""),
+        ({"bounds": 2.05}, ""),
+        ({"bounds": 1.95}, "x = -0.95 +- 1 cannot be told from no effect"),  # the states it begins anew gained the rest
     ],
 )
 def test_what_is_refused_says_why(monkeypatch: pytest.MonkeyPatch, known: dict[str, Any], why: str) -> None:
     child, said = asked(monkeypatch, **known)
     assert said.startswith(why)
-    assert (child == "child") is (why == "")
+    assert (child is not None) is (why == "")
 
 
 # ------------------------------------------------------------------------------------------------ facts and words
