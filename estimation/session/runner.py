@@ -17,6 +17,7 @@ from estimation.session.scatter import scatter
 from estimation.session.session import FlightEstimates, Session
 from estimation.session.verdict import verdict
 from groundstation.flight import Flight
+from groundstation.flight.quality.plausibility import suspicions
 from groundstation.flight.quality.same_record import one_record_twice
 
 NUMERICAL = (LinAlgError, ArithmeticError)
@@ -74,20 +75,30 @@ def estimate(
 def _judged(session: Session) -> Session:
     """The session with a verdict on each flight, and on the joint estimate where there is one."""
     found = {f.flight.name: _reconstructed_angles(session.model, f.flight) for f in session.flights}
+    odd = {f.flight.name: _odd_columns(session.model, f.flight) for f in session.flights}
     flights = tuple(
-        replace(f, verdict=verdict(f.results, f.failures, reconstructed=found[f.flight.name])) for f in session.flights
+        replace(f, verdict=verdict(f.results, f.failures, reconstructed=found[f.flight.name], odd=odd[f.flight.name]))
+        for f in session.flights
     )
     if not session.joint and not session.joint_failures:
         return replace(session, flights=flights)
     any_of = tuple(sorted(set().union(*found.values())))
     members = {m: [f.results[m] for f in session.flights if m in f.results] for m in session.methods}
-    return replace(session, flights=flights, verdict=verdict(session.joint, session.joint_failures, members, any_of))
+    every = [f"{name}: {text}" for name, texts in odd.items() for text in texts]
+    said = verdict(session.joint, session.joint_failures, members, any_of, every)
+    return replace(session, flights=flights, verdict=said)
 
 
 def _reconstructed_angles(model: Model, flight: Flight) -> tuple[str, ...]:
     """Flow angles of the model that `sideslip reconstruct` has put into the flight."""
     used = {s.source for s in (*model.inputs, *model.outputs, *model.states)}
     return tuple(sorted(used & set(flight.reconstructed) & {"alpha", "beta"}))
+
+
+def _odd_columns(model: Model, flight: Flight) -> tuple[str, ...]:
+    """What the record of a flight itself shows of columns of the model that are of another unit or sign."""
+    used = {"time", *(s.source for s in (*model.inputs, *model.outputs, *model.states))}
+    return tuple(s.text for s in suspicions(flight.time, flight.columns) if used & set(s.columns))
 
 
 def _tried(estimator: Estimator, task: Task) -> Outcome:

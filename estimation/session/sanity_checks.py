@@ -27,6 +27,7 @@ class DoubtKind(Enum):
     UNEXPLAINED = "unexplained channel"
     SIGN = "sign of a control"
     CHANNEL_SIGN = "sign of a channel"
+    CHANNEL = "unit or sign of a channel"
     UNIT = "unit of a control"
     FAILED = "failed"
     PROCESS_NOISE = "process noise"

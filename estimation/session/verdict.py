@@ -92,13 +92,18 @@ def verdict(
     failures: Mapping[str, str] | None = None,
     members: Mapping[str, Sequence[Result]] | None = None,
     reconstructed: Sequence[str] = (),
+    odd: Sequence[str] = (),
 ) -> Verdict:
     """The verdict on the results of several methods on the same data. members: of a joint estimate, each flight's by method.
 
     reconstructed: flow angles that the model uses and that were not measured but found from the other instruments. They lack
     the gusts: methods that take them for the angles flown miss by bounds (docs/compatibility.md), output error hardly does.
+    odd: what the records themselves show to be of another unit or sign, which no result is any better than.
     """
     case = _Case(results, reconstructed=" and ".join(reconstructed))
+    for text in odd:
+        case.doubts.append(Doubt(DoubtKind.CHANNEL, text))
+        case.against = dict.fromkeys(results, text) | case.against
     if reconstructed:
         what = f"{case.reconstructed} reconstructed, not measured, without the gusts, which only output error bears"
         for method in (m for m in results if m not in TRUSTED_RECONSTRUCTED):

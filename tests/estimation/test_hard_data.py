@@ -20,6 +20,7 @@ from estimation.models import load_model
 from estimation.session import runner
 from estimation.session.flights import select_segments, separated
 from estimation.session.sanity_checks import DoubtKind
+from estimation.session.verdict import NOBODY
 from groundstation.flight import Flight, MissingColumnError, read_flight, write_flight
 from groundstation.flight.notes import texts
 
@@ -95,6 +96,20 @@ def test_a_channel_that_is_not_explained_is_named(made_flights: list[Flight]) ->
     assert doubt.text in session.flights[0].notes
     session = runner.estimate(LATERAL, [made_flights[0]], load_aircraft("cdfp"))
     assert not any("check" in n for n in session.flights[0].notes)
+
+
+def test_a_left_handed_roll_is_told_by_the_record_itself(root: Path) -> None:
+    """Bank and rate agree with each other, and the fit runs nowhere that would tell which channel it is."""
+    one, other = (read_flight(root / "recordings" / "foreign" / f"ordinary_{i}.csv") for i in range(2))
+    left = one.with_columns(p=-one["p"], phi=-one["phi"])
+    session = runner.estimate(LATERAL, [left, other], load_aircraft("cdfp"), joint=True)
+    verdicts = [v for v in (*(f.verdict for f in session.flights), session.verdict) if v is not None]
+    assert [v.recommended.method for v in verdicts] == [NOBODY, "ml", NOBODY]
+    odd = [[d.to_json() for d in v.doubts if d.kind is DoubtKind.CHANNEL] for v in verdicts]
+    assert odd[0][0]["kind"] == "unit or sign of a channel"
+    assert odd[0][0]["text"].startswith("phi, p: turned, it would agree with the sideways motion")
+    assert not odd[1]
+    assert odd[2] == [odd[0][0] | {"text": f"{left.name}: {odd[0][0]['text']}"}]
 
 
 @pytest.mark.parametrize(

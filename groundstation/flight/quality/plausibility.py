@@ -13,9 +13,16 @@ from daq.contract.channels import COLUMN_BY_NAME
 
 Array = NDArray[np.float64]
 Columns = Mapping[str, Array]
+Turned = Mapping[tuple[str, ...], tuple[str, list[tuple[Array, Array]]]]
+"""Columns -> what they would agree with, and motion against its cause in every window, with them turned."""
 
 GRAVITY = 9.80665
 _DEG = 180 / np.pi
+
+AGREE, LEFT = (
+    0.85,
+    1.0 / 3.0,
+)  # share of a motion explained with a sign turned, and of what is not explained as it is that is left
 
 _GRAVITY_IN = {"g": 1.0, "ft/s2": 32.174, "mg (or cm/s2)": 990.0}
 _ANGLES = ("phi", "theta", "psi", "alpha", "beta", "delta_e", "delta_a", "delta_r", "cmd_e", "cmd_a", "cmd_r")
@@ -59,6 +66,7 @@ def suspicions(time: Array, columns: Columns) -> list[Suspicion]:
         _pressure_speed(present),
         _ground_speed(present),
         _sideways(time, present),
+        _upwards(time, present),
     )
     with np.errstate(
         over="ignore", divide="ignore", invalid="ignore"
@@ -196,9 +204,9 @@ def _sideways(time: Array, c: Columns) -> Iterator[Suspicion]:
         return
     alpha = c["alpha"] if "alpha" in c and float(np.nanmax(np.abs(c["alpha"]))) < 1 else np.zeros_like(c["V"])
     v, force, weight = c["V"] * c["beta"], c["ay"], GRAVITY * np.sin(c["phi"]) * np.cos(c["theta"])
-    turned = c["V"] * (c["r"] * np.cos(alpha) - c["p"] * np.sin(alpha))
-    windows = list(_windows(time, v, turned, force, weight))
-    slope, agreement = _line([(v + _summed(t, b), _summed(t, f + g)) for t, v, b, f, g in windows])
+    yawing, rolling = c["V"] * c["r"] * np.cos(alpha), c["V"] * c["p"] * np.sin(alpha)
+    windows = list(_windows(time, v, yawing, rolling, force, weight))
+    slope, agreement = _line([(v + _summed(t, r - p), _summed(t, f + g)) for t, v, r, p, f, g in windows])
     if agreement > 0.8 and slope > 0 and "p_dynamic" not in c:
         units = [u for u, factor in _SPEED_UNITS.items() if abs(1 / (slope * factor) - 1) < 0.08]
         if units:
@@ -207,11 +215,45 @@ def _sideways(time: Array, c: Columns) -> Iterator[Suspicion]:
                 ("V",), f"{1 / slope:.3g} times the speed at which the aircraft turns and slips; is it in {likely}?"
             )
             return
-    other, better = _line([(_summed(t, b) - v, _summed(t, f + g)) for t, v, b, f, g in windows])
-    if better > 0.85 and 0.75 < other < 1.25 and agreement < 0.3:
+    bank: tuple[str, ...] = ("phi", "p") if (_integral_slope(time, c["phi"], c["p"]) or 0.0) >= 0.0 else ("phi",)
+    rolled = -1.0 if "p" in bank else 1.0
+    turned: Turned = {  # the force is the smallest part, and tells no sign of its own
+        ("beta",): ("ay, r and phi", [(_summed(t, r - p) - v, _summed(t, f + g)) for t, v, r, p, f, g in windows]),
+        bank: ("ay, r and beta", [(v + _summed(t, r - rolled * p), _summed(t, f - g)) for t, v, r, p, f, g in windows]),
+        ("r",): ("ay, phi and beta", [(v - _summed(t, r + p), _summed(t, f + g)) for t, v, r, p, f, g in windows]),
+    }
+    yield from _turned("sideways", agreement if slope > 0 else 0.0, turned)
+
+
+def _upwards(time: Array, c: Columns) -> Iterator[Suspicion]:
+    """Motion along z: V alpha grows by q u - p v + g cos(phi) cos(theta) + az. Tells the sign of a vane and of a gyro."""
+    if not all(n in c for n in ("az", "q", "theta", "alpha", "V")):
+        return
+    still = np.zeros_like(c["V"])
+    bank, rolling, slip = (c.get(n, still) for n in ("phi", "p", "beta"))
+    if any(float(np.nanmax(np.abs(angle))) > 1.6 for angle in (c["theta"], c["alpha"], bank)):
+        return
+    w, pitching = c["V"] * np.sin(c["alpha"]), c["V"] * np.cos(c["alpha"]) * c["q"]
+    force = c["az"] + GRAVITY * np.cos(c["theta"]) * np.cos(bank) - rolling * c["V"] * slip
+    windows = list(_windows(time, w, pitching, force))
+    slope, agreement = _line([(w - _summed(t, q), _summed(t, f)) for t, w, q, f in windows])
+    pitch: tuple[str, ...] = ("q", "theta") if (_integral_slope(time, c["theta"], c["q"]) or 0.0) >= 0.0 else ("q",)
+    turned: Turned = {
+        ("alpha",): ("az and q", [(-w - _summed(t, q), _summed(t, f)) for t, w, q, f in windows]),
+        pitch: ("az and alpha", [(w + _summed(t, q), _summed(t, f)) for t, w, q, f in windows]),
+    }
+    yield from _turned("vertical", agreement if slope > 0 else 0.0, turned)
+
+
+def _turned(motion: str, agreement: float, turned: Turned) -> Iterator[Suspicion]:
+    """The columns that, turned, would make a motion agree. agreement: share of it explained as it is. An angle and its rate that
+    agree with each other, as of a left-handed roll, are turned together."""
+    found = [(columns, others, *_line(pairs)) for columns, (others, pairs) in turned.items()]
+    columns, others, slope, share = max(found, key=lambda f: f[3] if abs(f[2] - 1.0) < 0.25 else 0.0)
+    if share > AGREE and abs(slope - 1.0) < 0.25 and (1.0 - share) < LEFT * (1.0 - agreement):
+        wrong = "is its sign" if len(columns) == 1 else f"are the signs of {' and '.join(columns)}"
         yield Suspicion(
-            ("beta",),
-            "turned, it would agree with the sideways motion that ay, r and phi make; is its sign wrong (sign = -1)?",
+            columns, f"turned, it would agree with the {motion} motion that {others} make; {wrong} wrong (sign = -1)?"
         )
 
 

@@ -10,6 +10,7 @@ from click.testing import CliRunner
 from groundstation.cli.data import import_
 from groundstation.flight import read_flight, write_flight
 from groundstation.flight.notes import texts
+from groundstation.flight.quality.plausibility import suspicions
 from groundstation.importers.errors import ImportDataError
 from groundstation.importers.mapping import load_map
 from groundstation.importers.run import import_data
@@ -191,11 +192,38 @@ def test_speed_in_another_unit_is_told_by_how_the_aircraft_turns(
         import_data(write_csv(tmp_path / "log.csv", wrong))
 
 
-@pytest.mark.parametrize(("column", "words"), [("beta", "beta: turned, it would agree"), ("r", "r: turns against psi")])
-def test_signs_that_contradict_the_motion(root: Path, tmp_path: Path, column: str, words: str) -> None:
+@pytest.mark.parametrize(
+    ("columns", "words"),
+    [
+        ("beta", "beta: turned, it would agree with the sideways motion"),
+        ("r", "r: turns against psi"),
+        ("r psi", "r: turned, it would agree with the sideways motion that ay, phi and beta make"),
+        ("p phi", "phi, p: turned, it would agree .* are the signs of phi and p wrong"),
+        ("phi", "phi: turned, it would agree .* is its sign wrong"),
+    ],
+)
+def test_signs_that_contradict_the_motion(root: Path, tmp_path: Path, columns: str, words: str) -> None:
     sound = sideways_flight(root)
     with pytest.raises(ImportDataError, match=words):
-        import_data(write_csv(tmp_path / "log.csv", {**sound, column: -sound[column]}))
+        import_data(write_csv(tmp_path / "log.csv", {**sound, **{c: -sound[c] for c in columns.split()}}))
+
+
+@pytest.mark.parametrize(
+    ("columns", "said"),
+    [("", []), ("alpha", ["alpha"]), ("q theta", ["q, theta"]), ("q", ["q", "q"]), ("theta", ["q"]), ("az", ["az"])],
+)
+def test_signs_that_contradict_vertical_motion(columns: str, said: list[str]) -> None:
+    """A phugoid and a short period of a point mass: V alpha grows by V q + g cos(theta) + az."""
+    rng, time = np.random.default_rng(1), 0.05 * np.arange(601)
+    alpha = 0.06 + 0.03 * np.sin(2.1 * time) + 0.01 * np.sin(0.5 * time)
+    q = 0.1 * np.sin(1.9 * time + 0.3) + 0.03 * np.sin(0.7 * time)
+    theta = 0.05 + np.concatenate([[0.0], np.cumsum(0.025 * (q[1:] + q[:-1]))])
+    speed = np.full(601, 16.0)
+    made = {"alpha": alpha, "q": q, "theta": theta, "V": speed, "ax": 0.0 * time, "ay": 0.0 * time}
+    made["az"] = np.gradient(speed * np.sin(alpha), time) - speed * np.cos(alpha) * q - 9.80665 * np.cos(theta)
+    made = {n: v + 0.01 * v.std() * rng.standard_normal(601) for n, v in made.items()}
+    made |= {n: -made[n] for n in columns.split()}
+    assert [", ".join(s.columns) for s in suspicions(time, made)] == said
 
 
 @pytest.mark.parametrize("layout", ["spaces", "utf16", "decimal comma", "unit row", "shuffled"])
