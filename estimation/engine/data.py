@@ -238,15 +238,20 @@ def _inputs(
 
 
 def _bridges(columns: Sequence[tuple[str, Array]], pieces: list[tuple[int, int]]) -> list[Note]:
-    """A note on each input that lacks samples between others of a piece."""
-    notes = []
+    """A note on the inputs that lack samples between others of a piece, those that lack as many together."""
+    lacking: dict[int, list[str]] = {}
     for column, values in columns:
-        absent = sum(int(np.isnan(values[a:b]).sum()) for a, b in pieces)
-        if absent:
-            share = 100.0 * absent / sum(b - a for a, b in pieces)
-            text = f"{column} not measured at {absent} samples here and there ({share:.2g}%): taken on straight lines"
-            notes.append(Note(NoteKind.NOT_MEASURED, text))
-    return notes
+        lacking.setdefault(sum(int(np.isnan(values[a:b]).sum()) for a, b in pieces), []).append(column)
+    lacking.pop(0, None)
+    every = sum(b - a for a, b in pieces)
+    return [
+        Note(
+            NoteKind.NOT_MEASURED,
+            f"{', '.join(names)} not measured at {absent} samples here and there ({100.0 * absent / every:.2g}%): "
+            "taken on straight lines",
+        )
+        for absent, names in lacking.items()
+    ]
 
 
 def _rows(told: Conditioned, column: str, a: int, b: int) -> NDArray[np.int64]:

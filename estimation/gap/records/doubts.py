@@ -1,4 +1,5 @@
-"""What of the flights themselves is to be doubted: one record given twice, a column of another unit or sign, or not measured."""
+"""What of the flights themselves is to be doubted: one record given twice, a column of another unit or sign, or not measured,
+times that are not those of the samples."""
 
 from collections.abc import Sequence
 
@@ -25,7 +26,7 @@ def refuse_twice(training: Sequence[Flight], holdout: Sequence[Flight]) -> None:
 
 def doubts_of(flights: Sequence[Flight], model: Model) -> list[str]:
     """One sentence for every channel that the model needs and that looks like another unit or sign, or was found from the
-    others, and for uneven times, of each flight."""
+    others, for uneven times, and for sensors that were not brought to one time, of each flight."""
     used = {"time", *(s.source for s in (*model.inputs, *model.states, *model.outputs))}
     told = [f"{f.name}: {s.text}" for f in flights for s in suspicions(f.time, f.columns) if used & set(s.columns)]
     for flight in flights:
@@ -34,6 +35,11 @@ def doubts_of(flights: Sequence[Flight], model: Model) -> list[str]:
             said = f"its rows come {steps[0]:.0f} to {steps[1]:.0f} ms after one another"
             told.append(
                 f"{flight.name}: {said}: if that is the clock that stamped them and not the sampling, give even times"
+            )
+        if flight.provenance.detail.get("aligned") is False:
+            said = "its sensors stand at their own instants, some ms apart, for scans are missing"
+            told.append(
+                f"{flight.name}: {said}: a name for when or where an instrument measures may be that; give the recording on board"
             )
         if made := [c for c in flight.reconstructed if c in used]:
             said = f"{', '.join(made)} not measured but found from the motion, whose errors look like something that is missing"

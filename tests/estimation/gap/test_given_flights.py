@@ -229,6 +229,16 @@ def test_lost_rows_are_put_back_as_not_measured(finer: int) -> None:
     assert "rows lost here and there" in read.notes[-1].text
 
 
+def test_a_flight_whose_sensors_were_not_brought_to_one_time_says_so() -> None:
+    """As the ground has it after a radio that sent every second scan: a vane 9 ms late had been `vane_position`."""
+    model = load_model("lateral", "cdfp")
+    for aligned in (True, False):
+        given = Flight.build("f", TIME, {"p": noisy(1)}, provenance=Provenance(detail={"aligned": aligned}))
+        told = doubts_of([given], model)
+        assert len(told) == (0 if aligned else 1)
+    assert "at their own instants" in told[0]
+
+
 def stepping(seed: int) -> Array:
     """A surface that goes up and down again, and its pot."""
     course = np.where((np.arange(COUNT) >= 100) & (np.arange(COUNT) < 200), 0.1, 0.0)

@@ -2,6 +2,8 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,17 +14,21 @@ from estimation.gap.effects import catalogue
 from estimation.gap.effects.base import Effect, EffectParameter
 from estimation.gap.effects.catalogue import built_in
 from estimation.gap.effects.sizes import REFERENCE, at_size_of
+from estimation.gap.likelihood import baseline as baselines
 from estimation.gap.likelihood.baseline import Baseline, fit_afresh, fit_baseline
 from estimation.gap.likelihood.channel_noise import channel_noise, sample_interval
 from estimation.gap.likelihood.first_values import by_regression, first_values
 from estimation.gap.records.candidate_model import awakened
 from estimation.gap.records.flight_records import FlightRecords, prepare_flights
 from estimation.gap.records.nuisance import with_nuisance
+from estimation.gap.workflow import Options, run_gap
 from estimation.models.base import Model
 from estimation.models.load import load_model
 from groundstation.flight import Flight
 from tests.estimation.gap.roll import ROLL
 from tests.studies import second_truth as truth
+from tests.studies.gap_benchmark import flights as gap_flights
+from tests.studies.gap_benchmark import requests
 
 LATERAL = load_model("lateral", "cdfp")
 
@@ -138,3 +144,31 @@ def test_an_effect_with_a_state_of_its_own_is_fitted_afresh(right: Baseline) -> 
     assert again is not None
     assert again.fit.cost < 1.05 * right.fit.cost  # nothing is hidden, and the shortest lag of a vane is 15 ms
     assert by_regression(again.problem) == {}
+
+
+@pytest.mark.long
+def test_of_two_bases_as_good_the_one_whose_motion_dies_away_is_taken() -> None:
+    """A play of the rudder bends the base into positive yaw damping; another is as good, 0.4 of the log-likelihood behind. The
+    nulls of the first run away: nothing could be told from them (`cannot_tell`, 23 effects that could not have been seen)."""
+    given = gap_flights(truth.fly(requests({"rudder_backlash": 1.0}, 172028, 0.15, "rich")))
+    result = run_gap(LATERAL, given[:3], given[3:], options=Options(seed=1, nulls=40))
+    assert result.verdict == "gap_closed"
+    (step,) = result.steps
+    assert step.effect == "rudder_backlash"
+    assert step.score > 20.0
+    assert step.estimates["rudder_backlash"][0] == pytest.approx(0.017, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("growing", "other", "cost", "taken"),
+    [(0.14, -0.5, 99.0, False), (0.16, -0.5, 102.9, True), (0.16, -0.5, 103.1, False), (0.16, 0.09, 99.0, False)],
+)
+def test_another_fit_is_taken_where_it_is_as_good_and_calmer(
+    monkeypatch: pytest.MonkeyPatch, growing: float, other: float, cost: float, taken: bool
+) -> None:
+    own: Any = SimpleNamespace(cost=100.0, diverged=False)
+    again: Any = SimpleNamespace(cost=cost, diverged=False)
+    made: Any = SimpleNamespace(problem=SimpleNamespace(starts=dict), fit=own)
+    monkeypatch.setattr(baselines, "growth", lambda problem, found: growing if found is own else other)
+    monkeypatch.setattr(baselines, "fit", lambda problem, start: again)
+    assert (baselines._calmer(made) is again) is taken
