@@ -206,7 +206,12 @@ def fit_baseline(
     assert found is not None
     made = Baseline(problem, found, level, scatter, clean, prepared)
     other = _calmer(made) if begun is None else None
-    return made if other is None else fit_baseline(model, clean, prepared, scatter, other, level)
+    if other is None:
+        return made
+    try:
+        return fit_baseline(model, clean, prepared, scatter, other, level)
+    except GapError:  # it was as good with the noise of the first only
+        return made
 
 
 def _calmer(baseline: Baseline) -> Fit | None:

@@ -37,9 +37,10 @@ def doubts_of(flights: Sequence[Flight], model: Model) -> list[str]:
                 f"{flight.name}: {said}: if that is the clock that stamped them and not the sampling, give even times"
             )
         if flight.provenance.detail.get("aligned") is False:
-            said = "its sensors stand at their own instants, some ms apart, for scans are missing"
+            said = "its sensors stand at their own instants, some ms apart"
             told.append(
-                f"{flight.name}: {said}: a name for when or where an instrument measures may be that; give the recording on board"
+                f"{flight.name}: {said}: a name for when or where an instrument measures may be that; where scans are missing, "
+                "give the recording on board"
             )
         if made := [c for c in flight.reconstructed if c in used]:
             said = f"{', '.join(made)} not measured but found from the motion, whose errors look like something that is missing"

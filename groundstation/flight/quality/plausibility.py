@@ -19,10 +19,8 @@ Turned = Mapping[tuple[str, ...], tuple[str, list[tuple[Array, Array]]]]
 GRAVITY = 9.80665
 _DEG = 180 / np.pi
 
-AGREE, LEFT = (
-    0.85,
-    1.0 / 3.0,
-)  # share of a motion explained with a sign turned, and of what is not explained as it is that is left
+AGREE = 0.85  # share of a motion that has to be explained with a sign turned
+LEFT = 1.0 / 3.0  # of what is not explained as it is, at most, may be left then
 
 _GRAVITY_IN = {"g": 1.0, "ft/s2": 32.174, "mg (or cm/s2)": 990.0}
 _ANGLES = ("phi", "theta", "psi", "alpha", "beta", "delta_e", "delta_a", "delta_r", "cmd_e", "cmd_a", "cmd_r")
