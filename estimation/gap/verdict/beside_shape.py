@@ -2,9 +2,11 @@
 
 A name has to gain most of what the best nameless term does, so that what has no name is not given one. Where a shape has been
 found for it, it is explained: the rounds are gone through once more about the model with the shape, and where they name something
-the shape is sought again beside these names, so that it is fitted to what they leave.
+the shape is sought again beside these names, so that it is fitted to what they leave. What was no effect of the catalogue by
+itself may be one beside these names: the rounds are gone through about them without the shape, too.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from estimation.gap.answer.result import Rejected
@@ -83,6 +85,32 @@ def _shaped(
         return None, None
     model, clean = fitted.problem.model, standing.clean
     return shape, fit_baseline(model, clean, setting.prepared, setting.scatter, fitted.fit, standing.noise)
+
+
+def in_its_place(setting: Setting, search: SearchState, kept: Sequence[Finding], beside: Beside) -> SearchState | None:
+    """The search in which, with the names that stood beside a shape, the rounds name what the shape stood for; None where they
+    name nothing. Of two effects that are missing each can be too much of a rest for the other to be named beside it."""
+    standing, before = beside.standing, kept[-1].child if kept else search.rounds[0].baseline
+    room = setting.options.most - len(kept) - len(beside.findings)
+    if room <= 0:
+        return None
+    setting.tell("a name in place of the shape", 0.94)
+    options = replace(setting.options, most=room)
+    about = replace(setting, working=standing.model, clean=standing.clean, options=options, tell=_silent)
+    try:
+        more = run_rounds(about, standing)
+    except GapError:  # a motion that cannot be linearised: the shape stands
+        return None
+    if not more.findings:
+        return None
+    *others, last = beside.findings
+    last = replace(last, parent=last.parent if others else before, child=standing)
+    return SearchState(
+        (*kept, *others, last, *more.findings),
+        (*search.rounds, *more.rounds),
+        more.omnibus,
+        (*search.rejected, *beside.rejected, *more.rejected),
+    )
 
 
 def _silent(what: str, share: float) -> None:

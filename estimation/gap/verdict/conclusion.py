@@ -19,7 +19,7 @@ from estimation.gap.tests_of_fit.kinematic_check import KinematicCheck
 from estimation.gap.tests_of_fit.measure import Floors, rms_over_noise
 from estimation.gap.tests_of_fit.omnibus import Omnibus, examine
 from estimation.gap.tests_of_fit.repeatability import repeatability
-from estimation.gap.verdict.beside_shape import Beside, names_beside
+from estimation.gap.verdict.beside_shape import Beside, in_its_place, names_beside
 from estimation.gap.verdict.decide import (
     Decision,
     Facts,
@@ -91,6 +91,8 @@ def concluded(setting: Setting, search: SearchState, check: KinematicCheck) -> G
         found, decision = replace(found, follower=follower), as_unknown(decision) if follower else decision
     if instead is None and event is None:
         beside = names_beside(setting, search, standing, found, decision)
+    if beside is not None and (more := in_its_place(setting, search, kept, beside)) is not None:
+        return concluded(setting, more, check)
     if beside is not None:
         kept, standing, found = (*kept, *beside.findings), beside.standing, beside.found
         own = floor_about(setting, beside.round_)
