@@ -1,5 +1,6 @@
 """From the state of the search to the answer, on searches made by hand: what is confirmed, which facts count, what is told."""
 
+from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
 
@@ -13,7 +14,9 @@ from estimation.gap.effects.base import EffectParameter
 from estimation.gap.errors import GapError
 from estimation.gap.search import accept as accepting
 from estimation.gap.search.accept import confirmed
+from estimation.gap.search.search_state import Finding, Options, SearchState
 from estimation.gap.tests_of_fit.omnibus import Omnibus, Signal
+from estimation.gap.verdict import beside_shape
 from estimation.gap.verdict import conclusion as concluding
 from estimation.gap.verdict.conclusion import facts_of, models, told, without_doubted
 from estimation.gap.verdict.decide import Decision, with_names
@@ -212,3 +215,47 @@ def test_a_shape_takes_the_place_of_a_doubted_name_beside_which_the_others_stand
         assert (decision.kept, before, str(answer[2])) == (1, tuple(kept[:1]), "before CY_beta3")
         assert [effect for effect, _ in decision.withdrawn] == ["CY_beta3"]
     assert without_doubted(setting, stub(), kept[:1], named, Decision(Verdict.GAP_CLOSED, 1, ())) is None
+
+
+# ------------------------------------------------------------------------------------------------ a name in place of a shape
+@pytest.mark.parametrize(("room", "named", "taken"), [(4, True, True), (4, False, False), (3, True, False)])
+def test_rounds_about_the_names_that_stood_beside_a_shape_may_name_what_it_stood_for(
+    monkeypatch: pytest.MonkeyPatch, room: int, named: bool, taken: bool
+) -> None:
+    asked: list[Any] = []
+
+    def rounds(setting: Any, baseline: Any) -> SearchState:
+        asked.append((setting.working, setting.options.most, baseline))
+        return SearchState(("Cm_beta2",) if named else (), ("last",), "left", ("turned down",))  # type: ignore[arg-type]
+
+    monkeypatch.setattr(beside_shape, "run_rounds", rounds)
+    round_: Any = stub(baseline="base")
+    kept: Any = Finding(round_, stub(), stub(), "base", "with one")  # type: ignore[arg-type]
+    found: Any = [Finding(round_, stub(), stub(), "shape", child) for child in ("shape and two", "shape and three")]  # type: ignore[arg-type]
+    standing: Any = stub(model="all three", clean="to read")
+    search = SearchState((kept,), ("first",), "rest", ("no",))  # type: ignore[arg-type]
+    beside: Any = stub(standing=standing, findings=tuple(found), rejected=("not beside",))
+    setting: Any = _Setting("model", "clean", Options(most=room), lambda what, share: None)
+    more = beside_shape.in_its_place(setting, search, [kept], beside)
+    assert (more is not None) is taken
+    assert asked == ([("all three", 1, standing)] if room == 4 else [])
+    if more is not None:
+        assert more.findings[0] is kept
+        assert [f.child for f in more.findings[1:3]] == ["shape and two", standing]
+        assert more.findings[3:] == ("Cm_beta2",)
+        assert (more.rounds, more.omnibus) == (("first", "last"), "left")
+        assert more.rejected == ("no", "not beside", "turned down")
+    alone: Any = stub(standing=standing, findings=(found[1],), rejected=())
+    more = beside_shape.in_its_place(setting, search, [kept], alone)
+    if more is not None:  # the one name is held against the model without the shape
+        assert (more.findings[1].parent, more.findings[1].child) == ("with one", standing)
+
+
+@dataclass(frozen=True)
+class _Setting:
+    """As much of a setting as is replaced."""
+
+    working: Any
+    clean: Any
+    options: Options
+    tell: Any
