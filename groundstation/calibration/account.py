@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.contract.channels import CHANNEL_BY_NAME, channels_of
-from groundstation.calibration.align import completeness
+from groundstation.calibration.align import BRIDGED, COMPLETE, completeness
 from groundstation.calibration.readings import Readings
 from groundstation.calibration.scan_table import ScanTable
 from groundstation.calibration.schema import CalibrationSet
@@ -27,9 +27,13 @@ def account(
 ) -> tuple[dict[str, Any], list[str]]:
     """What the provenance carries about this calibration, and what a person should know of it."""
     notes = []
+    part = completeness(table.number)
     if not aligned and asked is None:
-        part = completeness(table.number)
         notes.append(f"{part:.0%} of the scans are here: sensor groups are left at their own instants (not aligned)")
+    if aligned and part < COMPLETE:
+        notes.append(
+            f"{part:.0%} of the scans are here: brought to one instant between neighbours up to {BRIDGED:.2f} s apart"
+        )
     notes += _health_notes(table)
     notes += _uncalibrated(table, calibration)
     for instrument, count in readings.extrapolated.items():

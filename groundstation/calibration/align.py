@@ -3,8 +3,11 @@
 Within a run of consecutive scans the value at the scan's time is interpolated through the neighbouring samples: a cubic
 through four of them for smooth motion, a straight line for surfaces, whose edges a cubic would overshoot. Runs end at
 every missing scan and every missing value: nothing is ever interpolated across, and at the ends of a run at most half
-a sample interval is extrapolated along the last straight line.
+a sample interval is extrapolated along the last straight line. Of a thinned stream most scans are missing: there samples up
+to `BRIDGED` seconds apart are neighbours, and a channel whose samples are further apart stays in its own scans.
 """
+
+import math
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +17,9 @@ Mask = NDArray[np.bool_]
 
 COMPLETE = 0.9
 """A recording with at least this part of its scan numbers present is aligned by default."""
+
+BRIDGED = 0.21
+"""Scans of a thinned stream up to so far apart [s] are neighbours: those of a 5 Hz downlink, or two lost in a row of 11 Hz."""
 
 SLOWEST = 40
 """A channel with fewer samples than one in so many scans is left where it is."""
@@ -26,6 +32,11 @@ five, it loses 0.2 % of a 1 Hz motion at 20 Hz where that loses 5 %."""
 def completeness(number: NDArray[np.int64]) -> float:
     """Part of the scan numbers between first and last that are present."""
     return float(number.size / (number[-1] - number[0] + 1)) if number.size > 1 and number[-1] > number[0] else 1.0
+
+
+def connectedness(time: Array) -> float:
+    """Part of the intervals between scans at `time` (N,) [s] that are no longer than BRIDGED; of a lone scan 0."""
+    return float(np.mean(np.diff(time) <= BRIDGED)) if time.size > 1 else 0.0
 
 
 def runs(number: NDArray[np.int64], finite: Mask) -> tuple[list[NDArray[np.int64]], int]:
@@ -46,15 +57,27 @@ def runs(number: NDArray[np.int64], finite: Mask) -> tuple[list[NDArray[np.int64
     return np.split(rows, breaks), spacing
 
 
-def to_scan_time(values: Array, sampled_at: Array, wanted: Array, number: NDArray[np.int64], *, smooth: bool) -> Array:
+def to_scan_time(
+    values: Array,
+    sampled_at: Array,
+    wanted: Array,
+    number: NDArray[np.int64],
+    *,
+    smooth: bool,
+    furthest: float = math.inf,
+) -> Array:
     """`values` (N,) sampled at `sampled_at` (N,) [s], brought to `wanted` (N,) [s], run by run.
 
-    number: (N,) scan counter. smooth: cubic instead of linear. A channel read in every k-th scan gets a value in each
-    scan of its runs. A run of one sample, or one whose instants do not increase, cannot be aligned and becomes NaN,
-    as does a wanted time further outside a run than half its sample interval.
+    number: (N,) scan counter. smooth: cubic instead of linear. A channel whose samples are further apart than `furthest` [s]
+    or SLOWEST scans stays in its own scans; one read in every k-th scan gets a value in each scan of its runs. A run of one
+    sample, or one whose instants do not increase, cannot be aligned and becomes NaN, as does a wanted time further outside
+    a run than half its sample interval.
     """
+    finite = np.isfinite(values) & np.isfinite(sampled_at)
+    if _seldom(finite, wanted, number, furthest):
+        return np.where(finite, values, np.nan)
     out = np.full_like(values, np.nan)
-    found, spacing = runs(number, np.isfinite(values) & np.isfinite(sampled_at))
+    found, spacing = runs(number, finite)
     for rows in found:
         t, y = sampled_at[rows], values[rows]
         if t.size >= 2 and np.all(np.diff(t) > 0):
@@ -62,6 +85,13 @@ def to_scan_time(values: Array, sampled_at: Array, wanted: Array, number: NDArra
             aligned = _in_run(t, y, wanted[span], smooth and t.size >= 4)
             out[span] = np.where(np.isnan(aligned), out[span], aligned)
     return out
+
+
+def _seldom(finite: Mask, time: Array, number: NDArray[np.int64], furthest: float) -> bool:
+    """Whether a channel is read so seldom that nothing can be said of what lies between."""
+    if np.sum(finite) < 2:
+        return False
+    return float(np.median(np.diff(number[finite]))) > SLOWEST or float(np.median(np.diff(time[finite]))) > furthest
 
 
 def hold(values: Array, number: NDArray[np.int64]) -> Array:

@@ -1,11 +1,12 @@
 """From raw scans to the calibrated flight.
 
-Order of work, each step on whole columns: counts to physical values by the calibration files; where the recording is
-complete, every value brought to the scan's time; then what combines several instruments: airspeed, attitude, flow angles
+Order of work, each step on whole columns: counts to physical values by the calibration files; where scans have
+neighbours, every value brought to the scan's time; then what combines several instruments: airspeed, attitude, flow angles
 and specific force at the CG, elevator and aileron. The same recording and the same files give the same bits,
 however many scans are calibrated at once.
 """
 
+import math
 from collections.abc import Iterable, Mapping
 from types import MappingProxyType
 
@@ -16,14 +17,14 @@ from daq.contract.channel_rows import RAW_LIMITS
 from daq.contract.channels import CHANNEL_BY_NAME, COLUMNS
 from daq.contract.scan import Scan
 from groundstation.calibration.account import account
-from groundstation.calibration.align import COMPLETE, completeness, hold, to_scan_time, undo_lag
+from groundstation.calibration.align import BRIDGED, COMPLETE, completeness, connectedness, hold, to_scan_time, undo_lag
 from groundstation.calibration.columns import GNSS, Columns
 from groundstation.calibration.conversions import air_data, curves, inertial
 from groundstation.calibration.conversions.direct import direct_columns
 from groundstation.calibration.errors import CalibrationError
 from groundstation.calibration.facts import Facts
 from groundstation.calibration.readings import Readings
-from groundstation.calibration.scan_table import ScanTable, scan_table
+from groundstation.calibration.scan_table import ScanTable, bridged, scan_table
 from groundstation.calibration.schema import CalibrationSet, Curve, Instrument, Triad
 from groundstation.flight import Flight, Provenance
 
@@ -184,7 +185,9 @@ class Calibrator:
                 if name in readings.lag:
                     reading = undo_lag(reading, table.time, table.number, readings.lag[name])
                 at = table.time + known_offset(table, readings.group[name]) - readings.delay[name]
-                values[name] = to_scan_time(reading, at, table.time, table.number, smooth=name not in self._linear)
+                furthest = BRIDGED if table.bridged else math.inf
+                smooth = name not in self._linear
+                values[name] = to_scan_time(reading, at, table.time, table.number, smooth=smooth, furthest=furthest)
         return values
 
 
@@ -247,18 +250,20 @@ def calibrate(
     """The flight made from raw scans.
 
     facts: what the recording says of its sensors (chip coefficients, filter delays, ranges).
-    align: bring every group to the scan's time and remove the full lever-arm effect; None does so when at least 90 % of the
-    scan numbers are present (a recording from on board, or one filled up after landing), and not for a decimated stream,
-    whose neighbours are missing. One row per scan; a missing scan has no row, and a gap starts a new segment.
+    align: bring every group to the scan's time and remove the full lever-arm effect. Where at least 90 % of the scan numbers
+    are present (a recording from on board, or one filled up after landing) nothing is interpolated across a missing one; of a
+    thinned stream scans up to BRIDGED seconds apart are neighbours. None aligns both, and neither where more than a tenth of
+    the intervals are longer. One row per scan; a missing scan has no row, and a gap starts a new segment.
     Raises CalibrationError when nothing can be calibrated.
     """
     table = scan_table(scans)
     if len(table) < 2:
         raise CalibrationError(f"{name}: only one scan in this recording; a flight needs at least two")
-    aligned = completeness(table.number) >= COMPLETE if align is None else align
+    whole = completeness(table.number) >= COMPLETE
+    aligned = (whole or connectedness(table.time) >= COMPLETE) if align is None else align
     calibrator = Calibrator(calibration, facts)
     calibrator.check(table)
-    columns, readings = calibrator.columns(table, aligned=aligned)
+    columns, readings = calibrator.columns(table if whole else bridged(table), aligned=aligned)
     detail, notes = account(table, calibration, columns, readings, aligned, align)
     if table.utc_offset is not None:
         detail["utc_offset_s"], detail["utc_accuracy_s"] = table.utc_offset

@@ -5,7 +5,7 @@ in order in that scan is NaN from here on.
 """
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 from types import MappingProxyType
 from typing import Any
@@ -15,9 +15,12 @@ from numpy.typing import NDArray
 
 from daq.contract.channels import CHANNELS, GROUP_NAMES
 from daq.contract.scan import Scan
+from groundstation.calibration.align import BRIDGED
 from groundstation.calibration.errors import CalibrationError
 
 Array = NDArray[np.float64]
+
+_BREAK = 1000  # in the numbering: more than any channel's spacing
 
 
 @dataclass(frozen=True)
@@ -28,6 +31,7 @@ class ScanTable:
     unusable. physical: the same at data-sheet scale. offset: group -> (N,) time of the group's sample after the scan's [s].
     usable: group -> (N,) whether its sensor was in order in the scan (a group not read in a scan counts as in order).
     utc_offset: UTC [s since 1970] minus `time` and its accuracy [s], from the scan that knew it best; None: never known.
+    bridged: numbered so that scans up to BRIDGED seconds apart are neighbours (`bridged`).
     """
 
     number: NDArray[np.int64]
@@ -37,6 +41,7 @@ class ScanTable:
     usable: Mapping[str, NDArray[np.bool_]]
     notes: tuple[str, ...] = ()
     utc_offset: tuple[float, float] | None = None
+    bridged: bool = False
 
     def __len__(self) -> int:
         return int(self.time.size)
@@ -51,7 +56,14 @@ class ScanTable:
             MappingProxyType({k: v[rows] for k, v in self.usable.items()}),
             self.notes,
             self.utc_offset,
+            self.bridged,
         )
+
+
+def bridged(table: ScanTable) -> ScanTable:
+    """The table with scans up to BRIDGED seconds apart numbered as neighbours: alignment breaks only where more is missing."""
+    steps = np.where(np.diff(table.time) <= BRIDGED, 1, _BREAK)
+    return replace(table, number=np.concatenate([[0], np.cumsum(steps)]).astype(np.int64), bridged=True)
 
 
 _UNKNOWN_ACCURACY_NS = 2**32  # 4 s: worse than any accuracy that is told

@@ -1,30 +1,27 @@
 """Scans as they come down, brought to one instant each.
 
 Within a scan each sensor is read at an instant of its own and has a delay of its own; left there, the rolling derivatives
-come out 15 to 25 % small. A recorded flight is aligned when most of its scans are there; here the same calibration works on
-a sliding window of whatever has come: scans up to `BRIDGED` seconds apart count as neighbours, so that a decimated or lossy
-stream is interpolated through what there is of it. Of a stretch that came whole the samples are those of the recorded flight.
+come out 15 to 25 % small. Here the calibration of recorded flights works on a sliding window of whatever has come: scans up
+to `BRIDGED` seconds apart, the estimator's own longest row, count as neighbours. Of a stretch that came whole the samples
+are those of the recorded flight.
 """
 
 import math
 from bisect import bisect_left, bisect_right, insort
 from collections.abc import Iterator
-from dataclasses import replace
 
 import numpy as np
 
 from daq.contract.scan import Scan, decode_scan, encode_scan
 from daq.identification.airframe import SIGNALS, Sample
 from groundstation.calibration.apply import Calibrator
-from groundstation.calibration.scan_table import ScanTable, scan_table
+from groundstation.calibration.scan_table import bridged, scan_table
 
-BRIDGED = 0.21  # s between scans over which values are interpolated: the estimator's own longest row
 NEIGHBOURS = 8  # scans to each side that a sample depends on: slopes of rates, undone lags and interpolation together
 HELD = 21  # scans before that: slow channels are held for a second at 20 Hz
 BATCH_S = 1.0  # s of scans that are calibrated at once: a window costs 10 ms whether one scan of it is new or twenty
 BLOCK = 2000  # scans calibrated at once where very many are wanted
 AT_ONCE = 40  # samples given at a call, so that a backlog is worked off in pieces of some 30 ms
-BREAK = 1000  # in the numbering: more than any channel's spacing
 
 
 class ScanAlignment:
@@ -109,9 +106,3 @@ class ScanAlignment:
             rows = np.stack([table.time, *(columns[n] for n in SIGNALS)], axis=1)
             for row in rows[begin - low : end - low].tolist():
                 yield Sample(*row)
-
-
-def bridged(table: ScanTable) -> ScanTable:
-    """The table with scans up to BRIDGED seconds apart numbered as neighbours: alignment breaks only where more is missing."""
-    steps = np.where(np.diff(table.time) <= BRIDGED, 1, BREAK)
-    return replace(table, number=np.concatenate([[0], np.cumsum(steps)]).astype(np.int64))

@@ -64,6 +64,18 @@ def test_a_channel_of_every_fourth_scan_is_filled_within_its_runs() -> None:
     np.testing.assert_allclose(out[:41], 2.0 * time, atol=1e-12)
 
 
+def test_a_channel_read_seldom_stays_in_its_own_scans() -> None:
+    """One reading in 50 scans, or none for longer than `furthest`: what lies between is not known."""
+    number = np.arange(200)
+    time = number * 0.02
+    values = np.where(number % 50 == 7, 5.0 + time, np.nan)
+    np.testing.assert_array_equal(to_scan_time(values, time + 0.004, time, number, smooth=True), values)
+    every_tenth = np.where(number % 10 == 3, 5.0 + time, np.nan)
+    kept = to_scan_time(every_tenth, time + 0.004, time, number, smooth=True, furthest=0.1)
+    np.testing.assert_array_equal(kept, every_tenth)
+    assert np.isfinite(to_scan_time(every_tenth, time + 0.004, time, number, smooth=True, furthest=0.3)).sum() > 180
+
+
 def test_a_held_quantity_keeps_its_last_value_within_its_runs() -> None:
     number = np.concatenate([np.arange(12), np.arange(30, 34)])
     values = np.where(number % 4 == 0, number.astype(float), np.nan)
