@@ -88,7 +88,11 @@ _SPLIT = click.option("--split", is_flag=True, help="Write each stretch without 
     type=click.Path(path_type=Path),
     help="Directory of calibration files, or 'cdfp'; instead of the embedded set.",
 )
-@click.option("--align/--no-align", default=None, help="Bring all sensors to one time base [default: where scans have neighbours].")
+@click.option(
+    "--align/--no-align",
+    default=None,
+    help="Bring all sensors to one time base [default: where scans have neighbours].",
+)
 @click.option("--salvage", is_flag=True, help="Use what is intact of a damaged recording.")
 @_SPLIT
 @_JSON
