@@ -147,6 +147,8 @@ def loosened(
         return whitener
     values, vectors = np.linalg.eigh(rows.T @ rows)
     good = values > SLIGHT
+    if not good.any():  # a short stretch in which hardly anything moves
+        return whitener
     values, vectors = values[good], vectors[:, good]
     return Whitener(
         whitener.root, whitener.count, Slack(rows @ (vectors / np.sqrt(values)), 1.0 - 1.0 / np.sqrt(1.0 + values))

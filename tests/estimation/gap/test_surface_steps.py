@@ -78,6 +78,15 @@ def test_loosening_equals_the_full_covariance() -> None:
     np.testing.assert_allclose(loose.gram(columns), loose.rows(columns).T @ loose.rows(columns), rtol=1e-9, atol=1e-9)
 
 
+def test_steps_that_move_nothing_loosen_nothing() -> None:
+    linear, shapes, segment = _linear()
+    steps = find_surface_steps(ROLL, linear, segment, AS_SET)
+    still = SurfaceSteps(steps.name, steps.at, steps.step, 1e-9 * steps.response, AS_SET)
+    plain = whitener(NoiseModel(np.array([1e-4]), {}), shapes)
+    residual = np.random.default_rng(0).normal(0, 0.01, (N, 1))
+    np.testing.assert_array_equal(loosened(plain, still, {"delta_a": 0.3}).series(residual), plain.series(residual))
+
+
 def test_the_freedom_is_estimated_from_the_flights() -> None:
     linear, shapes, segment = _linear()
     one = find_surface_steps(ROLL, linear, segment, AS_SET)
