@@ -144,3 +144,18 @@ def test_the_flat_top_of_a_coarse_channel_is_not_clipped() -> None:
     assert next(f for f in quality_report(swing) if f.check == "clipping").verdict == "ok"
     cut = swing.with_columns(beta=np.clip(0.2 * np.sin(2.0 * TIME), -0.1, 0.1))
     assert "beta stays at its largest value" in next(f for f in quality_report(cut) if f.check == "clipping").text
+
+
+@pytest.mark.parametrize("share", [0.58, 0.62, 0.66])
+def test_a_control_mixed_of_two_servo_outputs_is_neither_slow_nor_stuck(share: float) -> None:
+    """Elevons in whole microseconds of two sizes: their difference has hardly a quantum, its moves of one microsecond at any time
+    looked like new values of a sensor of 25 Hz, and its rest like noise that stops."""
+    rng = np.random.default_rng(8)
+    moves = rng.random(1500) < share
+    moves[700:775] = False
+    left, right = (np.cumsum(moves * rng.choice([-1, 1], 1500)) for _ in range(2))
+    aileron = 0.5 * (4.99e-4 * left - 5.06e-4 * right)
+    flight = Flight.build("f", np.arange(1500) / 50.0, {"delta_a": aileron, "p": rng.standard_normal(1500)})
+    found = repeats(flight, "delta_a")
+    assert not found.slow
+    assert not found.stuck.any()

@@ -26,6 +26,8 @@ SLOW_RUNS = 20  # new values by big steps, at least, before a channel is called 
 SLOW_SHARE = 1 / 3  # of those new values that are held for more than one sample (three new values in four samples)
 LONGEST_HOLD = 0.6  # s: slower channels (1 Hz GNSS and less) are sampled too rarely to be called measured in between
 EVEN = 0.8  # share of holds within one sample of the usual: an ideal step command holds its values unevenly
+LATE = 0.05  # share of holds of more than two in a row: a slow sensor may lose a value, two one after the other seldom
+REPEATED = 0.3  # share of samples that repeat the last one: 0.27 where noise is one quantum, less where it is more
 BEYOND_ERROR = 4.0  # times the usual error of the prediction that a predicted movement must exceed
 FEWEST = 40  # samples from which any of this can be told
 ALTERNATING = -0.4  # lag-one correlation of third differences: -0.75 for white noise, positive for a smooth curve
@@ -133,7 +135,7 @@ def _held(flight: Flight, values: Array, same: Mask, step: float) -> tuple[Mask,
     if holds.size < SLOW_RUNS or float(np.mean(holds >= 2)) < SLOW_SHARE:
         return none, 0.0
     usual = float(np.median(holds))
-    if float(np.mean(np.abs(holds - usual) <= 1.0)) < EVEN:
+    if float(np.mean(np.abs(holds - usual) <= 1.0)) < EVEN or float(np.mean(holds > 2.0 * usual + 1.0)) > LATE:
         return none, 0.0
     return same.copy(), float(1.0 / (holds.mean() * flight.sample_interval))
 
@@ -156,6 +158,7 @@ class _Judge:
         for a, b in runs:
             self.still[a:b] = True
         self.alive = values[~self.still & ~held & np.isfinite(values)]
+        self.repeated = float(np.mean(same[~self.still & ~held])) if self.alive.size else 0.0
         self.shadow = shadow(flight, column, ~self.still) if runs else None
         self.values = values
         self._flicker: dict[str, float] = {}
@@ -176,7 +179,7 @@ class _Judge:
 
     def noise_stopped(self, a: int, b: int) -> bool:
         """Whether noise of at least one quantum, which the channel shows elsewhere, is missing in a run."""
-        if self.alive.size < STUCK_SAMPLES:
+        if self.alive.size < STUCK_SAMPLES or self.repeated > REPEATED:
             return False
         third = np.diff(self.alive, 3)
         level = float(np.median(np.abs(third))) / GAUSSIAN / THIRD
