@@ -103,14 +103,30 @@ def in_its_place(setting: Setting, search: SearchState, kept: Sequence[Finding],
         return None
     if not more.findings:
         return None
-    *others, last = beside.findings
-    last = replace(last, parent=last.parent if others else before, child=standing)
+    without = _without_shape(setting, before, beside)
+    if without is None:
+        return None
     return SearchState(
-        (*kept, *others, last, *more.findings),
+        (*kept, *without, *more.findings),
         (*search.rounds, *more.rounds),
         more.omnibus,
         (*search.rejected, *beside.rejected, *more.rejected),
     )
+
+
+def _without_shape(setting: Setting, before: Baseline, beside: Beside) -> list[Finding] | None:
+    """The findings beside a shape, each held against the model `before` it and those before without the shape; None where the
+    motion runs away."""
+    bare = replace(setting, working=before.model, clean=before.clean)
+    made: list[Finding] = []
+    for count, finding in enumerate(beside.findings, 1):
+        whole = count == len(beside.findings)
+        child = beside.standing if whole else afresh_with(bare, beside.findings[:count], finding.child)
+        if child is None:
+            return None
+        # whether a shape explains more than it was asked about another model
+        made.append(replace(finding, parent=made[-1].child if made else before, child=child, doubted=False))
+    return made
 
 
 def _silent(what: str, share: float) -> None:

@@ -229,9 +229,19 @@ def test_rounds_about_the_names_that_stood_beside_a_shape_may_name_what_it_stood
         return SearchState(("Cm_beta2",) if named else (), ("last",), "left", ("turned down",))  # type: ignore[arg-type]
 
     monkeypatch.setattr(beside_shape, "run_rounds", rounds)
+    asked_afresh: list[Any] = []
+
+    def afresh(setting: Any, findings: Any, child: Any) -> str:
+        asked_afresh.append((setting.working, len(findings), child))
+        return "with two"
+
+    monkeypatch.setattr(beside_shape, "afresh_with", afresh)
     round_: Any = stub(baseline="base")
-    kept: Any = Finding(round_, stub(), stub(), "base", "with one")  # type: ignore[arg-type]
-    found: Any = [Finding(round_, stub(), stub(), "shape", child) for child in ("shape and two", "shape and three")]  # type: ignore[arg-type]
+    one: Any = stub(model="one", clean="one")
+    kept: Any = Finding(round_, stub(), stub(), "base", one)  # type: ignore[arg-type]
+    found: Any = [
+        Finding(round_, stub(), stub(), "shape", child, doubted=True) for child in ("shape and two", "shape and three")
+    ]  # type: ignore[arg-type]
     standing: Any = stub(model="all three", clean="to read")
     search = SearchState((kept,), ("first",), "rest", ("no",))  # type: ignore[arg-type]
     beside: Any = stub(standing=standing, findings=tuple(found), rejected=("not beside",))
@@ -241,14 +251,18 @@ def test_rounds_about_the_names_that_stood_beside_a_shape_may_name_what_it_stood
     assert asked == ([("all three", 1, standing)] if room == 4 else [])
     if more is not None:
         assert more.findings[0] is kept
-        assert [f.child for f in more.findings[1:3]] == ["shape and two", standing]
+        # every name is held against the model without the shape
+        assert [f.child for f in more.findings[1:3]] == ["with two", standing]
+        assert [f.parent for f in more.findings[1:3]] == [one, "with two"]
+        assert not any(f.doubted for f in more.findings[1:3])
+        assert asked_afresh == [("one", 1, "shape and two")]
         assert more.findings[3:] == ("Cm_beta2",)
         assert (more.rounds, more.omnibus) == (("first", "last"), "left")
         assert more.rejected == ("no", "not beside", "turned down")
     alone: Any = stub(standing=standing, findings=(found[1],), rejected=())
     more = beside_shape.in_its_place(setting, search, [kept], alone)
-    if more is not None:  # the one name is held against the model without the shape
-        assert (more.findings[1].parent, more.findings[1].child) == ("with one", standing)
+    if more is not None:
+        assert (more.findings[1].parent, more.findings[1].child) == (one, standing)
 
 
 @dataclass(frozen=True)
