@@ -4,7 +4,7 @@ Rounds of: baseline fit, nulls flown through the whole chain, score-test screen,
 held-out check, one effect added; until nothing is significant. Then the earlier effects are questioned again.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from estimation.gap.answer.result import GapResult
@@ -25,8 +25,9 @@ from estimation.gap.records.candidate_model import with_dormant
 from estimation.gap.records.doubts import doubts_of, refuse_twice
 from estimation.gap.records.flight_records import FlightRecords, prepare_flights
 from estimation.gap.records.lost_rows import with_lost_rows, without_unseen_moves
-from estimation.gap.records.nuisance import with_nuisance
+from estimation.gap.records.nuisance import stamped_attitudes, with_nuisance
 from estimation.gap.records.own_motion import only_following, without_hardware_of, words_on
+from estimation.gap.records.reconstructed import as_measured, compared, levels, not_compared, with_levels
 from estimation.gap.records.sample_faults import sample_notes, stale_channels
 from estimation.gap.records.slow_controls import at_own_rates
 from estimation.gap.search.rounds import run_rounds
@@ -55,6 +56,7 @@ def run_gap(
     if not training:
         raise GapError("no training flight given; name at least one flight file before --holdout")
     refuse_twice(training, holdout)
+    whole, (model, apart) = model, compared(model, [*training, *holdout])
     chosen = tuple(effects) if effects is not None else catalogue(model=model)
     chosen += missing_derivatives(model, {e.name for e in chosen})
     tell("preparing the flights", 0.0)
@@ -66,7 +68,9 @@ def run_gap(
     prepared = prepare_flights(model, chosen, flown, kept, options.criteria)
     told = sample_notes([*training, *holdout], [*outputs, *(s.source for s in model.inputs)], options.criteria)
     stale = stale_channels(flown, outputs, options.criteria)
-    setting = _setting(replace(prepared, notes=(*prepared.notes, *told), stale=stale), chosen, options, tell)
+    prepared = replace(prepared, notes=(*apart, *prepared.notes, *told), stale=stale)
+    wide, stamped = (what(model, [*training, *holdout]) for what in (levels, stamped_attitudes))
+    setting = _setting(prepared, chosen, wide, stamped, options, tell)
     tell("fitting the baseline", 0.05)
     doubts = doubts_of([*training, *holdout], model)
     try:
@@ -76,13 +80,24 @@ def run_gap(
     except GapError as error:
         raise GapError("; ".join([str(error), *doubts[:1]])) from error
     tell("kinematic check", 0.9)
-    check = kinematic_check(training, chosen, options.nulls, options.seed, options.criteria, model)
+    measured = [as_measured(f) for f in training]
+    check = kinematic_check(measured, chosen, options.nulls, options.seed, options.criteria, model)
     tell("measuring what is closed", 0.95)
-    return _with_doubts(concluded(setting, search, check), doubts)
+    answer = concluded(setting, search, check)
+    answer = replace(answer, text=" ".join(t for t in (answer.text, not_compared(whole, model)) if t))
+    return _with_doubts(answer, doubts)
 
 
-def _setting(prepared: FlightRecords, effects: tuple[Effect, ...], options: Options, tell: LOOK) -> Setting:
-    """The base model with what every fit carries along and all candidates dormant, and what is wrong with the inputs."""
+def _setting(
+    prepared: FlightRecords,
+    effects: tuple[Effect, ...],
+    wide: Mapping[str, float],
+    stamped: Mapping[str, float],
+    options: Options,
+    tell: LOOK,
+) -> Setting:
+    """The base model with what every fit carries along and all candidates dormant, and what is wrong with the inputs. wide: how
+    uncertain the level of a signal is that was found from the motion; stamped: attitude -> interval of its own times."""
     base, records = prepared.base, prepared.of(prepared.training)
     following = only_following(records, base, options.criteria)
     effects, untold = without_hardware_of(effects, following)
@@ -91,7 +106,8 @@ def _setting(prepared: FlightRecords, effects: tuple[Effect, ...], options: Opti
     scatter = pitch_error(records, base.output_names, bank_error(records, base.output_names, white))
     filtered = filtered_attitudes(records, base.output_names, white)
     noise = dict(zip(base.output_names, scatter, strict=True))
-    clean = with_nuisance(base, noise, sample_interval(records), options.criteria, filtered)
+    levelled, interval = with_levels(base, wide), sample_interval(records)
+    clean = with_nuisance(levelled, noise, interval, options.criteria, filtered, stamped)
     working = with_dormant(clean, effects, prepared.available, force_states(base))
     streams = (Stream.INPUT_ERRORS.generator(options.seed, i) for i in range(len(prepared.records)))
     errors = tuple(input_errors(r, clean, rng) for r, rng in zip(prepared.records, streams, strict=True))

@@ -7,6 +7,7 @@ import numpy as np
 
 from estimation.errors import DataError
 from estimation.gap.records.lost_rows import clock_step
+from estimation.gap.records.reconstructed import uncertainty
 from estimation.models.base import Model
 from groundstation.flight import Flight
 from groundstation.flight.quality.plausibility import suspicions
@@ -26,7 +27,7 @@ def refuse_twice(training: Sequence[Flight], holdout: Sequence[Flight]) -> None:
 
 def doubts_of(flights: Sequence[Flight], model: Model) -> list[str]:
     """One sentence for every channel that the model needs and that looks like another unit or sign, or was found from the
-    others, for uneven times, and for sensors that were not brought to one time, of each flight."""
+    others without saying how well, for uneven times, and for sensors that were not brought to one time, of each flight."""
     used = {"time", *(s.source for s in (*model.inputs, *model.states, *model.outputs))}
     told = [f"{f.name}: {s.text}" for f in flights for s in suspicions(f.time, f.columns) if used & set(s.columns)]
     for flight in flights:
@@ -42,7 +43,8 @@ def doubts_of(flights: Sequence[Flight], model: Model) -> list[str]:
                 f"{flight.name}: {said}: a name for when or where an instrument measures may be that; where scans are missing, "
                 "give the recording on board"
             )
-        if made := [c for c in flight.reconstructed if c in used]:
-            said = f"{', '.join(made)} not measured but found from the motion, whose errors look like something that is missing"
+        driven = {s.source for s in (*model.inputs, *model.outputs)}
+        if made := [c for c in flight.reconstructed if c in driven and uncertainty(flight, c) is None]:
+            said = f"{', '.join(made)} not measured but found from the motion, without saying how well: errors look like effects"
             told.append(f"{flight.name}: {said}")
     return told

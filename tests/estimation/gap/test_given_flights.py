@@ -183,9 +183,12 @@ def test_a_channel_of_another_unit_is_told_where_the_model_needs_it() -> None:
 
 def test_air_data_that_nobody_measured_are_told() -> None:
     about = Provenance(detail={RECONSTRUCTED: {"columns": ["alpha", "beta", "V"]}})
-    given = named("f", {c: noisy(k) for k, c in enumerate(("beta", "p", "ay"))}, about)
-    (told,) = doubts_of([given], load_model("lateral", "cdfp"))
+    columns = {c: noisy(k) for k, c in enumerate(("alpha", "beta", "V", "p", "ay"))}
+    lateral = load_model("lateral", "cdfp")
+    (told,) = doubts_of([named("f", columns, about)], lateral)
     assert told.startswith("f: alpha, beta, V not measured but found from the motion")
+    sure = {f"{c}_std": np.full(COUNT, 0.02) for c in ("alpha", "beta", "V")}
+    assert doubts_of([named("f", {**columns, **sure}, about)], lateral) == []
 
 
 def test_flights_with_servos_at_half_the_rate_have_nothing_hidden() -> None:
