@@ -222,6 +222,8 @@ DRAG = (
           "large elevator doublets in a glide",
           (Form("in proportion", (EffectParameter("CD_de", "1/rad", 0.05, -0.3, 0.3, meaning="drag per δe"),),
                 terms={"CD": ("CD_de*delta_e",)}, requires=("CD", "delta_e")),
+           Form("by its size", (EffectParameter("CD_abs_de", "1/rad", 0.05, -0.3, 0.3, meaning="drag per |δe|"),),
+                terms={"CD": ("CD_abs_de*abs(delta_e)",)}, requires=("CD", "delta_e")),
            Form("by angle of attack",
                 (EffectParameter("CD_alpha_de", "1/rad2", 0.7, -6.0, 6.0, meaning="drag per α δe, beside the polar's"),),
                 terms={"CD": ("CD_alpha_de*alpha*delta_e",)}, requires=("CD", "alpha", "delta_e")))),
