@@ -133,8 +133,11 @@ def gap(
 ) -> "GapAnswer":
     """Find what the model of the flights is missing; holdout: flights kept out of every fit. simulation: as for `estimate`."""
     from estimation.gap.workflow import Options, run_gap
+    from estimation.session.flights import unique_names
 
-    training, held = read_flights(flights), read_flights(holdout)
+    given = read_flights(flights)
+    read = unique_names([*given, *read_flights(holdout)])
+    training, held = read[: len(given)], read[len(given) :]
     if simulation is None:
         chosen, _ = model_of(model, [*training, *held], aircraft)
     else:

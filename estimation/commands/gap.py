@@ -95,13 +95,14 @@ def gap(
     from estimation.gap.run import analyse
     from estimation.gap.workflow import Options
     from estimation.models.load import asks_for_aircraft, check_model, load_model
+    from estimation.session.flights import unique_names
     from groundstation.flight import read_flight
 
     check_outputs(json=json_path, report=report_folder)
     catalogue(effect_files)  # what is mistyped in them or in the model is said before a flight is read
     check_model(model)
-    training = [read_flight(path) for path in flights]
-    held = [read_flight(path) for path in holdout]
+    read = unique_names([read_flight(path) for path in (*flights, *holdout)])  # of a ground station each is `flight`
+    training, held = read[: len(flights)], read[len(flights) :]
     if simulation is None:
         chosen = load_model(model, aircraft_of([*training, *held], aircraft) if asks_for_aircraft(model) else None)
     else:

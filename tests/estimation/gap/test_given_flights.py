@@ -1,12 +1,16 @@
 """A stranger's flights: controls logged more rarely than the motion, channels that an import drew, one record twice."""
 
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
+import sideslip
+from estimation.commands.gap import gap as gap_verb
 from estimation.engine.kernel import Array
 from estimation.errors import DataError
 from estimation.gap.criteria import AS_SET
@@ -24,7 +28,7 @@ from estimation.gap.tests_of_fit.omnibus import restless_times
 from estimation.gap.verdict.effect_location import spans_of
 from estimation.gap.workflow import Options, run_gap
 from estimation.models.load import load_model
-from groundstation.flight import RECONSTRUCTED, Flight, Provenance
+from groundstation.flight import RECONSTRUCTED, Flight, Provenance, write_flight
 from groundstation.flight.quality.same_record import one_record_twice
 from tests.studies import second_truth as truth
 from tests.studies.gap_benchmark import flights, requests
@@ -240,6 +244,28 @@ def test_a_flight_whose_sensors_were_not_brought_to_one_time_says_so() -> None:
         told = doubts_of([given], model)
         assert len(told) == (0 if aligned else 1)
     assert "at their own instants" in told[0]
+
+
+def test_flights_of_one_name_are_told_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A ground station writes each as `flight`, and the answer said that 'flight and flight' do not repeat the others."""
+    paths = []
+    for k in range(3):
+        paths.append(tmp_path / str(k) / "flight.csv")
+        paths[-1].parent.mkdir()
+        write_flight(named("flight", {"p": noisy(k)}), paths[-1])
+    seen: list[str] = []
+
+    def looked_at(model: object, training: list[Flight], holdout: list[Flight], *rest: object, **more: object) -> None:
+        seen.extend([*(f.name for f in training), *(f.name for f in holdout)])
+        raise DataError("seen")
+
+    monkeypatch.setattr("estimation.gap.run.analyse", looked_at)
+    monkeypatch.setattr("estimation.gap.workflow.run_gap", looked_at)
+    command = [*map(str, paths[:2]), "--holdout", str(paths[2]), "--aircraft", "cdfp", "--nulls", "20"]
+    assert "seen" in str(CliRunner().invoke(gap_verb, command).exception)
+    with pytest.raises(DataError, match="seen"):
+        sideslip.gap("lateral", paths[:2], paths[2:], aircraft="cdfp")
+    assert seen == 2 * ["flight", "flight#2", "flight#3"]
 
 
 def stepping(seed: int) -> Array:
