@@ -36,7 +36,8 @@ def compared(model: Model, flights: Sequence[Flight]) -> tuple[Model, list[str]]
 def uncertainty(flight: Flight, column: str) -> float | None:
     """How uncertain a column is that was found from the motion (1 sigma, median over the flight), where that says so."""
     std = f"{column}_std"
-    return float(np.nanmedian(flight[std])) if flight.measured(std) else None
+    wide = float(np.nanmedian(flight[std])) if flight.measured(std) else 0.0
+    return wide if 0.0 < wide < np.inf else None
 
 
 def levels(model: Model, flights: Iterable[Flight]) -> dict[str, float]:

@@ -28,7 +28,7 @@ def flown(
 ) -> Flight:
     """found: column that a reconstruction made -> its uncertainty. hz: of the attitude in its log."""
     columns = {c: np.full(TIME.size, 1.0 + k) for k, c in enumerate(COLUMNS) if c not in without}
-    columns |= {f"{c}_std": np.full(TIME.size, std) for c, std in (found or {}).items() if std}
+    columns |= {f"{c}_std": np.full(TIME.size, std) for c, std in (found or {}).items()}
     detail: dict[str, object] = {RECONSTRUCTED: {"columns": list(found)}} if found else {}
     if hz:
         detail["native_hz"] = {"phi": hz}
