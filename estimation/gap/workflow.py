@@ -56,23 +56,23 @@ def run_gap(
     if not training:
         raise GapError("no training flight given; name at least one flight file before --holdout")
     refuse_twice(training, holdout)
-    whole, (model, apart) = model, compared(model, [*training, *holdout])
+    given = [*training, *holdout]
+    whole, (model, apart) = model, compared(model, given)
     chosen = tuple(effects) if effects is not None else catalogue(model=model)
     chosen += missing_derivatives(model, {e.name for e in chosen})
     tell("preparing the flights", 0.0)
     controls = [s.source for s in model.inputs if s.control and not s.computed]
     outputs = [s.source for s in model.outputs]
-    even = ([with_lost_rows(f) for f in given] for given in (training, holdout))
-    read = (at_own_rates(given, controls, outputs, options.criteria) for given in even)
-    flown, kept = ([without_unseen_moves(f, controls, outputs, options.criteria) for f in given] for given in read)
+    even = ([with_lost_rows(f) for f in some] for some in (training, holdout))
+    read = (at_own_rates(some, controls, outputs, options.criteria) for some in even)
+    flown, kept = ([without_unseen_moves(f, controls, outputs, options.criteria) for f in some] for some in read)
     prepared = prepare_flights(model, chosen, flown, kept, options.criteria)
-    told = sample_notes([*training, *holdout], [*outputs, *(s.source for s in model.inputs)], options.criteria)
+    told = sample_notes(given, [*outputs, *(s.source for s in model.inputs)], options.criteria)
     stale = stale_channels(flown, outputs, options.criteria)
     prepared = replace(prepared, notes=(*apart, *prepared.notes, *told), stale=stale)
-    wide, stamped = (what(model, [*training, *holdout]) for what in (levels, stamped_attitudes))
-    setting = _setting(prepared, chosen, wide, stamped, options, tell)
+    setting = _setting(prepared, chosen, levels(model, given), stamped_attitudes(model, given), options, tell)
     tell("fitting the baseline", 0.05)
-    doubts = doubts_of([*training, *holdout], model)
+    doubts = doubts_of(given, model)
     try:
         baseline = fit_baseline(setting.working, setting.clean, setting.prepared, setting.scatter)
         doubts += turned_signs(baseline)

@@ -178,6 +178,7 @@ class Calibrator:
     def _align(self, table: ScanTable, readings: Readings) -> dict[str, Array]:
         values = dict(readings.values)
         values.update(_continuous_quaternion(values))
+        furthest = BRIDGED if table.bridged else math.inf
         for name, reading in values.items():
             if name in _HELD:
                 values[name] = hold(reading, table.number)
@@ -185,7 +186,6 @@ class Calibrator:
                 if name in readings.lag:
                     reading = undo_lag(reading, table.time, table.number, readings.lag[name])
                 at = table.time + known_offset(table, readings.group[name]) - readings.delay[name]
-                furthest = BRIDGED if table.bridged else math.inf
                 smooth = name not in self._linear
                 values[name] = to_scan_time(reading, at, table.time, table.number, smooth=smooth, furthest=furthest)
         return values
@@ -263,7 +263,7 @@ def calibrate(
     aligned = (whole or connectedness(table.time) >= COMPLETE) if align is None else align
     calibrator = Calibrator(calibration, facts)
     calibrator.check(table)
-    columns, readings = calibrator.columns(table if whole else bridged(table), aligned=aligned)
+    columns, readings = calibrator.columns(bridged(table) if aligned and not whole else table, aligned=aligned)
     detail, notes = account(table, calibration, columns, readings, aligned, align)
     if table.utc_offset is not None:
         detail["utc_offset_s"], detail["utc_accuracy_s"] = table.utc_offset

@@ -28,7 +28,8 @@ def refuse_twice(training: Sequence[Flight], holdout: Sequence[Flight]) -> None:
 def doubts_of(flights: Sequence[Flight], model: Model) -> list[str]:
     """One sentence for every channel that the model needs and that looks like another unit or sign, or was found from the
     others without saying how well, for uneven times, and for sensors that were not brought to one time, of each flight."""
-    used = {"time", *(s.source for s in (*model.inputs, *model.states, *model.outputs))}
+    driven = {s.source for s in (*model.inputs, *model.outputs)}
+    used = {"time", *driven, *(s.source for s in model.states)}
     told = [f"{f.name}: {s.text}" for f in flights for s in suspicions(f.time, f.columns) if used & set(s.columns)]
     for flight in flights:
         if clock_step(flight) is None:
@@ -43,7 +44,6 @@ def doubts_of(flights: Sequence[Flight], model: Model) -> list[str]:
                 f"{flight.name}: {said}: a name for when or where an instrument measures may be that; where scans are missing, "
                 "give the recording on board"
             )
-        driven = {s.source for s in (*model.inputs, *model.outputs)}
         if made := [c for c in flight.reconstructed if c in driven and uncertainty(flight, c) is None]:
             said = f"{', '.join(made)} not measured but found from the motion, without saying how well: errors look like effects"
             told.append(f"{flight.name}: {said}")

@@ -124,9 +124,8 @@ def _terms(problem: Problem, found: Fit, nulls: Sequence[tuple[Array, ...]]) -> 
 def standardised(projected: Projected, criteria: Criteria) -> tuple[Array, Array]:
     """(k, 1 + nulls) signed scores, and their sizes in units of the scatter on the nulls; zero where the base absorbs all."""
     z = projected.scores()
-    with np.errstate(
-        over="ignore"
-    ):  # a null that all but runs away scatters without limit, and nothing stands out of it
+    # a null that all but runs away scatters without limit, and nothing stands out of it
+    with np.errstate(over="ignore"):
         scatter = np.sqrt(np.maximum(1.0, np.mean(z[:, 1:] ** 2, axis=1)))
     standard = np.abs(z) / scatter[:, None]
     standard[np.diag(projected.B) <= criteria.nameless_seen * projected.raw] = 0.0

@@ -60,9 +60,8 @@ def test_a_level_is_left_open_for_every_flight_as_widely_as_the_reconstruction_s
         assert level.role is ParameterRole.NUISANCE
         assert [t.kind for t in model.transforms if t.input == name] == ["bias"]
     assert with_levels(LATERAL, {}) == LATERAL
-    pitching = load_model(
-        "longitudinal", "cdfp"
-    )  # compared in airspeed: its level is a bias, and no other one comes with it
+    # compared in airspeed: its level is a bias, and no other one comes with it
+    pitching = load_model("longitudinal", "cdfp")
     made = with_nuisance(with_levels(pitching, {"V": 0.4}), {"V": 0.1, "q": 0.01}, 0.02, AS_SET)
     assert made.parameter("bias_V").prior_std == 0.4
     assert made.parameter("bias_V").local
