@@ -9,6 +9,26 @@ from estimation.gap.answer.rounded import rounded
 
 
 @dataclass(frozen=True)
+class Alike:
+    """An effect of the catalogue that has the form of a shape. estimate: (value, bound) of its parameter; why_not: why it is not
+    the shape's name."""
+
+    effect: str
+    title: str
+    parameter: str
+    estimate: tuple[float, float]
+    unit: str
+    why_not: str
+
+    def to_json(self) -> dict[str, Any]:
+        value, std = self.estimate
+        return {
+            "effect": self.effect, "parameter": self.parameter, "estimate": rounded(value, 9), "std": rounded(std, 9),
+            "unit": self.unit, "why_not": self.why_not,
+        }  # fmt: skip
+
+
+@dataclass(frozen=True)
 class Curve:
     """A nameless part of a coefficient as a function of what the data chose.
 
@@ -18,6 +38,7 @@ class Curve:
     energy or plain. analytic: a formula that does as well, or None; candidates: (formula, unknown -> (estimate, bound), share of
     the whitened energy closed, whether that is as good). rivals: (coefficient, variables, share of this one's gain). left_out:
     (training flight, share of it in the range of the others, twice the log-likelihood gained where it is predicted from them).
+    alike: effects of the catalogue that one of the formulas as good as the curve is the form of.
     """
 
     output: str
@@ -35,6 +56,7 @@ class Curve:
     left_out: tuple[tuple[str, float, float], ...]
     regime: str
     separate_by: str
+    alike: tuple[Alike, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
         return {
@@ -47,7 +69,7 @@ class Curve:
                            for text, found, closed, good in self.candidates],
             "alternatives": [{"output": o, "variables": list(v), "share_of_gain": rounded(g, 3)} for o, v, g in self.rivals],
             "left_out": [{"flight": n, "inside": rounded(i, 3), "gain": rounded(g, 1)} for n, i, g in self.left_out],
-            "regime": self.regime, "separate_by": self.separate_by,
+            "regime": self.regime, "separate_by": self.separate_by, "alike": [a.to_json() for a in self.alike],
         }  # fmt: skip
 
 

@@ -79,8 +79,13 @@ def describe_swing(swing: Swinging) -> str:
 def describe_curve(curve: Curve) -> str:
     """A nameless shape in words: where, how sure, in which range, what would settle it."""
     by = " times ".join((f"a function of {curve.variables[0]}", *curve.variables[1:]))
+    what = (
+        "Something that no effect of the catalogue stands for"
+        if curve.alike
+        else "Something the catalogue does not hold"
+    )
     text = (
-        "Something the catalogue does not hold, and no physical name is given to it: "
+        f"{what}, and no physical name is given to it: "
         f"a part of {curve.output} that is {by}, known from {curve.low:.3g} to {curve.high:.3g} {curve.unit} and held outside "
         f"({curve.regime}). It closes {curve.closed:.0%} of the gap above what nothing hidden would leave."
     )
@@ -93,6 +98,9 @@ def describe_curve(curve: Curve) -> str:
         text += f" As good as the curve: {' or '.join(said)}."
     else:
         text += " No plain formula does as well as the curve."
+    for a in curve.alike:
+        value, std = a.estimate
+        text += f" {a.effect} ({a.title}) has that form and would be {value:.4g} +- {std:.2g} {a.unit}; {a.why_not}."
     if curve.rivals:
         others = " or ".join(f"{o} by {' times '.join(v)} ({g:.2f} of the gain)" for o, v, g in curve.rivals)
         text += f" Nearly as well: {others}."

@@ -100,7 +100,8 @@ def concluded(setting: Setting, search: SearchState, check: KinematicCheck) -> G
         decision = with_names(decision, [s.effect for s in named])
     still = ""
     if found.shape is not None:
-        decision, unnamed = with_shape(decision), shaped_step(found.shape, standing, setting)
+        decision = with_shape(decision)
+        unnamed = shaped_step(found.shape, standing, setting, turned_down(search, beside))
         last = found.shape.measured.round_
         rest, still = still_left(last, rest)
     elif event is not None:

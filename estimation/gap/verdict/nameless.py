@@ -1,10 +1,11 @@
 """From a nameless shape to what a person reads: the curve with its band, what does as well, what would settle it."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from estimation.gap.answer.result import Gap, Step, Verdict, Where
+from estimation.gap.answer.result import Gap, Rejected, Step, Verdict, Where
 from estimation.gap.answer.shape import Curve, Happened, Happening, Late, Swinging
 from estimation.gap.errors import GapError
 from estimation.gap.form.analytic import Plain
@@ -19,6 +20,7 @@ from estimation.gap.tests_of_fit.omnibus import examine
 from estimation.gap.tests_of_fit.transients import Found, find_transients
 from estimation.gap.verdict.decide import Decision
 from estimation.gap.verdict.effect_location import SPANS, channels_that_gain, regime, signals_of, spans_of
+from estimation.gap.verdict.same_form import alike
 from estimation.models.base import Model
 
 ANGLES = ("alpha", "beta", "delta_a", "delta_e", "delta_r")
@@ -55,15 +57,17 @@ def searched(setting: Setting, search: SearchState, round_: Round, decision: Dec
         return ShapeSearch(None, ())
 
 
-def shaped_step(shape: Shape, baseline: Baseline, setting: Setting) -> Step:
-    """The step of an unknown whose shape was found."""
+def shaped_step(shape: Shape, baseline: Baseline, setting: Setting, rejected: Sequence[Rejected]) -> Step:
+    """The step of an unknown whose shape was found about `baseline`. rejected: names that were turned down."""
     child = shape.measured.child
     gain = [
         np.nan_to_num((p / baseline.scatter) ** 2 - (c / baseline.scatter) ** 2)
         for p, c in zip(baseline.fit.residuals, child.fit.residuals, strict=True)
     ]
     where = regime(signals_of(child), np.concatenate([g.sum(axis=1) for g in gain]), child.criteria)
-    curve = curve_of(shape, setting, where)
+    offered = [p for p, _ in shape.plain]
+    known = alike(offered, shape.fitted.increment.place.line, baseline.clean, setting.effects, rejected)
+    curve = replace(curve_of(shape, setting, where), alike=known)
     order = channels_that_gain(np.sum([g.sum(axis=0) for g in gain], axis=0), child.criteria)
     spans = [spans_of(child.problem.coarse[i].time, g.sum(axis=1), child.criteria) for i, g in enumerate(gain)]
     names = child.model.output_names
