@@ -23,6 +23,7 @@ from estimation.gap.verdict.effect_location import SPANS, channels_that_gain, re
 from estimation.gap.verdict.same_form import alike
 from estimation.models.base import Model
 
+UNKNOWN, UNNAMED = "an effect the catalogue does not hold", "an effect that no name of the catalogue stands for"
 ANGLES = ("alpha", "beta", "delta_a", "delta_e", "delta_r")
 SLOW_SWEEP = "sweep {x} slowly and evenly through {low:.3g} to {high:.3g} {unit} with everything else held"
 
@@ -72,7 +73,7 @@ def shaped_step(shape: Shape, baseline: Baseline, setting: Setting, rejected: Se
     spans = [spans_of(child.problem.coarse[i].time, g.sum(axis=1), child.criteria) for i, g in enumerate(gain)]
     names = child.model.output_names
     return Step(
-        effect="unknown", title="an effect the catalogue does not hold", form="", confidence=0.0, members=(),
+        effect="unknown", title=UNNAMED if known else UNKNOWN, form="", confidence=0.0, members=(),
         separate_by=curve.separate_by, estimates={}, units={}, score=shape.score, threshold=shape.threshold,
         where=Where(
             curve.output, tuple(names[i] for i in order), tuple(spans[int(np.argmax([len(s) for s in spans]))][:SPANS]),
