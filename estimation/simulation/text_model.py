@@ -1,7 +1,6 @@
 """A model in our own text as a simulation: its lines of the coefficients, evaluated at any state. Parsed, never executed."""
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,13 +11,8 @@ from estimation.aircraft import Aircraft
 from estimation.models.base import Model
 from estimation.models.expressions import evaluate, names_in
 from estimation.models.load import read_model
+from estimation.models.numeric import FUNCTIONS
 from estimation.simulation.oracle import ALPHA_RATE, COEFFICIENTS, Array, Simulation, SimulationError, States
-
-FUNCTIONS: Mapping[str, Any] = {
-    "sin": np.sin, "cos": np.cos, "tan": np.tan, "asin": np.arcsin, "acos": np.arccos, "atan": np.arctan,
-    "atan2": np.arctan2, "sinh": np.sinh, "cosh": np.cosh, "tanh": np.tanh, "sqrt": np.sqrt, "exp": np.exp,
-    "log": np.log, "abs": np.abs, "sign": np.sign, "min": np.minimum, "max": np.maximum, "where": np.where,
-}  # fmt: skip
 
 
 @dataclass(frozen=True)

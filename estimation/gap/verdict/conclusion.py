@@ -98,10 +98,9 @@ def concluded(setting: Setting, search: SearchState, check: KinematicCheck) -> G
         own = floor_about(setting, beside.round_)
         named = [*named[: decision.kept], *(step_of(setting, f, own) for f in beside.findings)]
         decision = with_names(decision, [s.effect for s in named])
-    still = ""
+    still, rejected = "", turned_down(search, beside)
     if found.shape is not None:
-        decision = with_shape(decision)
-        unnamed = shaped_step(found.shape, standing, setting, turned_down(search, beside))
+        decision, unnamed = with_shape(decision), shaped_step(found.shape, standing, setting, rejected)
         last = found.shape.measured.round_
         rest, still = still_left(last, rest)
     elif event is not None:
@@ -139,7 +138,7 @@ def concluded(setting: Setting, search: SearchState, check: KinematicCheck) -> G
         threshold=first.threshold,
         nominal_threshold=nominal_threshold(len(first.screen.hypotheses), setting.options.criteria),
         rejected=(
-            *turned_down(search, beside),
+            *rejected,
             *(Rejected(effect, why) for effect, why in decision.withdrawn),
             *(Rejected(t.place.words, why_not(t)) for t in found.tried),
         ),

@@ -1,12 +1,11 @@
 """From a nameless shape to what a person reads: the curve with its band, what does as well, what would settle it."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
 from estimation.gap.answer.result import Gap, Rejected, Step, Verdict, Where
-from estimation.gap.answer.shape import Curve, Happened, Happening, Late, Swinging
+from estimation.gap.answer.shape import Alike, Curve, Happened, Happening, Late, Swinging
 from estimation.gap.errors import GapError
 from estimation.gap.form.analytic import Plain
 from estimation.gap.form.fitted import Fitted
@@ -21,9 +20,10 @@ from estimation.gap.tests_of_fit.transients import Found, find_transients
 from estimation.gap.verdict.decide import Decision
 from estimation.gap.verdict.effect_location import SPANS, channels_that_gain, regime, signals_of, spans_of
 from estimation.gap.verdict.same_form import alike
+from estimation.gap.verdict.steps import UNKNOWN
 from estimation.models.base import Model
 
-UNKNOWN, UNNAMED = "an effect the catalogue does not hold", "an effect that no name of the catalogue stands for"
+UNNAMED = "an effect that no name of the catalogue stands for"
 ANGLES = ("alpha", "beta", "delta_a", "delta_e", "delta_r")
 SLOW_SWEEP = "sweep {x} slowly and evenly through {low:.3g} to {high:.3g} {unit} with everything else held"
 
@@ -66,9 +66,9 @@ def shaped_step(shape: Shape, baseline: Baseline, setting: Setting, rejected: Se
         for p, c in zip(baseline.fit.residuals, child.fit.residuals, strict=True)
     ]
     where = regime(signals_of(child), np.concatenate([g.sum(axis=1) for g in gain]), child.criteria)
-    offered = [p for p, _ in shape.plain]
-    known = alike(offered, shape.fitted.increment.place.line, baseline.clean, setting.effects, rejected)
-    curve = replace(curve_of(shape, setting, where), alike=known)
+    formulas = [formula for formula, _ in shape.plain]
+    known = alike(formulas, shape.fitted.increment.place.line, baseline.clean, setting.effects, rejected)
+    curve = curve_of(shape, setting, where, known)
     order = channels_that_gain(np.sum([g.sum(axis=0) for g in gain], axis=0), child.criteria)
     spans = [spans_of(child.problem.coarse[i].time, g.sum(axis=1), child.criteria) for i, g in enumerate(gain)]
     names = child.model.output_names
@@ -83,7 +83,7 @@ def shaped_step(shape: Shape, baseline: Baseline, setting: Setting, rejected: Se
     )  # fmt: skip
 
 
-def curve_of(shape: Shape, setting: Setting, where: str) -> Curve:
+def curve_of(shape: Shape, setting: Setting, where: str, known: tuple[Alike, ...]) -> Curve:
     increment = shape.fitted.increment
     place, flown = increment.place, increment.flown
     child = shape.measured.child
@@ -104,7 +104,7 @@ def curve_of(shape: Shape, setting: Setting, where: str) -> Curve:
         ),
         left_out=tuple((setting.prepared.names[o.flight], o.inside, o.gain) for o in shape.others),
         regime=where,
-        separate_by=SLOW_SWEEP.format(x=place.variable, low=flown.low, high=flown.high, unit=unit),
+        separate_by=SLOW_SWEEP.format(x=place.variable, low=flown.low, high=flown.high, unit=unit), alike=known,
     )  # fmt: skip
 
 

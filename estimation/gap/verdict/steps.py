@@ -19,6 +19,8 @@ from estimation.gap.tests_of_fit.omnibus import Omnibus
 from estimation.gap.verdict.effect_location import SPANS, locate
 from estimation.models.base import ParameterRole
 
+UNKNOWN = "an effect the catalogue does not hold"
+
 TOLD = 3  # nameless signals in the words; the JSON file has more
 
 
@@ -28,7 +30,7 @@ def unknown_step(omnibus: Omnibus, gap: Gap) -> Step:
     channels = tuple(dict.fromkeys(s.place for s in leading))
     spans = tuple(s.span for s in leading if s.span is not None)
     return Step(
-        effect="unknown", title="an effect the catalogue does not hold", form="", confidence=0.0, members=(),
+        effect="unknown", title=UNKNOWN, form="", confidence=0.0, members=(),
         separate_by="repeat the manoeuvre and vary one signal at a time around the regime named here", estimates={}, units={},
         score=omnibus.score, threshold=omnibus.threshold,
         where=Where(leading[0].place if leading else "", channels, spans[:SPANS], how_it_shows(omnibus)),

@@ -15,6 +15,7 @@ from estimation.errors import EstimationError
 from estimation.gap.effects import catalogue
 from estimation.models import read_model
 from estimation.models.expressions import evaluate
+from estimation.models.numeric import FUNCTIONS
 from estimation.simulation import importing
 from estimation.simulation.importing import ProvedImport, import_from_jsbsim, imported_exactly, random_states
 from estimation.simulation.jsbsim.export import inlined
@@ -26,7 +27,6 @@ from estimation.simulation.oracle import SimulationError
 from estimation.simulation.proof import AS_IT_IS, NOISE, SHARE
 from estimation.simulation.spec import simulation_of
 from estimation.simulation.stepped import stepped
-from estimation.simulation.text_model import FUNCTIONS
 from sideslip.cli import cli
 from tests.studies import jsbsim_flights as truth
 
