@@ -13,7 +13,7 @@ import numpy as np
 from estimation.engine.compiled import compile_kernel
 from estimation.engine.data import AS_USUAL, FlightData, Preparation, Segment, prepare
 from estimation.engine.kernel import Array, Columns, Drive, Kernel, Motion
-from estimation.engine.transforms import apply_transforms, transform_derivatives
+from estimation.engine.transforms import acting_on, apply_transforms, transform_derivatives
 from estimation.models.base import Model
 from estimation.models.parts import Structure
 from estimation.signals.monotone_cubic import half_way, inner_slopes
@@ -137,15 +137,22 @@ class Simulator:
     def _moved(self, segment: Segment, values: Mapping[str, float], moved: Array) -> Array:
         """Changes (N, nu, k) of the transformed inputs with small changes of the inputs themselves."""
         model, found = self.model, moved.copy()
-        changed = sorted({model.input_names.index(t.input) for t in model.transforms})
-        for k in np.flatnonzero(moved[:, changed].any(axis=(0, 1))):
+        transformed = {t.input for t in model.transforms}
+        for k in range(moved.shape[2]):
+            moving = {n for i, n in enumerate(model.input_names) if n in transformed and moved[:, i, k].any()}
+            if not moving:
+                continue
+            concerned, columns = acting_on(moving, model.transforms, model.input_names)
+            inputs, own, change = (
+                tuple(model.input_names[c] for c in columns),
+                segment.u[:, columns],
+                moved[:, columns, k],
+            )
             up, down = (
-                apply_transforms(
-                    model.transforms, model.input_names, segment.time, segment.u + share * moved[:, :, k], values
-                )
+                apply_transforms(concerned, inputs, segment.time, own + share * change, values)
                 for share in (MOVED, -MOVED)
             )
-            found[:, :, k] = (up - down) / (2.0 * MOVED)
+            found[:, columns, k] = (up - down) / (2.0 * MOVED)
         return found
 
     def _end(self, values: Array) -> Array:

@@ -4,7 +4,7 @@ Each takes time (N,) s, the input (N,) and its parameter, and gives the input th
 between samples. Derivatives with respect to the parameters are central differences of the same numbers.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 
 import numpy as np
 
@@ -139,7 +139,16 @@ def transform_derivatives(
     result = np.zeros((*u.shape, len(names)))
     for j, name in enumerate(names):
         h = steps[name]
-        up = apply_transforms(transforms, input_names, time, u, {**values, name: values[name] + h})
-        down = apply_transforms(transforms, input_names, time, u, {**values, name: values[name] - h})
-        result[:, :, j] = (up - down) / (2 * h)
+        concerned, columns = acting_on({t.input for t in transforms if name in t.parameters}, transforms, input_names)
+        inputs, own = tuple(input_names[c] for c in columns), u[:, columns]
+        up = apply_transforms(concerned, inputs, time, own, {**values, name: values[name] + h})
+        down = apply_transforms(concerned, inputs, time, own, {**values, name: values[name] - h})
+        result[:, columns, j] = (up - down) / (2 * h)
     return result
+
+
+def acting_on(
+    inputs: Collection[str], transforms: tuple[InputTransform, ...], input_names: tuple[str, ...]
+) -> tuple[tuple[InputTransform, ...], list[int]]:
+    """The transforms of some inputs, and the columns of those: no transform reaches from one input to another."""
+    return tuple(t for t in transforms if t.input in inputs), [i for i, n in enumerate(input_names) if n in inputs]

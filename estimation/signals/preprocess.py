@@ -126,8 +126,8 @@ def _piecewise_mean(y: Array, order: int, draws: int, rng: np.random.Generator) 
     begin = by_length(count, signals, longest)
     for n in range(1, longest + 1):
         begin[: count - n + 1, :, n - 1] = score[n:, :, n - 1]
-    forward = _recursion(np.exp(score[1:, :, :]))
-    backward = _recursion(np.exp(begin[::-1]))[::-1]
+    both = _recursion(np.exp(np.concatenate([score[1:], begin[::-1]], axis=1)))  # in one loop over the samples
+    forward, backward = both[:, :signals], both[::-1, signals:]
     mean = fits.average(forward, backward, score)
     return mean, fits.draw(forward, score, draws, rng) - mean if draws else np.zeros((0, *mean.shape))
 

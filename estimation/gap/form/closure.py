@@ -14,7 +14,7 @@ from estimation.gap.likelihood.fitting import Fit, Problem, fit
 from estimation.gap.likelihood.whitening import NoiseModel
 from estimation.gap.random_streams import Stream
 from estimation.gap.tests_of_fit.nulls import InputErrors, NullFlyer
-from estimation.gap.tests_of_fit.screen import reduce_record
+from estimation.gap.tests_of_fit.tangent import RecordTangent
 
 NULLS = 40  # flown of every record that is asked: enough for the upper end of what they leave
 
@@ -51,8 +51,8 @@ def _upper(problem: Problem, found: Fit, flyer: NullFlyer, seed: int) -> float:
     for i in range(len(problem.records)):
         flown = [flyer.fly(i, Stream.CLOSURE_NULLS.generator(seed, i, k)) for k in range(NULLS)]
         whole = [np.full(problem.coarse[i].z.shape, np.nan) if f is None else f for f in flown]
-        gram = reduce_record(problem, found, i, (), whole).gram
-        total += np.diag(gram)[-NULLS:]
+        here = RecordTangent.of(problem, found, i, whole)
+        total += here.squares(here.fixed)[-NULLS:]
     return float(np.quantile(total, problem.criteria.floor_level))
 
 

@@ -39,7 +39,6 @@ def late(course: Array, time: Array, memory: float) -> Array:
 
 def find_memory(flown: Flown, round_: Round, places: Sequence[Place]) -> Memory | None:
     """The place and time constant that gain most by linear theory, where they stand out of the nulls."""
-    problem, found = flown.problem, flown.fit
     asked = [(p, t) for p in places if flown.moves(p.variable) and flown.scale[p.line] > 0.0 for t in TIMES]
 
     def changes(i: int) -> Iterator[Array]:
@@ -47,8 +46,8 @@ def find_memory(flown: Flown, round_: Round, places: Sequence[Place]) -> Memory 
         lags = [(p.line, late(courses[p.variable], time, t) / flown.reach(p.variable)) for p, t in asked]
         return flown.changes(i, lags)
 
-    gram = gram_of(problem, found, changes, round_.null_residuals)
-    gains = Projected.of(gram, len(problem.free), len(asked)).scores() ** 2
+    gram = gram_of(round_.tangent, changes)
+    gains = Projected.of(gram, len(flown.problem.free), len(asked)).scores() ** 2
     result = ranked([p for p, _ in asked], gains, round_.criteria)
     if not result.order:
         return None

@@ -45,7 +45,7 @@ class Ranked(Generic[Asked]):
 
 def rank(flown: Flown, round_: Round, places: Sequence[Place]) -> Ranked[Place]:
     """Score every place on the residuals of a round's baseline and on its nulls."""
-    problem, found, criteria = flown.problem, flown.fit, round_.criteria
+    problem, criteria = flown.problem, round_.criteria
     usable = [p for p in places if flown.moves(p.variable) and flown.scale[p.line] > 0.0]
     spans: list[range] = []
     asks: list[list[tuple[str, Array]]] = [[] for _ in problem.records]
@@ -58,7 +58,7 @@ def rank(flown: Flown, round_: Round, places: Sequence[Place]) -> Ranked[Place]:
             own += [(place.line, course) for course in flown.columns(place, i, limits).T]
         spans.append(range(begin, len(asks[0])))
         weights.append(1.0 / spread**2)
-    gram = gram_of(problem, found, lambda i: flown.changes(i, asks[i]), round_.null_residuals)
+    gram = gram_of(round_.tangent, lambda i: flown.changes(i, asks[i]))
     projected = Projected.of(gram, len(problem.free), len(asks[0]))
     every = np.array([penalised(projected, span, w) for span, w in zip(spans, weights, strict=True)])
     return ranked(usable, every, criteria)

@@ -21,6 +21,7 @@ from estimation.gap.form.places import ACCELERATIONS, Flown
 from estimation.gap.form.screen import ranked
 from estimation.gap.tests_of_fit.calibration import Round
 from estimation.gap.tests_of_fit.screen import Projected, gram_of
+from estimation.gap.tests_of_fit.tangent import Tangent
 
 SLOWEST = 2.0  # rad/s: a swing in three seconds; slower ones are motions of the aircraft itself
 FASTEST = 0.5  # of the highest frequency that the samples can show
@@ -112,7 +113,7 @@ def find_swing(flown: Flown, round_: Round) -> Swing | None:
     if not drives or not lines:
         return None
     asks = [_Ask(n, a, w, DAMPING) for n in lines for w in frequencies(flown.segments[0].time) for a in drives]
-    screen = _Grams.of(flown, lines, drives, asks, round_.null_residuals)
+    screen = _Grams.of(flown, round_.tangent, lines, drives, asks)
     groups, gains = screen.gained()
     result = ranked(groups, gains, round_.criteria)
     if not result.order:
@@ -120,7 +121,11 @@ def find_swing(flown: Flown, round_: Round) -> Swing | None:
     best = result.order[0]
     line, coarse, _ = result.places[best]
     finer = _Grams.of(
-        flown, [line], drives, [_Ask(line, a, w * coarse, z) for w in AROUND for z in DAMPINGS for a in drives]
+        flown,
+        round_.tangent,
+        [line],
+        drives,
+        [_Ask(line, a, w * coarse, z) for w in AROUND for z in DAMPINGS for a in drives],
     )
     near, gained = finer.gained()
     at = int(np.argmax(gained[:, 0]))
@@ -173,12 +178,11 @@ class _Grams:
     def of(
         cls,
         flown: Flown,
+        tangent: Tangent,
         lines: Sequence[str],
         drives: Sequence[str],
         asks: Sequence[_Ask],
-        nulls: Sequence[tuple[Array, ...]] = (),
     ) -> "_Grams":
-        problem, found = flown.problem, flown.fit
         at_once = tuple(_AtOnce(n, a, rate) for n in lines for a in drives for rate in (False, True))
         columns: tuple[_Ask | _AtOnce, ...] = (*at_once, *asks)
 
@@ -186,8 +190,7 @@ class _Grams:
             courses, time = flown.courses[i], flown.segments[i].time
             return flown.changes(i, [(c.line, c.course(courses[c.by], time) / flown.reach(c.by)) for c in columns])
 
-        gram = gram_of(problem, found, changes, nulls)
-        return cls(gram, len(problem.free), at_once, tuple(asks))
+        return cls(gram_of(tangent, changes), len(tangent.problem.free), at_once, tuple(asks))
 
     def gained(self) -> tuple[list[tuple[str, float, float]], Array]:
         """Oscillators (coefficient, frequency, damping), and (oscillators, residuals) what all that drives one gains."""

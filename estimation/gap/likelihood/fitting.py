@@ -227,17 +227,29 @@ def prior_cost(problem: Problem, names: Sequence[str], values: Mapping[str, floa
 
 @dataclass(frozen=True)
 class Point:
-    """Values at which the whitened cost was computed; residuals: per record, none where the motion leaves the finite numbers."""
+    """Values at which the whitened cost was computed; residuals: per record, none where the motion leaves the finite numbers;
+    products: per record, where the derivatives were worked out with it."""
 
     cost: float
     residuals: tuple[Array, ...] = ()
+    products: tuple["Linearised", ...] = ()
+
+
+@dataclass(frozen=True)
+class Linearised:
+    """One record linearised. residual: (N, ny); gram: inner products of the white columns of shared unknowns, of its own and of
+    the residual."""
+
+    residual: Array
+    gram: Array
 
 
 @dataclass
 class Unknowns:
     """The problem as the optimiser sees it: one vector of the first n shared unknowns, then every record's own.
 
-    values: everything shared, where it starts. held: indices of shared unknowns that stay. hessian: of the last step.
+    values: everything shared, where it starts. held: indices of shared unknowns that stay. hessian: of the last step. begun:
+    whether a point has been evaluated.
     """
 
     problem: Problem
@@ -246,6 +258,7 @@ class Unknowns:
     held: Sequence[int]
     hessian: Array
     runaway: bool = False
+    begun: bool = False
 
     @cached_property
     def limits(self) -> Array:
@@ -268,18 +281,30 @@ class Unknowns:
         return np.concatenate([np.clip(unknowns[: self.n], *self.limits), unknowns[self.n :]])
 
     def evaluate(self, unknowns: Array, derivatives: bool) -> Point:
-        """Cost and residuals; derivatives cost more and wait until a step is wanted."""
-        problem = self.problem
+        """Cost and residuals. Derivatives cost more and wait until a step is wanted, but for the first point, from which one is:
+        the same run of the motion gives both."""
+        first, self.begun = not self.begun, True
         values, locals_ = self.unpacked(unknowns)
-        total, residuals = prior_cost(problem, problem.free, values), []
+        if first and derivatives:
+            made = [linearised_in(self.problem, i, values, local, self.n) for i, local in enumerate(locals_)]
+            known = tuple(m for m in made if m is not None)
+            if len(known) == len(made):
+                energies = [float(m.gram[-1, -1]) for m in known]
+                return Point(self.cost(values, locals_, energies), tuple(m.residual for m in known), known)
+        problem, residuals = self.problem, []
         for i, local in enumerate(locals_):
             residual = problem.residual(i, values, local)
             if residual is None:
                 return Point(np.inf)
             residuals.append(residual)
-            total += 0.5 * problem.whiteners[i].energy(residual)
-            total += prior_cost(problem, problem.local_names, local.parameters)
-        return Point(total, tuple(residuals))
+        energies = [w.energy(r) for w, r in zip(problem.whiteners, residuals, strict=True)]
+        return Point(self.cost(values, locals_, energies), tuple(residuals))
+
+    def cost(self, values: Mapping[str, float], locals_: Sequence[Local], energies: Sequence[float]) -> float:
+        """Half the whitened sums of squares of the records, with the priors."""
+        problem = self.problem
+        own = sum(prior_cost(problem, problem.local_names, local.parameters) for local in locals_)
+        return prior_cost(problem, problem.free, values) + own + 0.5 * sum(energies)
 
     def step(self, unknowns: Array, point: Point, damping: float) -> Step:
         """Gauss-Newton step; none, and `runaway` set, where a sensitivity leaves the finite numbers."""
@@ -288,10 +313,11 @@ class Unknowns:
         weight, distance = prior_terms(problem, problem.free[:n], values)
         H, g, decrement, blocks = np.diag(weight), distance, 0.0, []
         for i, local in enumerate(locals_):
-            block = record_blocks(problem, i, values, local, n)
-            if block is None:
+            products = point.products[i] if point.products else linearised_in(problem, i, values, local, n)
+            if products is None:
                 self.runaway = True
                 return Step(np.zeros_like(unknowns), 0.0)
+            block = record_blocks(problem, products, local, n)
             information, gradient = block.reduced()
             H, g = H + information, g + gradient
             decrement += 0.5 * float(block.gl @ block.ll_inverse @ block.gl)
@@ -311,17 +337,20 @@ def cost_at(problem: Problem, values: Mapping[str, float]) -> float:
     return view.evaluate(view.packed(problem.starting_locals()), False).cost
 
 
-def record_blocks(
-    problem: Problem, index: int, values: Mapping[str, float], local: Local, n: int
-) -> FlightBlocks | None:
-    """Information of one record about the first n shared unknowns and its own; None where the motion runs away."""
+def linearised_in(problem: Problem, index: int, values: Mapping[str, float], local: Local, n: int) -> Linearised | None:
+    """One record linearised in the first n shared unknowns and its own; None where the motion runs away."""
     found = problem.linearised(index, values, local)
     if found is None:
         return None
     residual, dy = found
     columns = np.concatenate([dy[:, :, :n], dy[:, :, len(problem.free) :], residual[:, :, None]], axis=2)
-    gram = problem.whiteners[index].gram(columns)
-    information, gradient, m = gram[:-1, :-1], gram[:-1, -1], len(gram) - 1
+    return Linearised(residual, problem.whiteners[index].gram(columns))
+
+
+def record_blocks(problem: Problem, products: Linearised, local: Local, n: int) -> FlightBlocks:
+    """Information of one record about the first n shared unknowns and its own."""
+    gram = products.gram
+    information, gradient, m = gram[:-1, :-1].copy(), gram[:-1, -1].copy(), len(gram) - 1
     weight, distance = local_prior(problem, local, m - n)
     information[n:, n:] += np.diag(weight)
     gradient[n:] += distance

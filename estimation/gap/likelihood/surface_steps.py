@@ -11,7 +11,7 @@ the whitener.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -25,7 +25,7 @@ from estimation.models.base import Model
 from estimation.models.expressions import names_in
 
 GAUSSIAN = 1.4826  # standard deviation over median absolute deviation of normal noise
-SLIGHT = 1e-2  # energy of a direction [variance of the noise]: of weaker ones a hundredth at most would be forgiven
+SLIGHT = 1e-2  # energy of a displacement [variance of the noise]: of weaker ones a hundredth at most would be forgiven
 RUNAWAY = 1e6  # a motion that grows so far is no small motion any more
 
 
@@ -145,24 +145,27 @@ def loosened(
         rows = more if rows is None else np.concatenate([rows, more], axis=1)
     if rows is None:
         return whitener
-    values, vectors = np.linalg.eigh(rows.T @ rows)
-    good = values > SLIGHT
-    if not good.any():  # a short stretch in which hardly anything moves
+    seen = np.einsum("ij,ij->j", rows, rows) > SLIGHT
+    if not seen.any():  # a short stretch in which hardly anything moves
         return whitener
-    values, vectors = values[good], vectors[:, good]
-    return Whitener(
-        whitener.root, whitener.count, Slack(rows @ (vectors / np.sqrt(values)), 1.0 - 1.0 / np.sqrt(1.0 + values))
-    )
+    return replace(whitener, slack=Slack(rows[:, seen]))
 
 
 def displaced(
     whitener: Whitener, steps: SurfaceSteps, freedom: Mapping[str, float], residual: Array
 ) -> tuple[Array, Array]:
-    """(mean (m,), variance (m,)) of the displacements [steps] that a residual (N, ny) tells; `whitener` without slack."""
+    """(mean (m,), variance (m,)) of the displacements [steps] that a residual (N, ny) tells; `whitener` without slack.
+
+    Of those that hardly show it tells nothing.
+    """
     spread = steps.spread(freedom)
-    E, r = whitener.strict(steps.spectrum), whitener.strict(spectrum_of(residual))[:, 0]
-    inverse = np.linalg.inv(E.T @ E + np.diag(1.0 / spread**2))
-    return inverse @ (E.T @ r), np.diag(inverse).copy()
+    mean, variance = np.zeros(spread.size), spread**2
+    E = whitener.strict(steps.spectrum)
+    shown = np.flatnonzero(np.einsum("ij,ij->j", E, E) * variance > SLIGHT)
+    E, r = E[:, shown], whitener.strict(spectrum_of(residual))[:, 0]
+    inverse = np.linalg.inv(E.T @ E + np.diag(1.0 / variance[shown]))
+    mean[shown], variance[shown] = inverse @ (E.T @ r), np.diag(inverse)
+    return mean, variance
 
 
 def freedom_of(steps: Sequence[SurfaceSteps], told: Sequence[tuple[Array, Array]]) -> dict[str, float]:

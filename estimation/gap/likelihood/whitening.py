@@ -21,7 +21,8 @@ from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.fft import fft
+from scipy.fft import rfft
+from scipy.linalg import solve_triangular
 
 from estimation.engine.kernel import Array
 from estimation.engine.simulate import Segment, Simulator
@@ -38,7 +39,6 @@ ITERATIONS = 60  # multiplicative steps: strengths of recorded flights settle to
 FOLLOWING = 20  # steps from an earlier estimate
 LOWEST = 0.25  # of a record's own frequency, in place of none at all: it knows no lower than a part of its own
 BEGIN = 0.3  # of the measurement noise: where the strength of every part starts, from which the steps find their way
-AT_ONCE = 128  # columns transformed together: more do not stay in a processor's cache
 SPAN = REFERENCE["b"]
 FLOOR = 1e-7  # smallest share of the total a part keeps, so that the spectral matrix stays regular
 
@@ -95,11 +95,62 @@ class Shapes:
 
 @dataclass(frozen=True)
 class Slack:
-    """What the whitener is to forgive: orthonormal directions as white rows (rows, m), and the share (m,) of each that is taken
-    away."""
+    """What the whitener is to forgive. rows: (rows, m) white rows of what unknowns of one standard deviation each do.
+
+    Marginalised over them the rows have the covariance I + E E' with E = rows, whose inverse is I - E (I + E'E)^-1 E'.
+    """
 
     rows: Array
-    share: Array
+
+    @cached_property
+    def _information(self) -> Array:
+        """(m, m) I + E'E."""
+        return self.rows.T @ self.rows + np.eye(self.rows.shape[1])
+
+    @cached_property
+    def _lower(self) -> Array:
+        """(m, m) its lower Cholesky factor."""
+        return np.asarray(np.linalg.cholesky(self._information))
+
+    @cached_property
+    def mix(self) -> Array:
+        """(m, m) B for which I - E B E' is the symmetric root of that inverse: 1/(1 + v + sqrt(1 + v)), v eigenvalues of E'E."""
+        values, vectors = np.linalg.eigh(self._information)
+        return np.asarray((vectors / (values + np.sqrt(values))) @ vectors.T)
+
+    def forgiven(self, rows: Array) -> Array:
+        """(m, k) whose inner products come off those of white rows (rows, k)."""
+        along = rows.T @ self.rows  # in this order the many rows are read as they lie
+        return np.asarray(solve_triangular(self._lower, along.T, lower=True, check_finite=False))
+
+
+@dataclass(frozen=True)
+class White:
+    """White columns of a record, of which only inner products are asked: those corrected for what is forgiven are never made.
+
+    rows: (rows, k) with nothing forgiven; forgiven: (m, k) as of `Slack.forgiven`, or None.
+    """
+
+    rows: Array
+    forgiven: Array | None = None
+
+    def products(self, other: "White") -> Array:
+        """(own columns, columns of the other)."""
+        made = self.rows.T @ other.rows
+        if self.forgiven is not None and other.forgiven is not None:
+            made -= self.forgiven.T @ other.forgiven
+        return np.asarray(made)
+
+    def squares(self) -> Array:
+        """(columns,) the product of each with itself."""
+        made = np.einsum("ij,ij->j", self.rows, self.rows)
+        if self.forgiven is not None:
+            made -= np.einsum("ij,ij->j", self.forgiven, self.forgiven)
+        return np.asarray(made)
+
+    def some(self, columns: NDArray[np.intp]) -> "White":
+        """Some of the columns."""
+        return White(self.rows[:, columns], None if self.forgiven is None else self.forgiven[:, columns])
 
 
 @dataclass(frozen=True)
@@ -127,9 +178,9 @@ class Whitener:
 
     @cached_property
     def _slack_series(self) -> Array:
-        """(N ny, m) the forgiven directions as white series."""
+        """(N ny, m) what is forgiven as white series."""
         assert self.slack is not None
-        ny, m = self.root.shape[1], self.slack.share.size
+        ny, m = self.root.shape[1], self.slack.rows.shape[1]
         parts = self.slack.rows.reshape(-1, 2, ny, m) / self._scale[:, None, None, None]
         return np.asarray(np.fft.irfft(parts[:, 0] + 1j * parts[:, 1], n=self.count, axis=0).reshape(-1, m))
 
@@ -142,21 +193,18 @@ class Whitener:
         """(N, ny, k) or (N, ny) -> (rows, k): whitened, as real rows of unit variance."""
         rows = self.strict(spectrum_of(columns))
         if self.slack is not None:
-            rows -= self.slack.rows @ (self.slack.share[:, None] * (self.slack.rows.T @ rows))
+            rows -= self.slack.rows @ (self.slack.mix @ (self.slack.rows.T @ rows))
         return rows
 
-    def gram(self, columns: Array) -> Array:
-        """(N, ny, k) or (N, ny) -> (k, k): inner products of the white rows.
-
-        What is forgiven comes off the products: with orthonormal directions Q and shares d, (R - Q d Q'R)'(R - Q d Q'R) is
-        R'R - (Q'R)' (2 d - d^2) Q'R, which never makes the corrected rows.
-        """
+    def white(self, columns: Array) -> White:
+        """Columns (N, ny, k) or (N, ny), for their inner products."""
         rows = self.strict(spectrum_of(columns))
-        products = rows.T @ rows
-        if self.slack is not None:
-            along = rows.T @ self.slack.rows  # in this order the many rows are read as they lie
-            products -= (along * (self.slack.share * (2.0 - self.slack.share))) @ along.T
-        return np.asarray(products)
+        return White(rows, None if self.slack is None else self.slack.forgiven(rows))
+
+    def gram(self, columns: Array) -> Array:
+        """(N, ny, k) or (N, ny) -> (k, k): inner products of the white rows."""
+        white = self.white(columns)
+        return white.products(white)
 
     def energy(self, residual: Array) -> float:
         """Sum of squares of the white rows of residuals (N, ny)."""
@@ -169,7 +217,7 @@ class Whitener:
         series = np.fft.irfft(self.root @ spectrum, n=self.count, axis=0)
         if self.slack is not None:
             flat = series.reshape(-1, block.shape[2])
-            forgiven = self._slack_series @ (self.slack.share[:, None] * (self._slack_series.T @ flat))
+            forgiven = self._slack_series @ (self.slack.mix @ (self._slack_series.T @ flat))
             series -= forgiven.reshape(series.shape)
         return series.reshape(residual.shape)
 
@@ -181,37 +229,13 @@ def zero_filled(values: Array) -> Array:
 
 def spectrum_of(columns: Array) -> Array:
     """(N, ny, k) or (N, ny) -> (frequencies, 2 ny, k): real parts of the spectra of all channels over imaginary ones. NaN counts
-    as zero.
-
-    Two real columns go through one complex transform: records are seldom of a length that a real one likes, and for a prime
-    number of samples a real one takes as long as a complex one.
-    """
+    as zero."""
     block = zero_filled(columns[:, :, None] if columns.ndim == 2 else columns)
     count, ny, k = block.shape
-    flat, made = block.reshape(count, ny * k), np.empty((count // 2 + 1, 2, ny * k))
-    for first in range(0, ny * k, AT_ONCE):
-        _write_spectrum(flat[:, first : first + AT_ONCE], made[:, :, first : first + AT_ONCE])
-    return made.reshape(count // 2 + 1, 2 * ny, k)
-
-
-def _write_spectrum(columns: Array, to: Array) -> None:
-    """Write real and imaginary parts of the spectra of columns (N, m) to (frequencies, 2, m).
-
-    Every column goes in with largest value 1, so that rounding of the one it is paired with is no more to it than its own, and
-    one of zeros comes out as zeros.
-    """
-    count, m = columns.shape
-    size, half, rest = to.shape[0], (m + 1) // 2, m // 2
-    largest = np.maximum(columns.max(axis=0), -columns.min(axis=0))
-    level = np.where(largest > 0.0, largest, 1.0)
-    pairs = np.zeros((count, half), complex)
-    pairs.real, pairs.imag[:, :rest] = columns[:, :half] / level[:half], columns[:, half:] / level[half:]
-    there = fft(pairs, axis=0, overwrite_x=True)
-    back = there[-np.arange(size)]
-    there = there[:size]
-    to[:, 0, :half], to[:, 1, :half] = there.real + back.real, there.imag - back.imag
-    to[:, 0, half:], to[:, 1, half:] = (there.imag + back.imag)[:, :rest], (back.real - there.real)[:, :rest]
-    to *= 0.5 * largest
+    there = rfft(block.reshape(count, ny * k), axis=0)
+    made = np.empty((there.shape[0], 2, ny * k))
+    made[:, 0], made[:, 1] = there.real, there.imag
+    return made.reshape(there.shape[0], 2 * ny, k)
 
 
 @dataclass(frozen=True)

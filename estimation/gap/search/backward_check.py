@@ -14,6 +14,7 @@ from estimation.gap.search.search_state import Finding, Setting, afresh_with
 from estimation.gap.search.select import Choice
 from estimation.gap.tests_of_fit.hypotheses import hypotheses_for
 from estimation.gap.tests_of_fit.screen import build_screen, linear_gains, linear_guess
+from estimation.gap.tests_of_fit.tangent import Tangent
 
 
 def backward_check(setting: Setting, findings: Sequence[Finding]) -> tuple[list[Finding], list[Rejected]] | None:
@@ -52,7 +53,7 @@ def _rival(setting: Setting, without: Baseline, old: Candidate, gain: float) -> 
     """The best hypothesis that beats `old` by a clear margin where it was taken out, or None."""
     problem, criteria = without.problem, without.criteria
     hypotheses = hypotheses_for(without.clean, setting.effects, setting.prepared.available)
-    screen = build_screen(problem, without.fit, hypotheses)
+    screen = build_screen(Tangent(problem, without.fit), hypotheses)
     found = []
     for h in questioners(linear_gains(screen, problem), criteria):
         hypothesis = screen.hypotheses[h]

@@ -14,8 +14,9 @@ from estimation.gap.errors import GapError
 from estimation.gap.likelihood.baseline import Baseline
 from estimation.gap.records.flight_records import FlightRecords
 from estimation.gap.tests_of_fit.hypotheses import hypotheses_for
-from estimation.gap.tests_of_fit.nulls import InputErrors, NullFlyer, columns_of, fly_nulls
+from estimation.gap.tests_of_fit.nulls import InputErrors, NullFlyer, fly_nulls
 from estimation.gap.tests_of_fit.screen import Screen, build_screen, linear_gains
+from estimation.gap.tests_of_fit.tangent import Tangent
 
 
 @dataclass(frozen=True)
@@ -24,7 +25,7 @@ class Round:
 
     gains: (hypotheses,) twice the log-likelihood by linear theory; null_gains: (nulls, hypotheses) the same on the nulls.
     inflation: (hypotheses,) variance of the score on the nulls, at least 1. threshold: family-wise quantile of the
-    largest standardised score on the nulls, with a margin.
+    largest standardised score on the nulls, with a margin. tangent: what further questions to the fit begin with.
     """
 
     baseline: Baseline
@@ -33,11 +34,16 @@ class Round:
     null_gains: Array
     inflation: Array
     threshold: float
-    null_residuals: tuple[tuple[Array, ...], ...]
+    tangent: Tangent
 
     @property
     def criteria(self) -> Criteria:
         return self.baseline.criteria
+
+    @property
+    def null_residuals(self) -> tuple[tuple[Array, ...], ...]:
+        """Residuals (N, ny) of every null per record."""
+        return self.tangent.nulls
 
     def standardised(self) -> Array:
         """(hypotheses,) scores of the data in units of their scatter on the nulls."""
@@ -63,17 +69,18 @@ def screen_round(
             f"only {len(flown)} of {nulls} simulated nulls stay finite: the fitted baseline is barely stable"
         )
     hypotheses = hypotheses_for(baseline.clean, effects, prepared.available)
-    screen = build_screen(problem, baseline.fit, hypotheses, columns_of(flown))
+    tangent = Tangent(problem, baseline.fit, tuple(flown))
+    screen = build_screen(tangent, hypotheses)
     alike = like_the_flights(screen.projected().energy, baseline.criteria)
     if not alike.all():
-        screen, flown = screen.with_nulls(alike), [null for null, a in zip(flown, alike, strict=True) if a]
-        nulls = len(flown)
+        screen, tangent = screen.with_nulls(alike), tangent.of(alike)
+        nulls = len(tangent.nulls)
     gains = linear_gains(screen, problem, 0)
     null_gains = linear_gains(screen, problem, slice(1, 1 + nulls))
     inflation = null_inflation(screen, nulls)
     largest = np.sqrt(null_gains / inflation).max(axis=1) if screen.hypotheses else np.zeros(nulls)
     limit = threshold(largest, baseline.criteria)
-    return Round(baseline, screen, gains, null_gains, inflation, limit, tuple(flown))
+    return Round(baseline, screen, gains, null_gains, inflation, limit, tangent)
 
 
 def like_the_flights(energy: Array, criteria: Criteria) -> NDArray[np.bool_]:

@@ -15,7 +15,7 @@ from estimation.gap.likelihood.whitening import NoiseModel
 from estimation.gap.random_streams import Stream
 from estimation.gap.tests_of_fit.calibration import Round
 from estimation.gap.tests_of_fit.nulls import InputErrors, NullFlyer
-from estimation.gap.tests_of_fit.screen import reduce_record
+from estimation.gap.tests_of_fit.tangent import Tangent
 
 
 def rms_over_noise(problem: Problem, found: Fit, scatter: Array) -> float:
@@ -70,7 +70,8 @@ def predictive_cost(baseline: Baseline, noise: NoiseModel) -> float | None:
         return None
     problem, found = held
     try:
-        grams = [reduce_record(problem, found, i, (), ()).gram for i in range(len(problem.records))]
+        tangent = Tangent(problem, found)
+        grams = [tangent.record(i).gram for i in range(len(problem.records))]
     except GapError:
         return np.inf
     gram = np.sum(grams, axis=0)

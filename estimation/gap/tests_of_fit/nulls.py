@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from estimation.engine.kernel import Array
+from estimation.engine.simulate import Segment
 from estimation.gap.likelihood.fitting import Fit, Problem
 from estimation.gap.likelihood.surface_steps import find_surface_steps
 from estimation.gap.likelihood.whitening import ON_FORCES, NoiseModel, NoisePart, Source, linear_motion
@@ -94,7 +95,8 @@ class Modelled:
 class NullFlyer:
     """Flies nulls of one fitted model. modelled: per record, None where the model runs away on it. jumps: per record sample,
     output column and standard deviation of what a sample next to a jump may be off. states: whose rates are disturbed, and the
-    input column that does it."""
+    input column that does it. driven: per record, its inputs as the fit has them, with the middles between samples. intervals:
+    per record, between its samples [s]."""
 
     problem: Problem
     fit: Fit
@@ -102,6 +104,8 @@ class NullFlyer:
     modelled: tuple[Modelled | None, ...]
     jumps: tuple[tuple[NDArray[np.int64], NDArray[np.int64], Array], ...]
     states: Mapping[str, int]
+    driven: tuple[Segment, ...]
+    intervals: tuple[float, ...]
 
     @classmethod
     def build(cls, problem: Problem, fit: Fit, noise: NoiseModel, errors: Sequence[InputErrors]) -> "NullFlyer":
@@ -117,18 +121,19 @@ class NullFlyer:
             column = np.array([outputs[n] for n in steps.name if n in steps.jumping], dtype=int)
             jumps.append((steps.at[own], column, (steps.step * steps.spread(noise.freedom))[own]))
         modelled = tuple(_modelled(problem, fit, i, errors[i]) for i in range(len(problem.records)))
-        return cls(problem, fit, noise, modelled, tuple(jumps), states)
+        driven = tuple(problem.driven(grid, fit.values) for grid in problem.grids)
+        intervals = tuple(float(np.median(np.diff(segment.time))) for segment in problem.coarse)
+        return cls(problem, fit, noise, modelled, tuple(jumps), states, driven, intervals)
 
     def fly(self, index: int, rng: np.random.Generator) -> Array | None:
         """(N, ny) residual of one null of one record at the fitted parameters; None where it diverges."""
         problem, local, modelled = self.problem, self.fit.locals[index], self.modelled[index]
         if modelled is None:
             return None
-        grid, coarse = problem.grids[index], problem.coarse[index]
-        driven = problem.driven(grid, self.fit.values)
+        driven, coarse, interval = self.driven[index], problem.coarse[index], self.intervals[index]
         shaken = driven.u.copy()
         self._loosen_surfaces(shaken, rng)
-        self._disturb(shaken, grid.segment.time, rng)
+        self._disturb(shaken, 0.5 * interval, rng)
         motion = problem.simulator.run_by_middles(
             replace(driven, u=shaken), {**self.fit.values, **local.parameters}, local.x0
         )
@@ -138,24 +143,25 @@ class NullFlyer:
         noise = np.sqrt(self.noise.measurement * (1.0 if louder is None else louder)) * rng.standard_normal(
             coarse.z.shape
         )
-        self._wander(noise, coarse.time, rng)
+        self._wander(noise, interval, rng)
         at, output, size = self.jumps[index]
         np.add.at(noise, (at, output), size * rng.standard_normal(size.size))
         residual = motion.y + noise - modelled.draw(rng)
         residual[~np.isfinite(coarse.z)] = np.nan
         return residual
 
-    def _wander(self, noise: Array, time: Array, rng: np.random.Generator) -> None:
-        """Add what filtered attitudes do to the noise of the outputs (N, ny): gyro noise and its integral, slow wandering."""
-        outputs, process = self.problem.model.output_names, self.noise.process
-        h, memory = float(np.median(np.diff(time))), self.problem.criteria.filter_memory
+    def _wander(self, noise: Array, h: float, rng: np.random.Generator) -> None:
+        """Add what filtered attitudes do to the noise of the outputs (N, ny), h [s] apart: gyro noise and its integral, slow
+        wandering."""
+        outputs, process, count = self.problem.model.output_names, self.noise.process, len(noise)
+        memory = self.problem.criteria.filter_memory
         for c, name in enumerate(outputs):
             strength = process.get(NoisePart(Source.WANDERING, name), 0.0)
             if strength > 0.0:  # density strength h on the rate
-                noise[:, c] += _forgetting(np.sqrt(strength) * rng.standard_normal(time.size), h, memory, rng)
+                noise[:, c] += _forgetting(np.sqrt(strength) * rng.standard_normal(count), h, memory, rng)
             strength = process.get(NoisePart(Source.GYRO, name), 0.0)
             if strength > 0.0:
-                white = np.sqrt(strength) * rng.standard_normal(time.size)
+                white = np.sqrt(strength) * rng.standard_normal(count)
                 noise[:, outputs.index(RATE_OF[name])] += white
                 noise[:, c] += _forgetting(0.5 * (white + np.concatenate([white[:1], white[:-1]])), h, memory, rng)
 
@@ -167,17 +173,22 @@ class NullFlyer:
                 freedom = self.noise.freedom.get(signal.name, self.problem.criteria.surface_freedom)
                 u[1::2, j] += freedom * rng.standard_normal(step.size) * step
 
-    def _disturb(self, u: Array, time: Array, rng: np.random.Generator) -> None:
-        """Add disturbances of the rates with the spectra of the noise model to the inputs (2N - 1, nu)."""
-        h = float(np.median(np.diff(time)))
-        for part, strength in self.noise.process.items():
-            if part.source not in ON_FORCES or part.of not in self.states:
-                continue
-            # strength counts per sample of the record (2 h); white noise sampled every h has variance density / h
-            white = np.sqrt(strength * 2.0) * rng.standard_normal(time.size)
-            slow = _slow(white, h, part.memory) if part.memory else np.zeros_like(white)
-            white = slow if part.source is Source.TWIST else white - slow
-            u[:, self.states[part.of]] += white
+    def _disturb(self, u: Array, h: float, rng: np.random.Generator) -> None:
+        """Add disturbances of the rates with the spectra of the noise model to the inputs (2N - 1, nu), h [s] apart."""
+        at_work = [
+            (part, strength)
+            for part, strength in self.noise.process.items()
+            if part.source in ON_FORCES and part.of in self.states
+        ]
+        drawn = rng.standard_normal((len(at_work), len(u)))
+        for memory in dict.fromkeys(part.memory for part, _ in at_work):
+            alike = [i for i, (part, _) in enumerate(at_work) if part.memory == memory]
+            slow = _slow(drawn[alike], h, memory) if memory else np.zeros((len(alike), len(u)))
+            for i, course in zip(alike, slow, strict=True):
+                part, strength = at_work[i]
+                # strength counts per sample of the record (2 h); white noise sampled every h has variance density / h
+                shown = course if part.source is Source.TWIST else drawn[i] - course
+                u[:, self.states[part.of]] += np.sqrt(strength * 2.0) * shown
 
 
 def _modelled(problem: Problem, fit: Fit, index: int, errors: InputErrors) -> Modelled | None:
@@ -196,9 +207,9 @@ def _modelled(problem: Problem, fit: Fit, index: int, errors: InputErrors) -> Mo
 
 
 def _slow(white: Array, h: float, tau: float) -> Array:
-    """First-order low-pass of time constant tau [s], started in its steady state of no motion."""
+    """First-order low-pass of time constant tau [s] of courses (many, N), started in its steady state of no motion."""
     a = np.exp(-h / tau)
-    return np.asarray(lfilter([1 - a], [1, -a], white))
+    return np.asarray(lfilter([1 - a], [1, -a], white, axis=-1))
 
 
 def _forgetting(rate: Array, h: float, memory: float, rng: np.random.Generator) -> Array:
@@ -229,8 +240,3 @@ def _nulls(flyer: NullFlyer, count: int, seed: int, tell: Callable[[int], None])
             made += 1
             tell(made)
             yield tuple(r for r in residuals if r is not None)
-
-
-def columns_of(nulls: Sequence[tuple[Array, ...]]) -> list[list[Array]]:
-    """Nulls per record: record -> list of residual columns, as `build_screen` takes them."""
-    return [[null[i] for null in nulls] for i in range(len(nulls[0]))] if nulls else []

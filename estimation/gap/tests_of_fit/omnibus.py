@@ -19,6 +19,7 @@ from estimation.gap.records.candidate_model import DISTURBANCE
 from estimation.gap.tests_of_fit.calibration import Round, upper_quantile
 from estimation.gap.tests_of_fit.doors import is_door, through_doors
 from estimation.gap.tests_of_fit.screen import Projected, gram_of
+from estimation.gap.tests_of_fit.tangent import Tangent
 
 SHAPES = {"linear": "{}", "odd": "{0}|{0}|", "even": "{}^2", "rate": "d{}/dt"}
 LEADING = 8  # signals kept for the answer
@@ -59,7 +60,7 @@ def examine(round_: Round) -> Omnibus:
     """All three families on the residuals of a round's baseline."""
     problem, found, criteria = round_.baseline.problem, round_.baseline.fit, round_.criteria
     nulls = len(round_.null_residuals)
-    terms, term_null = _terms(problem, found, round_.null_residuals)
+    terms, term_null = _terms(round_.tangent)
     white = whitened(problem, found, round_)
     times, time_null = restless_times(problem, white, nulls)
     activity, activity_null = scatter_with_activity(problem, found, white, nulls)
@@ -105,14 +106,15 @@ def pooled(regressors: Sequence[Mapping[tuple[str, str], Array]]) -> list[dict[t
     return made
 
 
-def _terms(problem: Problem, found: Fit, nulls: Sequence[tuple[Array, ...]]) -> tuple[list[Signal], Array]:
+def _terms(tangent: Tangent) -> tuple[list[Signal], Array]:
     """Scores of nameless terms on the data, and the largest standardised score of every null."""
+    problem, found = tangent.problem, tangent.fit
     doors = {n: n.removeprefix(DISTURBANCE.format("")) + "_dot" for n in problem.model.input_names if is_door(n)}
     places = {**{n: n for n in problem.model.output_names}, **doors}
     regressors = pooled([_regressors(problem, found, i) for i in range(len(problem.records))])
     keys = [(place, *k) for place in places for k in regressors[0] if not (place == k[0] and k[1] == "linear")]
     asks = [[(place, own[(signal, shape)]) for place, signal, shape in keys] for own in regressors]
-    gram = gram_of(problem, found, lambda i: _changes(problem, found, i, asks[i]), nulls)
+    gram = gram_of(tangent, lambda i: _changes(problem, found, i, asks[i]))
     z, standard = standardised(Projected.of(gram, len(problem.free), len(keys)), problem.criteria)
     signals = [
         Signal("term", places[p], SHAPES[shape].format(s), float(standard[j, 0]), float(z[j, 0] ** 2))

@@ -14,9 +14,9 @@ from scipy.stats import chi2, norm
 
 from estimation.engine.kernel import Array
 from estimation.estimators.arrow import eliminated, solved
-from estimation.gap.errors import GapError
 from estimation.gap.likelihood.fitting import Fit, Problem, prior_terms
 from estimation.gap.tests_of_fit.hypotheses import Column, Hypothesis, one_sided, sensitivity
+from estimation.gap.tests_of_fit.tangent import Tangent
 
 TINY = 1e-300  # keeps a column without length from dividing by zero
 
@@ -135,10 +135,9 @@ def equivalent_z(gain: float, unknowns: int) -> float:
     return float(-norm.ppf(np.exp(max(tail, -700.0)) / 2)) if tail > -650 else float(np.sqrt(gain))
 
 
-def build_screen(
-    problem: Problem, fit: Fit, hypotheses: Sequence[Hypothesis], extra: Sequence[Sequence[Array]] = ()
-) -> Screen:
-    """Linearise all hypotheses at `fit`. extra: more residual columns per record, each (N, ny) (nulls)."""
+def build_screen(tangent: Tangent, hypotheses: Sequence[Hypothesis]) -> Screen:
+    """Linearise all hypotheses at the fit of a tangent. Raises GapError where its motion cannot be linearised."""
+    problem, fit = tangent.problem, tangent.fit
     columns: list[Column] = []
     changes: list[list[Array]] = []
     kept: list[Hypothesis] = []
@@ -150,10 +149,7 @@ def build_screen(
             columns.append(Column(len(kept), parameter))
             changes.append(change or [])
         kept.append(hypothesis)
-    reduced = tuple(
-        reduce_record(problem, fit, i, [c[i] for c in changes], extra[i] if extra else ())
-        for i in range(len(problem.records))
-    )
+    reduced = tuple(Reduced(tangent.record(i).gram_with([c[i] for c in changes])) for i in range(len(problem.records)))
     prior = shared_prior(problem, fit, reduced[0].gram.shape[0], len(columns))
     return Screen(problem.free, tuple(kept), tuple(columns), reduced, prior, tuple(r.flight for r in problem.records))
 
@@ -167,48 +163,16 @@ def shared_prior(problem: Problem, fit: Fit, size: int, k: int) -> Array:
     return prior
 
 
-def reduce_record(problem: Problem, fit: Fit, index: int, changes: Sequence[Array], extra: Sequence[Array]) -> Reduced:
-    """Gram matrix of one record with its own unknowns eliminated; residual columns: the data's, then `extra`.
-
-    Raises GapError where the fitted motion cannot be linearised.
-    """
-    shared = len(problem.free)
-    found = problem.linearised(index, fit.values, fit.locals[index])
-    if found is None:
-        raise GapError(
-            f"model {problem.base.name}: the motion runs away from the smallest change of a parameter; cut the flights into "
-            "shorter segments"
-        )
-    residual, dy = found
-    missing = ~np.isfinite(residual)
-    block = np.concatenate(
-        [dy, *(c[:, :, None] for c in changes), residual[:, :, None], *(e[:, :, None] for e in extra)], axis=2
-    )
-    block[missing] = 0.0
-    gram = problem.whiteners[index].gram(block)
-    own = np.arange(shared, dy.shape[2])
-    outer = np.concatenate([np.arange(shared), np.arange(dy.shape[2], len(gram))])
-    w, d = prior_terms(problem, problem.local_names, fit.locals[index].parameters)
-    Hll, cross = gram[np.ix_(own, own)], gram[np.ix_(own, outer)]
-    Hll[np.arange(w.size), np.arange(w.size)] += w
-    cross[: d.size, shared + len(changes)] += d
-    return Reduced(gram[np.ix_(outer, outer)] - cross.T @ solved(Hll, cross))
-
-
-def gram_of(
-    problem: Problem, fit: Fit, changes: Callable[[int], Iterable[Array]], nulls: Sequence[tuple[Array, ...]] = ()
-) -> Array:
+def gram_of(tangent: Tangent, changes: Callable[[int], Iterable[Array]] = lambda index: ()) -> Array:
     """Gram matrix of shared unknowns, columns, residuals of the data and of nulls over all records: those of a record alone
     eliminated, with the priors of the shared ones. changes: of a record, (N, ny) of each column.
 
     Raises GapError where the fitted motion cannot be linearised.
     """
-    grams = [
-        reduce_record(problem, fit, i, list(changes(i)), [null[i] for null in nulls]).gram
-        for i in range(len(problem.records))
-    ]
-    gram = np.sum(grams, axis=0)
-    return np.asarray(gram + shared_prior(problem, fit, len(gram), len(gram) - len(problem.free) - 1 - len(nulls)))
+    problem = tangent.problem
+    gram = np.sum([tangent.record(i).gram_with(list(changes(i))) for i in range(len(problem.records))], axis=0)
+    columns = len(gram) - len(problem.free) - 1 - len(tangent.nulls)
+    return np.asarray(gram + shared_prior(problem, tangent.fit, len(gram), columns))
 
 
 def linear_gains(

@@ -20,7 +20,8 @@ from estimation.gap.likelihood.fitting import Fit, Problem, fit
 from estimation.gap.records.candidate_model import DISTURBANCE
 from estimation.gap.tests_of_fit.calibration import Round, upper_quantile
 from estimation.gap.tests_of_fit.doors import is_door, through_doors
-from estimation.gap.tests_of_fit.screen import TINY, reduce_record, shared_prior
+from estimation.gap.tests_of_fit.screen import TINY, shared_prior
+from estimation.gap.tests_of_fit.tangent import Tangent
 
 EVERY = 0.5  # s between the instants at which a step is looked for: a twentieth of the gain is lost between two of them
 STRETCHES = (1.0, 3.0)  # s, of disturbances; each begins a third of it after the one before
@@ -111,6 +112,10 @@ class Asked:
     inside: tuple[tuple[int, ...], ...]
     columns: tuple[Column, ...]
 
+    def showing_in(self, record: int) -> list[int]:
+        """The columns that show in a record."""
+        return [c for c, column in enumerate(self.columns) if column.record == record]
+
 
 def asked_of(problem: Problem) -> Asked:
     """Every event that these records could show."""
@@ -145,15 +150,14 @@ def asked_of(problem: Problem) -> Asked:
 
 @dataclass(frozen=True)
 class Products:
-    """The Gram matrix of [shared | columns | residuals of data and nulls], without what is never asked of it.
+    """Inner products of [shared | columns | residuals of data and nulls], without what is never asked of them.
 
     n: shared unknowns. outer: (n + m, n + m) of these and the residuals, with priors; across: (columns, n + m) of every column
     with them; raw: (columns,) of each with itself; own: of every event with several columns, these with each other. A column
     shows in one record and meets no other record's: the whole matrix would grow with the square of the time flown.
     """
 
-    problem: Problem
-    fit: Fit
+    tangent: Tangent
     asked: Asked
     n: int
     outer: Array
@@ -162,45 +166,38 @@ class Products:
     own: Mapping[int, Array]
 
     @classmethod
-    def of(cls, asked: Asked, round_: Round) -> "Products":
-        problem, found = round_.baseline.problem, round_.baseline.fit
-        n, m, count = len(problem.free), 1 + len(round_.null_residuals), len(asked.columns)
+    def of(cls, asked: Asked, tangent: Tangent) -> "Products":
+        problem, found = tangent.problem, tangent.fit
+        n, m, count = len(problem.free), 1 + len(tangent.nulls), len(asked.columns)
         outer, across, raw = shared_prior(problem, found, n + m, 0), np.zeros((count, n + m)), np.zeros(count)
         several = {e: columns for e, columns in enumerate(asked.inside) if len(columns) > 1}
         own = {e: np.zeros((len(columns),) * 2) for e, columns in several.items()}
         for i in range(len(problem.records)):
-            here, gram = _in_record(problem, found, i, asked, [null[i] for null in round_.null_residuals])
-            k = len(here)
-            rest = np.concatenate([np.arange(n), np.arange(n + k, n + k + m)])
-            outer += gram[np.ix_(rest, rest)]
-            across[here], raw[here] = gram[n : n + k, rest], np.diag(gram)[n : n + k]
-            at = {c: n + j for j, c in enumerate(here)}
-            for e, columns in several.items():
-                some = [j for j, c in enumerate(columns) if c in at]
+            record, here = tangent.record(i), asked.showing_in(i)
+            columns = record.columns(list(_changes(problem, found, i, asked, here)))
+            outer += record.gram
+            across[here], raw[here] = record.products(columns, record.fixed), record.squares(columns)
+            at = {c: j for j, c in enumerate(here)}
+            for e, inside in several.items():
+                some = [j for j, c in enumerate(inside) if c in at]
                 if some:
-                    index = [at[columns[j]] for j in some]
-                    own[e][np.ix_(some, some)] += gram[np.ix_(index, index)]
-        return cls(problem, found, asked, n, outer, across, raw, own)
+                    together = columns.some([at[inside[j]] for j in some])
+                    own[e][np.ix_(some, some)] += record.products(together, together)
+        return cls(tangent, asked, n, outer, across, raw, own)
 
     def rows(self, event: int) -> dict[int, Array]:
         """Of every column of an event its products (columns,) with all."""
         made: dict[int, Array] = {}
-        columns = self.asked.inside[event]
-        for record in dict.fromkeys(self.asked.columns[c].record for c in columns):
-            here, gram = _in_record(self.problem, self.fit, record, self.asked, ())
-            at = {c: self.n + j for j, c in enumerate(here)}
-            for c in (c for c in columns if c in at):
+        columns, problem, found = self.asked.inside[event], self.tangent.problem, self.tangent.fit
+        for i in dict.fromkeys(self.asked.columns[c].record for c in columns):
+            record, here = self.tangent.record(i), self.asked.showing_in(i)
+            all_here = record.columns(list(_changes(problem, found, i, self.asked, here)))
+            at = {c: j for j, c in enumerate(here)}
+            inside = [c for c in columns if c in at]
+            for c, row in zip(inside, record.products(all_here.some([at[c] for c in inside]), all_here), strict=True):
                 made[c] = np.zeros(len(self.asked.columns))
-                made[c][here] = gram[at[c], self.n : self.n + len(here)]
+                made[c][here] = row
         return made
-
-
-def _in_record(
-    problem: Problem, found: Fit, index: int, asked: Asked, nulls: Sequence[Array]
-) -> tuple[list[int], Array]:
-    """The columns that show in a record, and its Gram matrix of [shared | these | residuals]."""
-    here = [c for c, column in enumerate(asked.columns) if column.record == index]
-    return here, reduce_record(problem, found, index, list(_changes(problem, found, index, asked, here)), nulls).gram
 
 
 def _changes(problem: Problem, found: Fit, index: int, asked: Asked, columns: Sequence[int]) -> Iterator[Array]:
@@ -249,7 +246,7 @@ def find_transients(round_: Round) -> Transients:
     """Events one after the other as long as one stands out of the nulls, each projected out before the next is looked for; then
     those that the later ones have made idle are dropped."""
     asked = asked_of(round_.baseline.problem)
-    products, criteria = Products.of(asked, round_), round_.criteria
+    products, criteria = Products.of(asked, round_.tangent), round_.criteria
     rows: dict[int, Array] = {}
     taken: list[int] = []
     for _ in range(MOST):
@@ -302,7 +299,10 @@ def _without(round_: Round, asked: Asked, sizes: Mapping[int, float]) -> Round |
     records = tuple(replace(r, z=own) for r, own in zip(problem.records, z, strict=True))
     cleared = replace(problem, records=records)
     again = fit(cleared, found.values, found.locals)
-    return None if again.diverged else replace(round_, baseline=replace(round_.baseline, problem=cleared, fit=again))
+    if again.diverged:
+        return None
+    baseline = replace(round_.baseline, problem=cleared, fit=again)
+    return replace(round_, baseline=baseline, tangent=Tangent(cleared, again, round_.null_residuals))
 
 
 def event_limit(largest: Array, criteria: Criteria) -> float:

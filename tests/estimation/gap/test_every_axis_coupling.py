@@ -15,6 +15,7 @@ from estimation.gap.search.confirm import fit_hypothesis
 from estimation.gap.tests_of_fit.hypotheses import hypotheses_for
 from estimation.gap.tests_of_fit.nulls import InputErrors, NullFlyer, input_errors
 from estimation.gap.tests_of_fit.screen import Screen, build_screen, linear_gains, linear_guess
+from estimation.gap.tests_of_fit.tangent import Tangent
 from estimation.models.load import load_model
 from groundstation.flight import Flight
 from tests.studies import second_truth as truth
@@ -44,7 +45,7 @@ def screened() -> tuple[FlightRecords, Baseline, Screen]:
     baseline = fit_baseline(working, clean, prepared, scatter)
     # forms without states of their own: each of the others needs equations of its own, which says nothing here
     asked = [h for h in hypotheses_for(clean, effects, prepared.available) if not h.form.states]
-    return prepared, baseline, build_screen(baseline.problem, baseline.fit, asked)
+    return prepared, baseline, build_screen(Tangent(baseline.problem, baseline.fit), asked)
 
 
 def test_a_coupling_stands_out_of_the_effects_of_both_planes(screened: tuple[FlightRecords, Baseline, Screen]) -> None:

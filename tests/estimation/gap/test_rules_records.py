@@ -185,13 +185,12 @@ def test_nulls_fly_through_gusts_that_fade_and_through_the_rates_of_those_that_l
     """Both of white noise that is twice its strength at every half sample: the one as a first-order lag leaves it, the other
     what that takes away."""
     model = SimpleNamespace(inputs=(), criteria=AS_SET)
-    time = 0.5 * STEP * np.arange(200_000)
     for source, memory in ((Source.TWIST, 0.15), (Source.RATE, 1.0), (Source.RATE, 0.0)):
         flyer: Any = SimpleNamespace(
             noise=NoiseModel(np.ones(1), {NoisePart(source, "p", memory): 3.0}), states={"p": 0}, problem=model
         )
-        u = np.zeros((time.size, 1))
-        NullFlyer._disturb(flyer, u, time, np.random.default_rng(1))
+        u = np.zeros((200_000, 1))
+        NullFlyer._disturb(flyer, u, 0.5 * STEP, np.random.default_rng(1))
         keep = np.exp(-0.5 * STEP / memory) if memory else 0.0
         if source is Source.TWIST:
             expected, after = 6.0 * (1.0 - keep) / (1.0 + keep), keep

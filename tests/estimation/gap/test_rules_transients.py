@@ -20,6 +20,7 @@ from estimation.gap.likelihood.whitening import NoiseModel, Whitener
 from estimation.gap.records.candidate_model import DISTURBANCE
 from estimation.gap.records.flight_records import Record
 from estimation.gap.tests_of_fit.calibration import Round
+from estimation.gap.tests_of_fit.tangent import Tangent
 from estimation.gap.tests_of_fit.transients import asked_of, equivalent, event_limit, find_transients, standing_out
 from estimation.gap.verdict.decide import Decision, as_unknown, with_shape
 from estimation.gap.verdict.nameless import event_step, happening
@@ -64,7 +65,7 @@ def round_about(model: Model, inputs: dict[str, Array], shown: Sequence[Array], 
     baseline = Baseline(problem, fit(problem), NoiseModel(np.array([NOISE**2]), {}), np.array([NOISE]), model, flights)
     nulls = tuple(tuple(NOISE * rng.standard_normal((TIME.size, 1)) for _ in records) for _ in range(60))
     screen: Any = None
-    return Round(baseline, screen, np.zeros(0), np.zeros((60, 0)), np.zeros(0), 4.0, nulls)
+    return Round(baseline, screen, np.zeros(0), np.zeros((60, 0)), np.zeros(0), 4.0, Tangent(problem, baseline.fit, nulls))
 
 
 def rolled(added: Sequence[Array], seed: int = 5) -> Round:
