@@ -65,7 +65,9 @@ def round_about(model: Model, inputs: dict[str, Array], shown: Sequence[Array], 
     baseline = Baseline(problem, fit(problem), NoiseModel(np.array([NOISE**2]), {}), np.array([NOISE]), model, flights)
     nulls = tuple(tuple(NOISE * rng.standard_normal((TIME.size, 1)) for _ in records) for _ in range(60))
     screen: Any = None
-    return Round(baseline, screen, np.zeros(0), np.zeros((60, 0)), np.zeros(0), 4.0, Tangent(problem, baseline.fit, nulls))
+    return Round(
+        baseline, screen, np.zeros(0), np.zeros((60, 0)), np.zeros(0), 4.0, Tangent(problem, baseline.fit, nulls)
+    )
 
 
 def rolled(added: Sequence[Array], seed: int = 5) -> Round:
