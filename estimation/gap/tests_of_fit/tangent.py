@@ -17,7 +17,7 @@ from estimation.gap.errors import GapError
 from estimation.gap.likelihood.fitting import Fit, Problem, local_prior
 from estimation.gap.likelihood.whitening import White
 
-KEPT = 2**27  # bytes of white columns kept from one question to the next: of hours of flight they are made anew
+KEPT = 2**26  # bytes of white columns kept from one question to the next: of hours of flight they are made anew
 
 
 @dataclass(frozen=True)

@@ -148,8 +148,9 @@ def test_an_effect_with_a_state_of_its_own_is_fitted_afresh(right: Baseline) -> 
 
 @pytest.mark.long
 def test_of_two_bases_as_good_the_one_whose_motion_dies_away_is_taken() -> None:
-    """A play of the rudder bends the base into positive yaw damping; another is as good, 0.4 of the log-likelihood behind or
-    15, with noise that differs in its third digit. The nulls of the first run away: nothing could be told from them (`cannot_tell`, 23 effects that could not have been seen)."""
+    """A play of the rudder bends the base into positive yaw damping; another is as good: 0.4 of the log-likelihood behind, or 15
+    with noise that differs in its third digit. The nulls of the first run away: nothing could be told from them
+    (`cannot_tell`, 23 effects that could not have been seen)."""
     given = gap_flights(truth.fly(requests({"rudder_backlash": 1.0}, 172028, 0.15, "rich")))
     result = run_gap(LATERAL, given[:3], given[3:], options=Options(seed=1, nulls=40))
     assert result.verdict == "gap_closed"
@@ -160,13 +161,20 @@ def test_of_two_bases_as_good_the_one_whose_motion_dies_away_is_taken() -> None:
 
 
 @pytest.mark.parametrize(
-    ("growing", "other", "cost", "taken"),
-    [(0.14, -0.5, 99.0, False), (0.16, -0.5, 102.9, True), (0.16, -0.5, 103.1, False), (0.16, 0.09, 99.0, False)],
+    ("growing", "other", "own_cost", "cost", "taken"),
+    [
+        (0.14, -0.5, 100.0, 99.0, False),
+        (0.16, -0.5, 100.0, 102.9, True),
+        (0.16, -0.5, 100.0, 103.1, False),
+        (0.16, 0.09, 100.0, 99.0, False),
+        (0.16, -0.5, 4000.0, 4019.0, True),
+        (0.16, -0.5, 4000.0, 4021.0, False),
+    ],
 )
 def test_another_fit_is_taken_where_it_is_as_good_and_calmer(
-    monkeypatch: pytest.MonkeyPatch, growing: float, other: float, cost: float, taken: bool
+    monkeypatch: pytest.MonkeyPatch, growing: float, other: float, own_cost: float, cost: float, taken: bool
 ) -> None:
-    own: Any = SimpleNamespace(cost=100.0, diverged=False)
+    own: Any = SimpleNamespace(cost=own_cost, diverged=False)
     again: Any = SimpleNamespace(cost=cost, diverged=False)
     made: Any = SimpleNamespace(problem=SimpleNamespace(starts=dict), fit=own)
     monkeypatch.setattr(baselines, "growth", lambda problem, found: growing if found is own else other)
