@@ -143,13 +143,9 @@ class Simulator:
             if not moving:
                 continue
             concerned, columns = acting_on(moving, model.transforms, model.input_names)
-            inputs, own, change = (
-                tuple(model.input_names[c] for c in columns),
-                segment.u[:, columns],
-                moved[:, columns, k],
-            )
+            inputs, own = tuple(model.input_names[c] for c in columns), segment.u[:, columns]
             up, down = (
-                apply_transforms(concerned, inputs, segment.time, own + share * change, values)
+                apply_transforms(concerned, inputs, segment.time, own + share * moved[:, columns, k], values)
                 for share in (MOVED, -MOVED)
             )
             found[:, columns, k] = (up - down) / (2.0 * MOVED)

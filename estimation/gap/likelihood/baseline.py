@@ -40,9 +40,7 @@ STEP_TURNS = 2  # of stationary noise and freedom of the surfaces
 GROWS = 0.15  # 1/s: doubles in less than five seconds, which no pilot flies through a record
 CALMER = 0.5  # times the growth
 AS_GOOD = 3.0  # of the log-likelihood: which of two fits so close is better is chance
-ALIKE = (
-    0.005  # of the cost: so far two fits of a base that lacks something move apart with the third digit of the noise
-)
+ALIKE = 0.005  # of the cost: so far two fits of a base that lacks something move with the third digit of the noise
 
 
 @dataclass(frozen=True)

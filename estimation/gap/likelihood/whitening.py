@@ -109,13 +109,21 @@ class Slack:
 
     @cached_property
     def _lower(self) -> Array:
-        """(m, m) its lower Cholesky factor."""
-        return np.asarray(np.linalg.cholesky(self._information))
+        """(m, m) lower, its product with its transpose I + E'E.
+
+        Columns that are as good as equal and large, as of a motion that grows, round the I away: no eigenvalue is below 1.
+        """
+        try:
+            return np.asarray(np.linalg.cholesky(self._information))
+        except np.linalg.LinAlgError:
+            values, vectors = np.linalg.eigh(self._information)
+            return np.asarray(np.linalg.qr((vectors * np.sqrt(np.maximum(values, 1.0))).T, mode="r").T)
 
     @cached_property
     def mix(self) -> Array:
         """(m, m) B for which I - E B E' is the symmetric root of that inverse: 1/(1 + v + sqrt(1 + v)), v eigenvalues of E'E."""
         values, vectors = np.linalg.eigh(self._information)
+        values = np.maximum(values, 1.0)
         return np.asarray((vectors / (values + np.sqrt(values))) @ vectors.T)
 
     def forgiven(self, rows: Array) -> Array:

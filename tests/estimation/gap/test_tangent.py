@@ -127,3 +127,16 @@ def test_what_is_forgiven_is_what_unknowns_of_one_standard_deviation_do() -> Non
     root = np.eye(40) - E @ slack.mix @ E.T
     np.testing.assert_allclose(root @ root, inverse, atol=1e-12)
     assert np.linalg.eigvalsh(root).min() > 0.0
+
+
+def test_large_columns_that_are_as_good_as_equal_are_forgiven_once() -> None:
+    """I + E'E is singular to rounding then; what all of them do together is forgiven, and nothing else."""
+    rng = np.random.default_rng(9)
+    shape, rows = rng.standard_normal(40), rng.standard_normal((40, 3))
+    alike = 1e8 * np.outer(shape, [1.0, 2.0, 3.0]) * (1.0 + 1e-13 * rng.standard_normal((40, 3)))
+    with pytest.raises(np.linalg.LinAlgError):
+        np.linalg.cholesky(np.eye(3) + alike.T @ alike)
+    forgiven = Slack(alike).forgiven(rows)
+    along = shape @ rows / np.linalg.norm(shape)
+    np.testing.assert_allclose(forgiven.T @ forgiven, np.outer(along, along), rtol=1e-3, atol=1e-3)
+    assert np.isfinite(Slack(alike).mix).all()
