@@ -117,7 +117,7 @@ class Slack:
             return np.asarray(np.linalg.cholesky(self._information))
         except np.linalg.LinAlgError:
             values, vectors = np.linalg.eigh(self._information)
-            return np.asarray(np.linalg.qr((vectors * np.sqrt(np.maximum(values, 1.0))).T, mode="r").T)
+            return np.asarray(np.linalg.qr((vectors * np.sqrt(np.maximum(values, 1.0))).T)[1].T)
 
     @cached_property
     def mix(self) -> Array:
