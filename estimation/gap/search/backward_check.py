@@ -9,9 +9,11 @@ from estimation.engine.kernel import Array
 from estimation.gap.answer.result import Rejected
 from estimation.gap.criteria import Criteria
 from estimation.gap.likelihood.baseline import Baseline, fit_baseline
+from estimation.gap.search.accept import own_inflation
 from estimation.gap.search.confirm import Candidate, assess, fit_hypothesis
 from estimation.gap.search.search_state import Finding, Setting, afresh_with
-from estimation.gap.search.select import Choice
+from estimation.gap.search.select import Choice, alone
+from estimation.gap.tests_of_fit.calibration import Round
 from estimation.gap.tests_of_fit.hypotheses import hypotheses_for
 from estimation.gap.tests_of_fit.screen import build_screen, linear_gains, linear_guess
 from estimation.gap.tests_of_fit.tangent import Tangent
@@ -35,7 +37,7 @@ def backward_check(setting: Setting, findings: Sequence[Finding]) -> tuple[list[
             )
             kept = [replace(f, child=fresh) if f is last else f for f in others]
             return kept, [Rejected(old.hypothesis.label, why)]
-        rival = _rival(setting, without, old, gain)
+        rival = _rival(setting, without, finding, last.round_, gain)
         if rival is not None:
             why = f"{rival.hypothesis.label} explains the same better with the other effects in the model"
             choice = Choice((rival,), {rival.hypothesis.effect.name: 1.0}, ())
@@ -49,26 +51,31 @@ def idle(gain: float, threshold: float) -> bool:
     return float(np.sqrt(max(gain, 0.0))) < threshold
 
 
-def _rival(setting: Setting, without: Baseline, old: Candidate, gain: float) -> Candidate | None:
-    """The best hypothesis that beats `old` by a clear margin where it was taken out, or None."""
+def _rival(setting: Setting, without: Baseline, old: Finding, last: Round, gain: float) -> Candidate | None:
+    """The best hypothesis that beats an earlier effect, which gains `gain`, by a clear margin where that was taken out, or None.
+    By how much nulls scatter gains is known of the last round, and of what is in its model of the round before it was."""
     problem, criteria = without.problem, without.criteria
     hypotheses = hypotheses_for(without.clean, setting.effects, setting.prepared.available)
     screen = build_screen(Tangent(problem, without.fit), hypotheses)
+    known = {**alone(old.round_), **alone(last)}
+    scatter = np.array([known.get(h.key, 1.0) for h in screen.hypotheses])
     found = []
-    for h in questioners(linear_gains(screen, problem), criteria):
+    for h in questioners(linear_gains(screen, problem) / scatter, criteria):
         hypothesis = screen.hypotheses[h]
-        if hypothesis.key != old.hypothesis.key:
+        if hypothesis.key != old.candidate.hypothesis.key:
             _, fitted = fit_hypothesis(problem, without.fit, hypothesis, linear_guess(screen, problem, h))
-            found.append(assess(problem, without.fit, hypothesis, fitted, 1.0))
-    return best_rival(found, gain, criteria)
+            found.append(assess(problem, without.fit, hypothesis, fitted, float(scatter[h])))
+    return best_rival(found, gain / own_inflation(old.candidate), last.threshold, criteria)
 
 
 def questioners(gains: Array, criteria: Criteria) -> list[int]:
-    """Indices of the hypotheses that question an earlier effect: the best by linear theory."""
+    """Indices of the hypotheses that question an earlier effect: the best by linear theory, gains over what nulls scatter."""
     return [int(h) for h in np.argsort(-gains)[: criteria.rivals]]
 
 
-def best_rival(found: Sequence[Candidate], gain: float, criteria: Criteria) -> Candidate | None:
-    """The candidate that gains most, and more than an accepted effect's `gain` by a clear margin."""
-    better = [c for c in found if not c.why_not and c.gain > gain + criteria.exchange]
-    return max(better, key=lambda c: c.gain, default=None)
+def best_rival(found: Sequence[Candidate], gain: float, threshold: float, criteria: Criteria) -> Candidate | None:
+    """The significant candidate that gains most, and more than an accepted effect's `gain` by a clear margin; gains over what the
+    nulls scatter of them: what they scatter a hundred times too far gains by chance more than anything else."""
+    sound = [(c.gain / own_inflation(c), c) for c in found if not c.why_not and c.score >= threshold]
+    better = [(gained, c) for gained, c in sound if gained > gain + criteria.exchange]
+    return max(better, key=lambda pair: pair[0])[1] if better else None

@@ -392,11 +392,44 @@ def test_six_hypotheses_question_an_earlier_effect() -> None:
     assert questioners(np.arange(9.0), AS_SET) == [8, 7, 6, 5, 4, 3]
 
 
+def rival(name: str, gain: float, scatter: float = 1.0, why_not: str = "") -> Candidate:
+    """What gains so much, of which nulls scatter `scatter` times what theory says."""
+    return candidate(name, gain=gain, score=float(np.sqrt(gain / scatter)), why_not=why_not)
+
+
 def test_a_rival_must_beat_an_accepted_effect_clearly() -> None:
-    better, best, bad = candidate("a", gain=108.5), candidate("b", gain=109.0), candidate("c", gain=999.0, why_not="no")
-    assert best_rival([better, best, bad], 100.0, AS_SET) is best
-    assert best_rival([candidate(gain=107.0)], 100.0, AS_SET) is None
-    assert best_rival([], 100.0, AS_SET) is None
+    better, best, bad = rival("a", 108.5), rival("b", 109.0), rival("c", 999.0, why_not="no")
+    assert best_rival([better, best, bad], 100.0, 4.0, AS_SET) is best
+    assert best_rival([rival("x", 107.0)], 100.0, 4.0, AS_SET) is None
+    assert best_rival([], 100.0, 4.0, AS_SET) is None
+
+
+def test_a_rival_counts_as_much_as_its_nulls_scatter_and_has_to_be_significant() -> None:
+    """An offset of the centre of gravity gained 1055 on flights of a light aircraft, and 100 times less by its nulls."""
+    assert best_rival([rival("lateral_cg", 1055.0, 100.0)], 0.0, 4.0, AS_SET) is None  # 3.2 of 4
+    loud, fair = rival("a", 400.0, 3.8), rival("b", 200.0, 1.5)
+    assert best_rival([loud, fair], 100.0, 4.0, AS_SET) is fair
+    assert best_rival([loud], 100.0, 4.0, AS_SET) is None
+    assert best_rival([rival("c", 15.0)], 0.0, 4.0, AS_SET) is None
+
+
+def test_what_nulls_scatter_is_known_of_the_last_round_and_of_the_effects_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = [hypothesis(name, "linear") for name in ("own", "loud", "new")]
+    scatter = {"old": {asked[0].key: 2.0, asked[1].key: 3.0}, "last": {asked[1].key: 100.0}}
+    given: dict[str, Any] = {}
+    monkeypatch.setattr(checking, "hypotheses_for", lambda *args: asked)
+    monkeypatch.setattr(checking, "Tangent", lambda *args: None)
+    monkeypatch.setattr(checking, "build_screen", lambda *args: stub(hypotheses=asked))
+    monkeypatch.setattr(checking, "linear_gains", lambda *args: np.array([20.0, 1000.0, 30.0]))
+    monkeypatch.setattr(checking, "linear_guess", lambda *args: {})
+    monkeypatch.setattr(checking, "alone", lambda round_: scatter[round_.name])
+    monkeypatch.setattr(checking, "fit_hypothesis", lambda problem, fit, h, guess: (None, h))
+    monkeypatch.setattr(checking, "assess", lambda problem, fit, h, found, inflation: (h.label, inflation))
+    monkeypatch.setattr(checking, "best_rival", lambda *args: given.update(zip(("found", "gain", "threshold"), args)))
+    without, last = stub(problem=None, criteria=AS_SET, clean=None, fit=None), stub(name="last", threshold=4.5)
+    old = stub(candidate=rival("own", 200.0, 4.0), round_=stub(name="old"))
+    checking._rival(stub(effects=(), prepared=stub(available=())), without, old, last, 100.0)
+    assert given == {"found": [("new", 1.0), ("loud", 100.0)], "gain": 25.0, "threshold": 4.5}
 
 
 def finding(name: str, cost: float = 50.0) -> Finding:
