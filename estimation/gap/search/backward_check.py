@@ -9,7 +9,7 @@ from estimation.engine.kernel import Array
 from estimation.gap.answer.result import Rejected
 from estimation.gap.criteria import Criteria
 from estimation.gap.likelihood.baseline import Baseline, fit_baseline
-from estimation.gap.search.accept import own_inflation
+from estimation.gap.search.accept import confirmed, own_inflation
 from estimation.gap.search.confirm import Candidate, assess, fit_hypothesis
 from estimation.gap.search.search_state import Finding, Setting, afresh_with
 from estimation.gap.search.select import Choice, alone
@@ -39,9 +39,10 @@ def backward_check(setting: Setting, findings: Sequence[Finding]) -> tuple[list[
             return kept, [Rejected(old.hypothesis.label, why)]
         rival = _rival(setting, without, finding, last.round_, gain)
         if rival is not None:
-            why = f"{rival.hypothesis.label} explains the same better with the other effects in the model"
-            choice = Choice((rival,), {rival.hypothesis.effect.name: 1.0}, ())
-            exchanged = Finding(last.round_, choice, rival, without, setting.child(without, rival))
+            why = f"{rival[0].hypothesis.label} explains the same better with the other effects in the model"
+            candidate, child = rival
+            choice = Choice((candidate,), {candidate.hypothesis.effect.name: 1.0}, ())
+            exchanged = Finding(last.round_, choice, candidate, without, child)
             return [*others, exchanged], [Rejected(old.hypothesis.label, why)]
     return None
 
@@ -51,21 +52,32 @@ def idle(gain: float, threshold: float) -> bool:
     return float(np.sqrt(max(gain, 0.0))) < threshold
 
 
-def _rival(setting: Setting, without: Baseline, old: Finding, last: Round, gain: float) -> Candidate | None:
-    """The best hypothesis that beats an earlier effect, which gains `gain`, by a clear margin where that was taken out, or None.
-    By how much nulls scatter gains is known of the last round, and of what is in its model of the round before it was."""
+def _rival(
+    setting: Setting, without: Baseline, old: Finding, last: Round, gain: float
+) -> tuple[Candidate, Baseline] | None:
+    """The best hypothesis that beats an earlier effect, which gains `gain`, by a clear margin where that was taken out, and is
+    confirmed there as any is that gets a name, with the model that has it; or None.
+
+    By how much nulls scatter gains is known of the last round, and of what is in its model of the round before it was.
+    """
     problem, criteria = without.problem, without.criteria
     hypotheses = hypotheses_for(without.clean, setting.effects, setting.prepared.available)
     screen = build_screen(Tangent(problem, without.fit), hypotheses)
     known = {**alone(old.round_), **alone(last)}
     scatter = np.array([known.get(h.key, 1.0) for h in screen.hypotheses])
+    gains = linear_gains(screen, problem)
     found = []
-    for h in questioners(linear_gains(screen, problem) / scatter, criteria):
+    for h in questioners(gains / scatter, criteria):
         hypothesis = screen.hypotheses[h]
         if hypothesis.key != old.candidate.hypothesis.key:
             _, fitted = fit_hypothesis(problem, without.fit, hypothesis, linear_guess(screen, problem, h))
             found.append(assess(problem, without.fit, hypothesis, fitted, float(scatter[h])))
-    return best_rival(found, gain / own_inflation(old.candidate), last.threshold, criteria)
+    asked = replace(last, baseline=without, screen=screen, gains=gains, inflation=scatter)
+    for rival in better_rivals(found, gain / own_inflation(old.candidate), last.threshold, criteria):
+        child, _ = confirmed(setting, asked, rival, nameless=0.0)
+        if child is not None:
+            return rival, child
+    return None
 
 
 def questioners(gains: Array, criteria: Criteria) -> list[int]:
@@ -73,9 +85,9 @@ def questioners(gains: Array, criteria: Criteria) -> list[int]:
     return [int(h) for h in np.argsort(-gains)[: criteria.rivals]]
 
 
-def best_rival(found: Sequence[Candidate], gain: float, threshold: float, criteria: Criteria) -> Candidate | None:
-    """The significant candidate that gains most, and more than an accepted effect's `gain` by a clear margin; gains over what the
-    nulls scatter of them: what they scatter a hundred times too far gains by chance more than anything else."""
+def better_rivals(found: Sequence[Candidate], gain: float, threshold: float, criteria: Criteria) -> list[Candidate]:
+    """The significant candidates that gain more than an accepted effect's `gain` by a clear margin, the most first; gains over
+    what the nulls scatter of them: what they scatter a hundred times too far gains by chance more than anything else."""
     sound = [(c.gain / own_inflation(c), c) for c in found if not c.why_not and c.score >= threshold]
     better = [(gained, c) for gained, c in sound if gained > gain + criteria.exchange]
-    return max(better, key=lambda pair: pair[0])[1] if better else None
+    return [c for _, c in sorted(better, key=lambda pair: -pair[0])]

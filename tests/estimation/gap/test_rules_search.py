@@ -18,11 +18,12 @@ from estimation.gap.search import backward_check as checking
 from estimation.gap.search import confirm
 from estimation.gap.search import rounds as searching
 from estimation.gap.search.accept import accept, by_timing, doubtful, explains, follows, holds, is_strong, repeats
-from estimation.gap.search.backward_check import best_rival, idle, questioners
+from estimation.gap.search.backward_check import better_rivals, idle, questioners
 from estimation.gap.search.confirm import Candidate, assess, deflated, freed_by, impossible, leading, price
 from estimation.gap.search.rounds import run_rounds
 from estimation.gap.search.search_state import Finding, Options
 from estimation.gap.search.select import Choice, comparable, credible_set, material, promise, worth_comparing
+from estimation.gap.tests_of_fit.calibration import Round
 from estimation.gap.tests_of_fit.hypotheses import Column, Hypothesis
 from estimation.gap.tests_of_fit.omnibus import Omnibus, Signal
 from estimation.gap.tests_of_fit.screen import Projected, Reduced, Screen, equivalent_z
@@ -399,38 +400,61 @@ def rival(name: str, gain: float, scatter: float = 1.0, why_not: str = "") -> Ca
 
 def test_a_rival_must_beat_an_accepted_effect_clearly() -> None:
     better, best, bad = rival("a", 108.5), rival("b", 109.0), rival("c", 999.0, why_not="no")
-    assert best_rival([better, best, bad], 100.0, 4.0, AS_SET) is best
-    assert best_rival([rival("x", 107.0)], 100.0, 4.0, AS_SET) is None
-    assert best_rival([], 100.0, 4.0, AS_SET) is None
+    assert better_rivals([better, best, bad], 100.0, 4.0, AS_SET) == [best, better]
+    assert better_rivals([rival("x", 107.0)], 100.0, 4.0, AS_SET) == []
+    assert better_rivals([], 100.0, 4.0, AS_SET) == []
 
 
 def test_a_rival_counts_as_much_as_its_nulls_scatter_and_has_to_be_significant() -> None:
     """An offset of the centre of gravity gained 1055 on flights of a light aircraft, and 100 times less by its nulls."""
-    assert best_rival([rival("lateral_cg", 1055.0, 100.0)], 0.0, 4.0, AS_SET) is None  # 3.2 of 4
+    assert better_rivals([rival("lateral_cg", 1055.0, 100.0)], 0.0, 4.0, AS_SET) == []  # 3.2 of 4
     loud, fair = rival("a", 400.0, 3.8), rival("b", 200.0, 1.5)
-    assert best_rival([loud, fair], 100.0, 4.0, AS_SET) is fair
-    assert best_rival([loud], 100.0, 4.0, AS_SET) is None
-    assert best_rival([rival("c", 15.0)], 0.0, 4.0, AS_SET) is None
+    assert better_rivals([loud, fair], 100.0, 4.0, AS_SET) == [fair]
+    assert better_rivals([loud], 100.0, 4.0, AS_SET) == []
+    assert better_rivals([rival("c", 15.0)], 0.0, 4.0, AS_SET) == []
 
 
-def test_what_nulls_scatter_is_known_of_the_last_round_and_of_the_effects_own(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked = [hypothesis(name, "linear") for name in ("own", "loud", "new")]
+def test_a_rival_is_asked_what_any_effect_is_with_what_nulls_scatter_of_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """That is known of the last round, and of the earlier effect's own; the first that is confirmed takes the place."""
+    asked = [hypothesis(name, "linear") for name in ("own", "loud", "new", "other")]
     scatter = {"old": {asked[0].key: 2.0, asked[1].key: 3.0}, "last": {asked[1].key: 100.0}}
     given: dict[str, Any] = {}
+
+    def round_of(threshold: float) -> Round:
+        none: Any = None
+        return Round(none, none, np.zeros(0), np.zeros((0, 0)), np.zeros(0), threshold, none)
+
+    def confirmed(setting: Any, round_: Round, candidate: Candidate, nameless: float) -> tuple[str | None, str]:
+        given.update(baseline=round_.baseline, inflation=list(round_.inflation), gains=list(round_.gains))
+        return (None, "does not repeat") if candidate.hypothesis.label == "new" else ("child", "")
+
+    def better(found: Any, gain: float, threshold: float, criteria: Any) -> list[Candidate]:
+        given.update(found=found, gain=gain, threshold=threshold)
+        return [rival("new", 999.0), rival("other", 998.0)]
+
     monkeypatch.setattr(checking, "hypotheses_for", lambda *args: asked)
     monkeypatch.setattr(checking, "Tangent", lambda *args: None)
     monkeypatch.setattr(checking, "build_screen", lambda *args: stub(hypotheses=asked))
-    monkeypatch.setattr(checking, "linear_gains", lambda *args: np.array([20.0, 1000.0, 30.0]))
+    monkeypatch.setattr(checking, "linear_gains", lambda *args: np.array([20.0, 1000.0, 30.0, 5.0]))
     monkeypatch.setattr(checking, "linear_guess", lambda *args: {})
-    monkeypatch.setattr(checking, "alone", lambda round_: scatter[round_.name])
+    monkeypatch.setattr(checking, "alone", lambda round_: scatter["last" if round_.threshold == 4.5 else "old"])
     monkeypatch.setattr(checking, "fit_hypothesis", lambda problem, fit, h, guess: (None, h))
     monkeypatch.setattr(checking, "assess", lambda problem, fit, h, found, inflation: (h.label, inflation))
-    monkeypatch.setattr(checking, "best_rival", lambda *args: given.update(zip(("found", "gain", "threshold"), args)))
-    without, last = stub(problem=None, criteria=AS_SET, clean=None, fit=None), stub(name="last", threshold=4.5)
-    old = stub(candidate=rival("own", 200.0, 4.0), round_=stub(name="old"))
-    checking._rival(stub(effects=(), prepared=stub(available=())), without, old, last, 100.0)
+    monkeypatch.setattr(checking, "better_rivals", better)
+    monkeypatch.setattr(checking, "confirmed", confirmed)
+    without = stub(problem=None, criteria=AS_SET, clean=None, fit=None)
+    old = stub(candidate=rival("own", 200.0, 4.0), round_=round_of(9.0))
+    found = checking._rival(stub(effects=(), prepared=stub(available=())), without, old, round_of(4.5), 100.0)
+    assert found is not None
+    assert (found[0].hypothesis.label, found[1]) == ("other", "child")
     assert given.pop("gain") == pytest.approx(25.0)
-    assert given == {"found": [("new", 1.0), ("loud", 100.0)], "threshold": 4.5}
+    assert given == {
+        "found": [("new", 1.0), ("loud", 100.0), ("other", 1.0)],
+        "threshold": 4.5,
+        "baseline": without,
+        "inflation": [2.0, 100.0, 1.0, 1.0],
+        "gains": [20.0, 1000.0, 30.0, 5.0],
+    }
 
 
 def finding(name: str, cost: float = 50.0) -> Finding:
@@ -452,7 +476,7 @@ def test_an_earlier_effect_is_dropped_exchanged_or_stands(
     """Threshold 4, so a gain of 2 (57 - 50) = 14 is too little and 40 enough."""
     without = stub(fit=stub(cost=cost, values={}, locals=()), noise=None, model=None, clean=None)
     monkeypatch.setattr(checking, "afresh_with", lambda *given: without)
-    monkeypatch.setattr(checking, "_rival", lambda *given: None if rival is None else candidate(rival))
+    monkeypatch.setattr(checking, "_rival", lambda *given: None if rival is None else (candidate(rival), "child"))
     monkeypatch.setattr(checking, "fit_baseline", lambda *given: "fresh")
     setting = stub(prepared=None, scatter=None, child=lambda *given: "child")
     answer = checking.backward_check(setting, [finding("a"), finding("b")])
