@@ -1,6 +1,6 @@
 """Earlier effects asked again with the later ones in the model: dropped where idle, exchanged where a rival does better."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -15,7 +15,7 @@ from estimation.gap.search.search_state import Finding, Setting, afresh_with
 from estimation.gap.search.select import Choice, alone
 from estimation.gap.tests_of_fit.calibration import Round
 from estimation.gap.tests_of_fit.hypotheses import hypotheses_for
-from estimation.gap.tests_of_fit.screen import build_screen, linear_gains, linear_guess
+from estimation.gap.tests_of_fit.screen import Screen, build_screen, linear_gains, linear_guess
 from estimation.gap.tests_of_fit.tangent import Tangent
 
 
@@ -63,8 +63,8 @@ def _rival(
     problem, criteria = without.problem, without.criteria
     hypotheses = hypotheses_for(without.clean, setting.effects, setting.prepared.available)
     screen = build_screen(Tangent(problem, without.fit), hypotheses)
-    known = {**alone(old.round_), **alone(last)}
-    scatter = np.array([known.get(h.key, 1.0) for h in screen.hypotheses])
+    rounds = (old.round_, last)
+    scatter = _of_each(screen, *(alone(round_) for round_ in rounds))
     gains = linear_gains(screen, problem)
     found = []
     for h in questioners(gains / scatter, criteria):
@@ -72,12 +72,23 @@ def _rival(
         if hypothesis.key != old.candidate.hypothesis.key:
             _, fitted = fit_hypothesis(problem, without.fit, hypothesis, linear_guess(screen, problem, h))
             found.append(assess(problem, without.fit, hypothesis, fitted, float(scatter[h])))
-    asked = replace(last, baseline=without, screen=screen, gains=gains, inflation=scatter)
+    inflation = _of_each(screen, *(by_name(round_) for round_ in rounds))
+    asked = replace(last, baseline=without, screen=screen, gains=gains, inflation=inflation)
     for rival in better_rivals(found, gain / own_inflation(old.candidate), last.threshold, criteria):
         child, _ = confirmed(setting, asked, rival, nameless=0.0)
         if child is not None:
             return rival, child
     return None
+
+
+def by_name(round_: Round) -> dict[tuple[str, str], float]:
+    """Hypothesis -> its own inflation on the nulls, that of a small step."""
+    return {h.key: float(v) for h, v in zip(round_.screen.hypotheses, round_.inflation, strict=True)}
+
+
+def _of_each(screen: Screen, *known: Mapping[tuple[str, str], float]) -> Array:
+    """(hypotheses,) what is known of each, of the last that knows it; 1 of what nobody knows."""
+    return np.array([next((k[h.key] for k in reversed(known) if h.key in k), 1.0) for h in screen.hypotheses])
 
 
 def questioners(gains: Array, criteria: Criteria) -> list[int]:

@@ -415,14 +415,16 @@ def test_a_rival_counts_as_much_as_its_nulls_scatter_and_has_to_be_significant()
 
 
 def test_a_rival_is_asked_what_any_effect_is_with_what_nulls_scatter_of_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    """That is known of the last round, and of the earlier effect's own; the first that is confirmed takes the place."""
+    """That is known of the last round, and of the earlier effect's own; the first that is confirmed takes the place. A bound is
+    widened by what a small step scatters, a score by what is said of delays and plays."""
     asked = [hypothesis(name, "linear") for name in ("own", "loud", "new", "other")]
     scatter = {"old": {asked[0].key: 2.0, asked[1].key: 3.0}, "last": {asked[1].key: 100.0}}
     given: dict[str, Any] = {}
 
     def round_of(threshold: float) -> Round:
         none: Any = None
-        return Round(none, none, np.zeros(0), np.zeros((0, 0)), np.zeros(0), threshold, none)
+        known = stub(hypotheses=asked[:2])
+        return Round(none, known, np.zeros(2), np.zeros((0, 2)), np.array([5.0, threshold]), threshold, none)
 
     def confirmed(setting: Any, round_: Round, candidate: Candidate, nameless: float) -> tuple[str | None, str]:
         given.update(baseline=round_.baseline, inflation=list(round_.inflation), gains=list(round_.gains))
@@ -452,7 +454,7 @@ def test_a_rival_is_asked_what_any_effect_is_with_what_nulls_scatter_of_it(monke
         "found": [("new", 1.0), ("loud", 100.0), ("other", 1.0)],
         "threshold": 4.5,
         "baseline": without,
-        "inflation": [2.0, 100.0, 1.0, 1.0],
+        "inflation": [5.0, 4.5, 1.0, 1.0],
         "gains": [20.0, 1000.0, 30.0, 5.0],
     }
 
