@@ -261,11 +261,11 @@ class Criteria:
         "raised from 0.12 (2026-11-21), reason not on record",
     )
     known_size: float = criterion(
-        2.0,
+        3.0,
         "bounds",
         "an effect whose size is less than that from none is not one, whatever it gains",
-        "between a separation of 1.4 bounds named on flights of many gaps, by the states it begins anew, and right names (3.4 "
-        "and more); 2026-11-25",
+        "between wrong names of 1.4 to 2.9 bounds (a separation by the states it begins anew, an offset centre of gravity and a "
+        "play of a light aircraft) and right ones (3.4 and more, of 330); 2026-11-26",
     )
     unsampled: float = criterion(
         0.2,

@@ -13,7 +13,7 @@ from estimation.gap.criteria import Criteria
 from estimation.gap.errors import GapError
 from estimation.gap.likelihood.channel_noise import channel_noise, filtered_attitudes
 from estimation.gap.likelihood.first_values import first_values
-from estimation.gap.likelihood.fitting import Fit, Problem, fit
+from estimation.gap.likelihood.fitting import ENOUGH, Fit, Problem, carried, fit
 from estimation.gap.likelihood.slow_errors import slow_errors, without_slow
 from estimation.gap.likelihood.surface_steps import SurfaceSteps, displaced, find_surface_steps, freedom_of, loosened
 from estimation.gap.likelihood.whitening import (
@@ -234,10 +234,36 @@ def growth(problem: Problem, found: Fit) -> float:
 
 def fit_afresh(baseline: Baseline, model: Model, clean: Model) -> Baseline | None:
     """Another model of the same flights, fitted afresh with the noise and the whiteners of a baseline, so that the two can be
-    compared; None where its motion runs away."""
+    compared; None where its motion runs away. Begun from afar and where the baseline is: what a fit that rests in a poorer
+    valley lacks would be counted for whatever the other model has not."""
     problem = replace(baseline.problem, model=model)
-    found = _careful(problem, None, afar=1, known=baseline.fit.values)
-    return None if found.diverged else replace(baseline, problem=problem, fit=found, clean=clean)
+    ends = (_careful(problem, None, afar=1, known=baseline.fit.values), fit_from(problem, baseline.fit))
+    sound = [found for found in ends if not found.diverged]
+    if not sound:
+        return None
+    return replace(baseline, problem=problem, fit=min(sound, key=lambda found: found.cost), clean=clean)
+
+
+def fit_from(problem: Problem, other: Fit, enough: float = ENOUGH, beyond: float = np.inf) -> Fit:
+    """A problem's fit begun where another model of the same flights ended, with all that both have."""
+    values = {n: other.values[n] for n in problem.free if n in other.values}
+    locals_ = [carried(local, other.model, problem.model) for local in other.locals]
+    return fit(problem, values, locals_, enough=enough, beyond=beyond)
+
+
+def deeper(baseline: Baseline, other: Fit) -> Fit | None:
+    """A better fit of a baseline's own model, begun where another model of the same flights ended; None where there is none.
+
+    A gain over a fit that rests in a poorer valley is not the other model's. A base whose motion grows was left for one as good
+    (`_calmer`), and is not taken back for less than it was left for.
+    """
+    own = baseline.fit.cost
+    found = fit_from(baseline.problem, other, ROUGH, own - AS_GOOD)
+    if found.diverged or not found.cost < own - AS_GOOD:
+        return None
+    growing = growth(baseline.problem, found)
+    left = growing >= GROWS and growth(baseline.problem, baseline.fit) < CALMER * growing
+    return None if left and found.cost > own - ALIKE * own else found
 
 
 def _careful(problem: Problem, begun: Fit | None, afar: int, known: Mapping[str, float] = MappingProxyType({})) -> Fit:

@@ -19,7 +19,7 @@ from estimation.estimators.gauss_newton import LoopOptions, Status, Step, minimi
 from estimation.gap.criteria import Criteria
 from estimation.gap.likelihood.between_samples import Grid, fine_grid
 from estimation.gap.likelihood.whitening import Whitener
-from estimation.gap.records.flight_records import Record
+from estimation.gap.records.flight_records import Record, started
 from estimation.models.base import Model, ParameterRole
 from estimation.models.in_force import asked_for
 
@@ -36,6 +36,11 @@ class Local:
 
     x0: Array
     parameters: Mapping[str, float]
+
+
+def carried(local: Local, old: Model, new: Model) -> Local:
+    """A record's own unknowns carried over to a model with more or fewer states."""
+    return Local(started(new, dict(zip(old.state_names, local.x0, strict=True))), local.parameters)
 
 
 @dataclass(frozen=True)

@@ -8,11 +8,11 @@ import numpy as np
 from estimation.engine.kernel import Array
 from estimation.gap.answer.result import Rejected
 from estimation.gap.criteria import Criteria
-from estimation.gap.likelihood.baseline import Baseline, fit_baseline
+from estimation.gap.likelihood.baseline import Baseline, deeper, fit_baseline
 from estimation.gap.search.accept import confirmed, own_inflation
 from estimation.gap.search.confirm import Candidate, assess, fit_hypothesis
 from estimation.gap.search.search_state import Finding, Setting, afresh_with
-from estimation.gap.search.select import Choice, alone
+from estimation.gap.search.select import Choice, alone, control_noise, material, sample_interval
 from estimation.gap.tests_of_fit.calibration import Round
 from estimation.gap.tests_of_fit.hypotheses import hypotheses_for
 from estimation.gap.tests_of_fit.screen import Screen, build_screen, linear_gains, linear_guess
@@ -71,10 +71,13 @@ def _rival(
         hypothesis = screen.hypotheses[h]
         if hypothesis.key != old.candidate.hypothesis.key:
             _, fitted = fit_hypothesis(problem, without.fit, hypothesis, linear_guess(screen, problem, h))
-            found.append(assess(problem, without.fit, hypothesis, fitted, float(scatter[h])))
+            rival = assess(problem, without.fit, hypothesis, fitted, float(scatter[h]))
+            found.append(material(rival, sample_interval(problem), control_noise(problem.records), criteria))
     inflation = _of_each(screen, *(by_name(round_) for round_ in rounds))
     asked = replace(last, baseline=without, screen=screen, gains=gains, inflation=inflation)
     for rival in better_rivals(found, gain / own_inflation(old.candidate), last.threshold, criteria):
+        if deeper(without, rival.fit) is not None:  # its gain is that of another valley
+            continue
         child, _ = confirmed(setting, asked, rival, nameless=0.0)
         if child is not None:
             return rival, child

@@ -14,10 +14,10 @@ import numpy as np
 from estimation.engine.kernel import Array
 from estimation.gap.criteria import Criteria
 from estimation.gap.effects.base import EffectParameter
-from estimation.gap.likelihood.fitting import Fit, Problem, fit, prior_cost
+from estimation.gap.likelihood.fitting import Fit, Problem, carried, fit, prior_cost
 from estimation.gap.likelihood.whitening import NoiseModel
 from estimation.gap.records.candidate_model import awakened
-from estimation.gap.tests_of_fit.hypotheses import Hypothesis, extended, one_sided
+from estimation.gap.tests_of_fit.hypotheses import Hypothesis, one_sided
 from estimation.gap.tests_of_fit.screen import Screen, equivalent_z
 
 FIRST_STEPS = 5  # from every start; the better end goes on
@@ -119,7 +119,7 @@ def _begun(
     """The first steps of base and hypothesis together from a start."""
     model = awakened(problem.model, hypothesis.form, start)
     trial = replace(problem, model=model)
-    locals_ = [extended(local, base_fit.model, model) for local in base_fit.locals]
+    locals_ = [carried(local, base_fit.model, model) for local in base_fit.locals]
     first = {**model.starts(), **base_fit.values, **start}
     return trial, fit(trial, first, locals_, iterations=FIRST_STEPS, enough=ENOUGH, beyond=beyond)
 

@@ -8,9 +8,8 @@ import numpy as np
 from estimation.engine.kernel import Array
 from estimation.gap.criteria import Criteria
 from estimation.gap.effects.base import Effect, EffectParameter, Form
-from estimation.gap.likelihood.fitting import Fit, Local, Problem
+from estimation.gap.likelihood.fitting import Fit, Problem, carried
 from estimation.gap.records.candidate_model import awakened
-from estimation.gap.records.flight_records import started
 from estimation.models.base import Model
 
 SMALL = 0.05  # usual sizes: secant steps to both sides, in which every smooth effect is linear
@@ -57,7 +56,7 @@ def sensitivity(
     for i in range(len(problem.records)):
         outputs = []
         for step in steps:
-            local = extended(fit.locals[i], fit.model, model)
+            local = carried(fit.locals[i], fit.model, model)
             residual = trial.residual(i, {**model.starts(), **fit.values, column.name: none + step}, local)
             if residual is None:
                 return None
@@ -65,11 +64,6 @@ def sensitivity(
         before = outputs[1] if two_sided else base_residuals[i]
         found.append(np.nan_to_num((before - outputs[0]) / (2 * steps[0] if two_sided else steps[0])))
     return found
-
-
-def extended(local: Local, old: Model, new: Model) -> Local:
-    """A record's own unknowns carried over to a model with more states."""
-    return Local(started(new, dict(zip(old.state_names, local.x0, strict=True))), local.parameters)
 
 
 def one_sided(parameter: EffectParameter, none: float, criteria: Criteria) -> bool:

@@ -13,6 +13,7 @@ from estimation.gap.effects.base import Effect
 from estimation.gap.errors import GapError
 from estimation.gap.form.search import Shape, ShapeSearch
 from estimation.gap.likelihood.baseline import Baseline
+from estimation.gap.search.accept import estimates_of
 from estimation.gap.search.search_state import Finding, SearchState, Setting
 from estimation.gap.tests_of_fit.calibration import Round
 from estimation.gap.tests_of_fit.kinematic_check import KinematicCheck
@@ -107,8 +108,9 @@ def concluded(setting: Setting, search: SearchState, check: KinematicCheck) -> G
         decision, unnamed = as_unknown(decision), event_step(event, Gap(left, left, floor.training_median))
     elif decision.verdict in EXPLAINED and (held := held_back(standing, prepared)):
         decision, unnamed = as_unknown(decision), held_step(held, Gap(left, left, floor.training_median))
-    steps = told(decision, named, rest, check, left, floor, unnamed, follower_of(found))
     after = standing if found.shape is None else found.shape.measured.child
+    named = [sized(s, f, after) for s, f in zip(named, kept, strict=False)]
+    steps = told(decision, named, rest, check, left, floor, unnamed, follower_of(found))
     seen = views(first.baseline, after, prepared, after is not first.baseline)
     detectable = detectable_sizes(last)
     repeats = repeatability(last, prepared.names)
@@ -163,6 +165,11 @@ def concluded(setting: Setting, search: SearchState, check: KinematicCheck) -> G
             "seed": setting.options.seed,
         },
     )
+
+
+def sized(step: Step, finding: Finding, after: Baseline) -> Step:
+    """A step with the size of its effect in the final model: what was missing beside it when it was found had bent it."""
+    return replace(step, estimates=estimates_of(finding.round_, finding.candidate, after))
 
 
 def still_left(round_: Round, before: Omnibus) -> tuple[Omnibus, str]:

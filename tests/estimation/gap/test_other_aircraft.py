@@ -15,7 +15,7 @@ from estimation.gap.effects.base import Effect, EffectParameter
 from estimation.gap.effects.catalogue import built_in
 from estimation.gap.effects.sizes import REFERENCE, at_size_of
 from estimation.gap.likelihood import baseline as baselines
-from estimation.gap.likelihood.baseline import Baseline, fit_afresh, fit_baseline
+from estimation.gap.likelihood.baseline import Baseline, deeper, fit_afresh, fit_baseline, fit_from
 from estimation.gap.likelihood.channel_noise import channel_noise, sample_interval
 from estimation.gap.likelihood.first_values import by_regression, first_values
 from estimation.gap.records.candidate_model import awakened
@@ -180,3 +180,57 @@ def test_another_fit_is_taken_where_it_is_as_good_and_calmer(
     monkeypatch.setattr(baselines, "growth", lambda problem, found: growing if found is own else other)
     monkeypatch.setattr(baselines, "fit", lambda problem, start: again)
     assert (baselines._calmer(made) is again) is taken
+
+
+@pytest.mark.parametrize(
+    ("own", "other", "cost", "taken"),
+    [
+        (-0.5, -0.5, 3997.1, False),
+        (-0.5, -0.5, 3996.9, True),
+        (-0.5, 0.16, 3981.0, False),  # left for the calmer one, and not taken back for less than that cost
+        (-0.5, 0.16, 3979.0, True),
+        (-0.5, 0.14, 3981.0, True),
+        (0.10, 0.16, 3981.0, True),
+    ],
+)
+def test_a_base_gives_way_to_a_better_fit_of_its_own(
+    monkeypatch: pytest.MonkeyPatch, own: float, other: float, cost: float, taken: bool
+) -> None:
+    again: Any = SimpleNamespace(cost=cost, diverged=False)
+    made: Any = SimpleNamespace(problem=None, fit=SimpleNamespace(cost=4000.0))
+    monkeypatch.setattr(baselines, "growth", lambda problem, found: other if found is again else own)
+    monkeypatch.setattr(baselines, "fit_from", lambda problem, found, enough, beyond: again)
+    assert (deeper(made, made.fit) is again) is taken
+    again.diverged = True
+    assert deeper(made, made.fit) is None
+
+
+def test_a_model_fitted_afresh_takes_the_better_of_two_ends(monkeypatch: pytest.MonkeyPatch, right: Baseline) -> None:
+    """Begun from afar a fit can rest in a poorer valley; what it lacks would count for whatever was taken out of the model."""
+    poor = replace(right.fit, cost=right.fit.cost + 75.0)
+    ends: dict[str, Any] = {"afar": poor, "near": right.fit}
+    monkeypatch.setattr(baselines, "_careful", lambda *given, **more: ends["afar"])
+    monkeypatch.setattr(baselines, "fit_from", lambda *given: ends["near"])
+
+    def fitted() -> Any:
+        again = fit_afresh(right, right.model, right.clean)
+        return None if again is None else again.fit
+
+    assert fitted() is right.fit
+    ends.update(afar=right.fit, near=poor)
+    assert fitted() is right.fit
+    ends.update(near=replace(right.fit, cost=0.0, diverged=True))
+    assert fitted() is right.fit
+    ends.update(afar=ends["near"])
+    assert fitted() is None
+
+
+def test_a_fit_goes_on_from_where_a_model_with_more_states_ended(right: Baseline) -> None:
+    lag = next(f for e in catalogue() if e.name == "beta_lag" for f in e.forms)
+    model = awakened(right.model, lag, {"beta_lag": 0.05})
+    more = fit_afresh(right, model, lag.added_to(right.clean))
+    assert more is not None
+    assert len(more.fit.locals[0].x0) == len(right.fit.locals[0].x0) + 1
+    back = fit_from(right.problem, more.fit)
+    assert back.cost == pytest.approx(right.fit.cost, abs=0.01)
+    assert deeper(right, more.fit) is None

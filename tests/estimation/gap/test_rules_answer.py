@@ -78,8 +78,8 @@ def asked(
         ({"held": -18.0, "score": 7.0}, ""),  # a gain of 100 at a score of 7: inflated twice, held out too
         ({"held": -19.0, "score": 7.0}, "does not hold on the held-out flights"),
         ({"held": None}, ""),
-        ({"bounds": 2.05}, ""),
-        ({"bounds": 1.95}, "x = -0.95 +- 1 cannot be told from no effect"),  # the states it begins anew gained the rest
+        ({"bounds": 3.05}, ""),
+        ({"bounds": 2.95}, "x = -1.95 +- 1 cannot be told from no effect"),  # the states it begins anew gained the rest
     ],
 )
 def test_what_is_refused_says_why(monkeypatch: pytest.MonkeyPatch, known: dict[str, Any], why: str) -> None:

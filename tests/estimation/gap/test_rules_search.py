@@ -432,8 +432,10 @@ def test_a_rival_is_asked_what_any_effect_is_with_what_nulls_scatter_of_it(monke
 
     def better(found: Any, gain: float, threshold: float, criteria: Any) -> list[Candidate]:
         given.update(found=found, gain=gain, threshold=threshold)
-        return [rival("new", 999.0), rival("other", 998.0)]
+        return [elsewhere, rival("new", 999.0), rival("other", 998.0)]
 
+    elsewhere = replace(rival("valley", 1100.0), fit=stub())  # the model without it fits as well from there
+    monkeypatch.setattr(checking, "deeper", lambda base, fit: fit if fit is elsewhere.fit else None)
     monkeypatch.setattr(checking, "hypotheses_for", lambda *args: asked)
     monkeypatch.setattr(checking, "Tangent", lambda *args: None)
     monkeypatch.setattr(checking, "build_screen", lambda *args: stub(hypotheses=asked))
@@ -442,16 +444,19 @@ def test_a_rival_is_asked_what_any_effect_is_with_what_nulls_scatter_of_it(monke
     monkeypatch.setattr(checking, "alone", lambda round_: scatter["last" if round_.threshold == 4.5 else "old"])
     monkeypatch.setattr(checking, "fit_hypothesis", lambda problem, fit, h, guess: (None, h))
     monkeypatch.setattr(checking, "assess", lambda problem, fit, h, found, inflation: (h.label, inflation))
+    monkeypatch.setattr(checking, "material", lambda found, interval, noise, criteria: (*found, interval, noise))
     monkeypatch.setattr(checking, "better_rivals", better)
     monkeypatch.setattr(checking, "confirmed", confirmed)
-    without = stub(problem=None, criteria=AS_SET, clean=None, fit=None)
+    records = [stub(inputs=("delta_a",), input_noise={"delta_a": 0.002})]
+    problem = stub(coarse=[stub(time=np.array([0.0, 0.05, 0.1]))], records=records)
+    without = stub(problem=problem, criteria=AS_SET, clean=None, fit=None)
     old = stub(candidate=rival("own", 200.0, 4.0), round_=round_of(9.0))
     found = checking._rival(stub(effects=(), prepared=stub(available=())), without, old, round_of(4.5), 100.0)
     assert found is not None
     assert (found[0].hypothesis.label, found[1]) == ("other", "child")
     assert given.pop("gain") == pytest.approx(25.0)
     assert given == {
-        "found": [("new", 1.0), ("loud", 100.0), ("other", 1.0)],
+        "found": [(n, v, 0.05, {"delta_a": 0.002}) for n, v in (("new", 1.0), ("loud", 100.0), ("other", 1.0))],
         "threshold": 4.5,
         "baseline": without,
         "inflation": [5.0, 4.5, 1.0, 1.0],
@@ -516,6 +521,36 @@ def test_rounds_go_on_until_nothing_is_accepted_or_enough_is(monkeypatch: pytest
     assert len(every.rejected) == 3
     assert [f.candidate.hypothesis.label for f in run(1).findings] == ["a"]
     assert seen == [0, 1], "a last round examines what is left"
+
+
+def test_a_round_is_asked_again_about_a_better_base(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a significant candidate leads its base to is not gained by it; two better valleys a round, and no more."""
+    leads, score, seen = {"first": "second", "second": "third", "third": "fourth"}, 10.0, []
+
+    def choose(*given: Any) -> Choice:
+        return Choice((candidate("a", score=score),), {}, (Rejected("z", "weak"),))
+
+    def base(name: str) -> Any:
+        return stub(name=name, model=None, clean=None, noise=None)
+
+    def screened(baseline: Any, number: int) -> Any:
+        seen.append((baseline.name, number))
+        return stub(threshold=4.0, baseline=baseline)
+
+    monkeypatch.setattr(searching, "examine", lambda round_: REST)
+    monkeypatch.setattr(searching, "choose", choose)
+    monkeypatch.setattr(searching, "deeper", lambda baseline, fit: leads.get(baseline.name))
+    monkeypatch.setattr(searching, "fit_baseline", lambda model, clean, prepared, scatter, found, noise: base(found))
+    monkeypatch.setattr(searching, "accept", lambda *given: (None, []))
+    setting: Any = stub(screened=screened, options=Options(), tell=lambda *given: None, prepared=None, scatter=None)
+    state = run_rounds(setting, base("first"))
+    assert seen == [("first", 0), ("second", 0), ("third", 0)]
+    assert [r.baseline.name for r in state.rounds] == ["third"]
+    assert len(state.rejected) == 1, "what was said of a base that gave way is forgotten with it"
+    seen.clear()
+    score = 3.0  # of a threshold of 4
+    run_rounds(setting, base("first"))
+    assert seen == [("first", 0)]
 
 
 def test_projection_takes_out_what_the_base_can_absorb() -> None:
