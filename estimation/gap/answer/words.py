@@ -26,9 +26,8 @@ def describe_step(step: Step) -> str:
     numbers = ", ".join(
         f"{n} = {v:.4g} +- {s:.2g} {step.units.get(n, '')}".rstrip() for n, (v, s) in step.estimates.items()
     )
-    text = (
-        f"{step.title} ({step.effect}: {numbers}), score {step.score:.1f} against a threshold of {step.threshold:.1f}."
-    )
+    which = step.effect if step.form in (step.effect, *step.estimates) else f"{step.effect}, {step.form}"
+    text = f"{step.title} ({which}: {numbers}), score {step.score:.1f} against a threshold of {step.threshold:.1f}."
     if step.followed:
         moved = " and ".join(f"{n} by {1e3 * v:.0f} ms" for n, v in step.followed.items())
         text += f" Without it the base moves {moved} to follow; the gap before it is counted without that."

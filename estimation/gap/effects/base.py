@@ -59,6 +59,7 @@ class Form:
     (or a line it is made of) already contains the symbol, the model has the effect. inputs: flight columns the form
     brings in as inputs where the model does not have them already. frees: parameters the model has but holds fixed.
     optional: outputs that are changed or delayed only where the model has them: one device may show more than a model asks of it.
+    equation: its own, where it is not that of the effect.
     """
 
     label: str
@@ -74,6 +75,7 @@ class Form:
     unless: tuple[tuple[str, str], ...] = ()
     frees: tuple[str, ...] = ()
     optional: tuple[str, ...] = ()
+    equation: str = ""
 
     @property
     def nonlinear(self) -> bool:

@@ -121,9 +121,13 @@ def _from_toml(path: Path) -> tuple[Effect, ...]:
 
 def _effect(table: Mapping[str, Any]) -> Effect:
     data = dict(table)
-    forms = tuple(_form(f) for f in data.pop("form", []))
+    forms = tuple(_form(f, data.get("name", "")) for f in data.pop("form", []))
     if not forms:
         raise EffectError(f"effect {data.get('name')!r}: at least one [[effect.form]] is needed")
+    labels = [f.label for f in forms]
+    if len(set(labels)) < len(labels):
+        twice = next(n for n in labels if labels.count(n) > 1)
+        raise EffectError(f"effect {data.get('name')!r}: two forms are called {twice!r}; give each a label of its own")
     texts = {k: str(data.pop(k, "")) for k in ("physics", "equation", "source", "signature", "separate_by", "family")}
     effect = Effect(
         name=data.pop("name"),
@@ -143,7 +147,8 @@ def _effect(table: Mapping[str, Any]) -> Effect:
     return effect
 
 
-def _form(table: Mapping[str, Any]) -> Form:
+def _form(table: Mapping[str, Any], effect: str) -> Form:
+    """A form of the file, called as its effect is where it has no label."""
     data = dict(table)
     terms = {k: (v,) if isinstance(v, str) else tuple(v) for k, v in data.pop("terms", {}).items()}
     for pieces in terms.values():
@@ -154,7 +159,8 @@ def _form(table: Mapping[str, Any]) -> Form:
         if output not in {**data.get("outputs", {}), **data.get("output_delays", {})}:
             raise ValueError(f"optional {output!r} is none of the form's outputs or output_delays")
     return Form(
-        label=data.pop("label", "form"),
+        label=data.pop("label", effect),
+        equation=str(data.pop("equation", "")),
         parameters=tuple(EffectParameter(**p) for p in data.pop("parameters")),
         terms=terms,
         lines=tuple(data.pop("lines", ())),

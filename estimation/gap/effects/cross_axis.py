@@ -41,7 +41,7 @@ EVEN = (
           "0.4 (3), cross-flow of body and fin; 0.13 to 0.18 |β| in files of JSBSim's aircraft", _SLIP,
           {"CD_da2": BOTH_WAYS, "thrust_scale": BOTH_WAYS}, BOTH_WAYS,
           (Form("in proportion", (EffectParameter("CD_abs_beta", "1/rad", 0.15, -0.3, 1.0, meaning="drag per |β|"),),
-                terms={"CD": ("CD_abs_beta*abs(beta)",)}, requires=(*_ALL, "beta")),)),
+                terms={"CD": ("CD_abs_beta*abs(beta)",)}, requires=(*_ALL, "beta"), equation="C_D = ... + k |β|"),)),
     _even("CL_da2", "lift from aileron", "CL", "δa", "delta_a^2", 0.3, 3.0, "0.3 (3), engineering estimate", _ROLL,
           {"Cm_da2": "a_z against q"}, "ailerons at two elevator trims"),
     _even("CD_da2", "drag of the ailerons", "CD", "δa", "delta_a^2", 0.3, 3.0, "0.3 (3), engineering estimate", _ROLL,

@@ -58,7 +58,8 @@ def _entries(effects: Sequence[Effect], names: Mapping[str, str]) -> Iterator[st
         yield f"\n### {names[effect.name]}\n\n**{effect.title}** ({effect.group.value})\n\n{effect.physics}\n"
         yield f"- equation: {effect.equation}"
         for form in effect.forms:
-            yield f"- {form.label}: " + "; ".join(_parameter(p) for p in form.parameters)
+            own = f", {form.equation}" if form.equation else ""
+            yield f"- {form.label}{own}: " + "; ".join(_parameter(p) for p in form.parameters)
         yield f"- source: {effect.source}\n- signature: {effect.signature}"
         for other, what in effect.confusions.items():
             yield f"- can be mistaken for `{other}`: {what}"

@@ -73,8 +73,8 @@ def step_of(setting: Setting, finding: Finding, floor: Floors) -> Step:
         units={p.name: p.unit for p in form.parameters},
         score=finding.candidate.score, threshold=finding.round_.threshold,
         where=locate(parent, child, form),
-        gap=gap, holdout=held, migrated=migrated(parent, child), absorbed=_absorbed(finding), equation=effect.equation,
-        practical=practical(parent, child), followed=followed,
+        gap=gap, holdout=held, migrated=migrated(parent, child), absorbed=_absorbed(finding),
+        equation=form.equation or effect.equation, practical=practical(parent, child), followed=followed,
     )  # fmt: skip
 
 

@@ -123,10 +123,15 @@ group = "aerodynamic nonlinearity"
 label = "odd"
 terms = { Cl = "Cl_r_abs_r*r_hat*abs(r_hat)" }
 parameters = [{ name = "Cl_r_abs_r", unit = "1/rad2", typical = 0.5, lower = -5.0, upper = 5.0 }]
+[[effect.form]]
+equation = "C_l = ... + k r̂²"
+terms = { Cl = "Cl_r2*r_hat^2" }
+parameters = [{ name = "Cl_r2", unit = "1/rad2", typical = 0.5, lower = -5.0, upper = 5.0 }]
 """,
         encoding="utf-8",
     )
     (mine,) = load_effects(path)
+    assert [(f.label, f.equation) for f in mine.forms] == [("odd", ""), ("Cl_r_abs_r", "C_l = ... + k r̂²")]
     model = add_effect(mine, load_model("lateral", "cdfp"), size=1.0)
     assert model.parameter("Cl_r_abs_r").start == 0.5
     write_model(model, tmp_path / "child.toml")
@@ -139,6 +144,10 @@ parameters = [{ name = "Cl_r_abs_r", unit = "1/rad2", typical = 0.5, lower = -5.
         ("", "[[effect]]"),
         ('[[effect]]\nname="a"\ntitle="b"\n', "[[effect.form]]"),
         ("x = [", "not a TOML file"),
+        (
+            '[[effect]]\nname="a"\ntitle="b"\n' + "[[effect.form]]\nparameters=[]\n" * 2,
+            "effect 'a': two forms are called 'a'; give each a label",
+        ),
         (
             '[[effect]]\nname="a"\ntitle="b"\n[[effect.form]]\nparameters=[]\noptional=["w"]\n[effect.form.outputs]\nq="2*q"\n',
             "optional 'w' is none of the form's outputs",

@@ -1,6 +1,6 @@
 """From the state of the search to the answer, on searches made by hand: what is confirmed, which facts count, what is told."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from estimation.gap.answer.result import Gap, Step, Verdict, Where
+from estimation.gap.answer.words import describe_step
 from estimation.gap.criteria import AS_SET
 from estimation.gap.effects import catalogue
 from estimation.gap.effects.base import EffectParameter
@@ -95,6 +96,15 @@ def step(effect: str, score: float = 20.0) -> Step:
         score=score, threshold=4.0, where=Where("Cn", ("r",), (), "everywhere"), gap=Gap(3.0, 1.2, 1.0),
         holdout=Gap(2.8, 1.1, 1.0), migrated={},
     )  # fmt: skip
+
+
+def test_the_form_of_an_effect_is_told_where_it_is_one_of_several() -> None:
+    drag = replace(step("CD_beta2"), title="drag of sideslip", estimates={"CD_abs_beta": (0.17, 0.002)})
+    assert describe_step(replace(drag, form="in proportion")).startswith(
+        "drag of sideslip (CD_beta2, in proportion: CD_abs_beta = 0.17 +- 0.002), score 20.0"
+    )
+    assert describe_step(drag).startswith("drag of sideslip (CD_beta2: CD_abs_beta")
+    assert describe_step(replace(drag, form="CD_abs_beta")).startswith("drag of sideslip (CD_beta2: CD_abs_beta")
 
 
 def search(*names: str) -> Any:
