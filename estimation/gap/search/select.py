@@ -37,6 +37,11 @@ class Choice:
         kept = tuple(c for c in self.candidates if c.hypothesis.key not in refused)
         return replace(self, candidates=kept, weights=_weights(kept))
 
+    def beside_rest(self, misfit: float) -> Mapping[str, float]:
+        """Weights where so many times what noise does (twice a log-likelihood) is left without a name: what is missing bends the
+        gains of rivals as it bends the fit, and evidence counts that much less."""
+        return _weights(self.candidates, misfit) if misfit > 1.0 and self.candidates else self.weights
+
 
 def choose(round_: Round, prepared: FlightRecords) -> Choice:
     """Fit the leading hypotheses in full and weigh them."""
@@ -182,15 +187,15 @@ def _compared_again(
     return tuple(sorted((c for c in result if not c.why_not), key=lambda c: -c.evidence))
 
 
-def _weights(candidates: Sequence[Candidate]) -> dict[str, float]:
-    """Weight of each effect: the evidence of its forms together."""
+def _weights(candidates: Sequence[Candidate], misfit: float = 1.0) -> dict[str, float]:
+    """Weight of each effect: the evidence of its forms together, over a misfit that they share."""
     if not candidates:
         return {}
     top = max(c.evidence for c in candidates)
     weights: dict[str, float] = {}
     for c in candidates:
         name = c.hypothesis.effect.name
-        weights[name] = weights.get(name, 0.0) + float(np.exp(c.evidence - top))
+        weights[name] = weights.get(name, 0.0) + float(np.exp((c.evidence - top) / misfit))
     total = sum(weights.values())
     return dict(sorted(((n, w / total) for n, w in weights.items()), key=lambda item: -item[1]))
 

@@ -46,7 +46,7 @@ from estimation.gap.verdict.nameless import (
     standing_round,
     why_not,
 )
-from estimation.gap.verdict.steps import how_it_shows, step_of, unknown_step
+from estimation.gap.verdict.steps import how_it_shows, misfit_of, step_of, unknown_step
 from estimation.gap.verdict.tables import detectable_sizes, effect_scores, nominal_threshold, ties_of, undetectable
 from estimation.models.base import Model
 
@@ -60,7 +60,8 @@ def concluded(setting: Setting, search: SearchState, check: KinematicCheck) -> G
     """Verdict, steps and words from what the rounds left."""
     prepared, first, last = setting.prepared, search.rounds[0], search.rounds[-1]
     floor = floor_about(setting, last)
-    named = [step_of(setting, f, floor) for f in search.findings]
+    misfit = misfit_of(search.omnibus, setting.options.criteria)
+    named = [step_of(setting, f, floor, misfit) for f in search.findings]
     left = rms_over_noise(last.baseline.problem, last.baseline.fit, setting.scatter)
     cannot = [*undetectable(first), *setting.untold]
     facts = facts_of(search, named, floor.covers(left), cannot, len(setting.untold))

@@ -44,12 +44,19 @@ def how_it_shows(omnibus: Omnibus) -> str:
     return "; ".join(f"{s.place}: like {s.what}" if s.kind == "term" else f"{s.place}: {s.what}" for s in shown)
 
 
-def step_of(setting: Setting, finding: Finding, floor: Floors) -> Step:
+def misfit_of(rest: Omnibus, criteria: Criteria) -> float:
+    """How many times what noise does is left without a name (twice a log-likelihood); 1 where it does not matter."""
+    return (rest.score / rest.threshold) ** 2 if rest.score > criteria.unknown_margin * rest.threshold else 1.0
+
+
+def step_of(setting: Setting, finding: Finding, floor: Floors, misfit: float = 1.0) -> Step:
+    """The step of an accepted effect. misfit: of what is left without a name beside it."""
     criteria = setting.options.criteria
     effect, form = finding.candidate.hypothesis.effect, finding.candidate.hypothesis.form
-    members = credible_set(finding.choice.weights, criteria)
+    weights = finding.choice.beside_rest(misfit)
+    members = credible_set(weights, criteria)
     if effect.name not in dict(members):
-        members = [(effect.name, finding.choice.weights.get(effect.name, 0.0)), *members]
+        members = [(effect.name, weights.get(effect.name, 0.0)), *members]
     members.sort(key=lambda m: m[0] != effect.name)
     followed = followed_by_timing(finding)
     parent, child = as_sampled(finding.parent) if followed else finding.parent, finding.child

@@ -27,6 +27,7 @@ from estimation.gap.tests_of_fit.calibration import Round
 from estimation.gap.tests_of_fit.hypotheses import Column, Hypothesis
 from estimation.gap.tests_of_fit.omnibus import Omnibus, Signal
 from estimation.gap.tests_of_fit.screen import Projected, Reduced, Screen, equivalent_z
+from estimation.gap.verdict.steps import misfit_of
 from estimation.models.base import InputTransform, Model, Parameter
 from estimation.models.base import Signal as Variable
 
@@ -494,6 +495,22 @@ def test_an_earlier_effect_is_dropped_exchanged_or_stands(
     assert [f.candidate.hypothesis.label for f in answer[0]] == left
     assert answer[1][0].effect == "a"
     assert answer[1][0].why.startswith(why)
+
+
+def test_rivals_are_less_sure_where_something_is_left_without_a_name() -> None:
+    """Drag of an elevator gains 261 where an accelerometer off the centre of gravity gains 270: 1 to 90, or 1 to 2 where what is
+    left without a name is 2.5 times its threshold."""
+    one, two = candidate("imu_z", evidence=134.5), candidate("CD_de2", evidence=130.0)
+    choice = Choice((one, two), {"imu_z": 0.99, "CD_de2": 0.01}, ())
+    assert choice.beside_rest(1.0) is choice.weights
+    assert choice.beside_rest(6.25)["CD_de2"] == pytest.approx(1.0 / (1.0 + np.exp(4.5 / 6.25)))
+    alone_ = Choice((), {"imu_z": 1.0}, ())
+    assert alone_.beside_rest(6.25) == {"imu_z": 1.0}
+
+
+@pytest.mark.parametrize(("score", "misfit"), [(5.19, 1.0), (5.21, (5.21 / 4.0) ** 2), (10.0, 6.25)])
+def test_a_rest_that_matters_is_so_many_times_what_noise_leaves(score: float, misfit: float) -> None:
+    assert misfit_of(Omnibus(score, 4.0, ()), AS_SET) == pytest.approx(misfit)
 
 
 # ------------------------------------------------------------------------------------------------ rounds
