@@ -12,7 +12,7 @@ from estimation.gap.likelihood.fitting import prior_cost
 from estimation.gap.search.confirm import Candidate
 from estimation.gap.search.search_state import Finding, Setting
 from estimation.gap.search.select import Choice
-from estimation.gap.tests_of_fit.calibration import Round
+from estimation.gap.tests_of_fit.calibration import Round, by_name
 from estimation.gap.tests_of_fit.measure import predictive_cost
 from estimation.gap.tests_of_fit.omnibus import Omnibus
 
@@ -66,8 +66,7 @@ def confirmed(setting: Setting, round_: Round, candidate: Candidate, nameless: f
 
 def estimates_of(round_: Round, candidate: Candidate, child: Baseline) -> dict[str, tuple[float, float]]:
     """Unknown of a candidate -> value and bound in the model that has it, as widely as the nulls scatter."""
-    inflation = {h.key: v for h, v in zip(round_.screen.hypotheses, round_.inflation, strict=True)}
-    wider, std = float(np.sqrt(inflation.get(candidate.hypothesis.key, 1.0))), child.fit.std()
+    wider, std = float(np.sqrt(by_name(round_).get(candidate.hypothesis.key, 1.0))), child.fit.std()
     return {
         p.name: (float(child.fit.values[p.name]), wider * float(std[p.name]))
         for p in candidate.hypothesis.form.parameters

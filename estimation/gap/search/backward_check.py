@@ -9,11 +9,12 @@ from estimation.engine.kernel import Array
 from estimation.gap.answer.result import Rejected
 from estimation.gap.criteria import Criteria
 from estimation.gap.likelihood.baseline import Baseline, deeper, fit_baseline
+from estimation.gap.likelihood.channel_noise import sample_interval
 from estimation.gap.search.accept import confirmed, own_inflation
 from estimation.gap.search.confirm import Candidate, assess, fit_hypothesis
 from estimation.gap.search.search_state import Finding, Setting, afresh_with
-from estimation.gap.search.select import Choice, alone, control_noise, material, sample_interval
-from estimation.gap.tests_of_fit.calibration import Round
+from estimation.gap.search.select import Choice, alone, control_noise, material
+from estimation.gap.tests_of_fit.calibration import Round, by_name
 from estimation.gap.tests_of_fit.hypotheses import hypotheses_for
 from estimation.gap.tests_of_fit.screen import Screen, build_screen, linear_gains, linear_guess
 from estimation.gap.tests_of_fit.tangent import Tangent
@@ -66,13 +67,14 @@ def _rival(
     rounds = (old.round_, last)
     scatter = _of_each(screen, *(alone(round_) for round_ in rounds))
     gains = linear_gains(screen, problem)
+    interval, noise = sample_interval(problem.records), control_noise(problem.records)
     found = []
     for h in questioners(gains / scatter, criteria):
         hypothesis = screen.hypotheses[h]
         if hypothesis.key != old.candidate.hypothesis.key:
             _, fitted = fit_hypothesis(problem, without.fit, hypothesis, linear_guess(screen, problem, h))
             rival = assess(problem, without.fit, hypothesis, fitted, float(scatter[h]))
-            found.append(material(rival, sample_interval(problem), control_noise(problem.records), criteria))
+            found.append(material(rival, interval, noise, criteria))
     inflation = _of_each(screen, *(by_name(round_) for round_ in rounds))
     asked = replace(last, baseline=without, screen=screen, gains=gains, inflation=inflation)
     for rival in better_rivals(found, gain / own_inflation(old.candidate), last.threshold, criteria):
@@ -82,11 +84,6 @@ def _rival(
         if child is not None:
             return rival, child
     return None
-
-
-def by_name(round_: Round) -> dict[tuple[str, str], float]:
-    """Hypothesis -> its own inflation on the nulls, that of a small step."""
-    return {h.key: float(v) for h, v in zip(round_.screen.hypotheses, round_.inflation, strict=True)}
 
 
 def _of_each(screen: Screen, *known: Mapping[tuple[str, str], float]) -> Array:

@@ -9,7 +9,8 @@ from estimation.engine.kernel import Array
 from estimation.gap.answer.result import Rejected
 from estimation.gap.criteria import Criteria
 from estimation.gap.likelihood.baseline import whiteners_for
-from estimation.gap.likelihood.fitting import Problem, fit, prior_cost
+from estimation.gap.likelihood.channel_noise import sample_interval
+from estimation.gap.likelihood.fitting import fit, prior_cost
 from estimation.gap.records.flight_records import FlightRecords, Record
 from estimation.gap.records.nuisance import TIMING
 from estimation.gap.search.confirm import ENOUGH, Candidate, assess, fit_hypothesis, leading
@@ -50,7 +51,7 @@ def choose(round_: Round, prepared: FlightRecords) -> Choice:
     if not screen.hypotheses:
         return Choice((), {}, ())
     inflation, own = comparable(round_), alone(round_)
-    interval, noise = sample_interval(problem), control_noise(problem.records)
+    interval, noise = sample_interval(problem.records), control_noise(problem.records)
     judged: list[Candidate] = []
     beyond = np.inf
     for h in leading(screen, promise(round_), criteria):
@@ -126,11 +127,6 @@ def alone(round_: Round) -> dict[tuple[str, str], float]:
         h.key: max(1.0, shared[h.key]) if h.form.nonlinear else float(own)
         for h, own in zip(round_.screen.hypotheses, round_.inflation, strict=True)
     }
-
-
-def sample_interval(problem: Problem) -> float:
-    """The usual interval [s] between two samples of the records."""
-    return float(np.median([np.median(np.diff(s.time)) for s in problem.coarse]))
 
 
 def control_noise(records: Sequence[Record]) -> dict[str, float]:

@@ -55,6 +55,10 @@ class Omnibus:
     def significant(self) -> bool:
         return self.score > self.threshold
 
+    def matters(self, criteria: Criteria) -> bool:
+        """Whether the strongest signal is an unknown effect, by itself."""
+        return self.score > criteria.unknown_margin * self.threshold
+
 
 def examine(round_: Round) -> Omnibus:
     """All three families on the residuals of a round's baseline."""

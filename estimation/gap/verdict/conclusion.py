@@ -179,7 +179,7 @@ def still_left(round_: Round, before: Omnibus) -> tuple[Omnibus, str]:
         rest = examine(round_)
     except GapError:  # a motion that cannot be linearised
         return before, ""
-    return rest, how_it_shows(rest) if rest.score > round_.criteria.unknown_margin * rest.threshold else ""
+    return rest, how_it_shows(rest) if rest.matters(round_.criteria) else ""
 
 
 def turned_down(search: SearchState, beside: Beside | None) -> tuple[Rejected, ...]:

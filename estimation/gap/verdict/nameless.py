@@ -139,7 +139,7 @@ def happened(setting: Setting, round_: Round) -> Happened | None:
         rest = examine(found.cleared)
     except GapError:  # as above
         return None
-    if rest.score > round_.criteria.unknown_margin * rest.threshold:
+    if rest.matters(round_.criteria):
         return None
     records, names = round_.baseline.problem.records, setting.prepared.names
     flights = ["" if f.event.record < 0 else names[records[f.event.record].flight] for f in found.found]

@@ -11,7 +11,7 @@ from estimation.gap.effects.base import Effect
 from estimation.gap.likelihood.baseline import Baseline
 from estimation.gap.likelihood.fitting import fit
 from estimation.gap.records.nuisance import timing_of
-from estimation.gap.search.accept import by_timing, estimates_of
+from estimation.gap.search.accept import by_timing
 from estimation.gap.search.search_state import Finding, Setting
 from estimation.gap.search.select import credible_set
 from estimation.gap.tests_of_fit.measure import Floors, rms_over_noise
@@ -46,11 +46,11 @@ def how_it_shows(omnibus: Omnibus) -> str:
 
 def misfit_of(rest: Omnibus, criteria: Criteria) -> float:
     """How many times what noise does is left without a name (twice a log-likelihood); 1 where it does not matter."""
-    return (rest.score / rest.threshold) ** 2 if rest.score > criteria.unknown_margin * rest.threshold else 1.0
+    return (rest.score / rest.threshold) ** 2 if rest.matters(criteria) else 1.0
 
 
 def step_of(setting: Setting, finding: Finding, floor: Floors, misfit: float = 1.0) -> Step:
-    """The step of an accepted effect. misfit: of what is left without a name beside it."""
+    """The step of an accepted effect; its size is told with the final model. misfit: of what is left without a name beside it."""
     criteria = setting.options.criteria
     effect, form = finding.candidate.hypothesis.effect, finding.candidate.hypothesis.form
     weights = finding.choice.beside_rest(misfit)
@@ -76,7 +76,7 @@ def step_of(setting: Setting, finding: Finding, floor: Floors, misfit: float = 1
         confidence=dict(members)[effect.name],
         members=tuple(Weighed(n, w, titles[n].title, titles[n].separate_by) for n, w in members),
         separate_by=_separate(effect, [n for n, _ in members]),
-        estimates=estimates_of(finding.round_, finding.candidate, child),
+        estimates={},
         units={p.name: p.unit for p in form.parameters},
         score=finding.candidate.score, threshold=finding.round_.threshold,
         where=locate(parent, child, form),

@@ -26,7 +26,7 @@ from estimation.models.load import load_model
 from estimation.signals.preprocess import noise_level
 from estimation.signals.raw_steps import around, near_steps, with_raw_steps
 from groundstation.flight import Flight
-from tests.estimation.gap.test_rules_search import candidate
+from tests.estimation.gap.candidates_by_hand import candidate
 from tests.studies import gap_benchmark
 from tests.studies import second_truth as truth
 
