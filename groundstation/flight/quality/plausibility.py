@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.contract.channels import COLUMN_BY_NAME
+from groundstation.flight.windows import line, summed, windows
 
 Array = NDArray[np.float64]
 Columns = Mapping[str, Array]
@@ -203,8 +204,8 @@ def _sideways(time: Array, c: Columns) -> Iterator[Suspicion]:
     alpha = c["alpha"] if "alpha" in c and float(np.nanmax(np.abs(c["alpha"]))) < 1 else np.zeros_like(c["V"])
     v, force, weight = c["V"] * c["beta"], c["ay"], GRAVITY * np.sin(c["phi"]) * np.cos(c["theta"])
     yawing, rolling = c["V"] * c["r"] * np.cos(alpha), c["V"] * c["p"] * np.sin(alpha)
-    windows = list(_windows(time, v, yawing, rolling, force, weight))
-    slope, agreement = _line([(v + _summed(t, r - p), _summed(t, f + g)) for t, v, r, p, f, g in windows])
+    parts = list(windows(time, v, yawing, rolling, force, weight))
+    slope, agreement = line([(v + summed(t, r - p), summed(t, f + g)) for t, v, r, p, f, g in parts])
     if agreement > 0.8 and slope > 0 and "p_dynamic" not in c:
         units = [u for u, factor in _SPEED_UNITS.items() if abs(1 / (slope * factor) - 1) < 0.08]
         if units:
@@ -216,9 +217,9 @@ def _sideways(time: Array, c: Columns) -> Iterator[Suspicion]:
     bank: tuple[str, ...] = ("phi", "p") if (_integral_slope(time, c["phi"], c["p"]) or 0.0) >= 0.0 else ("phi",)
     rolled = -1.0 if "p" in bank else 1.0
     turned: Turned = {  # the force is the smallest part, and tells no sign of its own
-        ("beta",): ("ay, r and phi", [(_summed(t, r - p) - v, _summed(t, f + g)) for t, v, r, p, f, g in windows]),
-        bank: ("ay, r and beta", [(v + _summed(t, r - rolled * p), _summed(t, f - g)) for t, v, r, p, f, g in windows]),
-        ("r",): ("ay, phi and beta", [(v - _summed(t, r + p), _summed(t, f + g)) for t, v, r, p, f, g in windows]),
+        ("beta",): ("ay, r and phi", [(summed(t, r - p) - v, summed(t, f + g)) for t, v, r, p, f, g in parts]),
+        bank: ("ay, r and beta", [(v + summed(t, r - rolled * p), summed(t, f - g)) for t, v, r, p, f, g in parts]),
+        ("r",): ("ay, phi and beta", [(v - summed(t, r + p), summed(t, f + g)) for t, v, r, p, f, g in parts]),
     }
     yield from _turned("sideways", agreement if slope > 0 else 0.0, turned)
 
@@ -233,12 +234,12 @@ def _upwards(time: Array, c: Columns) -> Iterator[Suspicion]:
         return
     w, pitching = c["V"] * np.sin(c["alpha"]), c["V"] * np.cos(c["alpha"]) * c["q"]
     force = c["az"] + GRAVITY * np.cos(c["theta"]) * np.cos(bank) - rolling * c["V"] * slip
-    windows = list(_windows(time, w, pitching, force))
-    slope, agreement = _line([(w - _summed(t, q), _summed(t, f)) for t, w, q, f in windows])
+    parts = list(windows(time, w, pitching, force))
+    slope, agreement = line([(w - summed(t, q), summed(t, f)) for t, w, q, f in parts])
     pitch: tuple[str, ...] = ("q", "theta") if (_integral_slope(time, c["theta"], c["q"]) or 0.0) >= 0.0 else ("q",)
     turned: Turned = {
-        ("alpha",): ("az and q", [(-w - _summed(t, q), _summed(t, f)) for t, w, q, f in windows]),
-        pitch: ("az and alpha", [(w + _summed(t, q), _summed(t, f)) for t, w, q, f in windows]),
+        ("alpha",): ("az and q", [(-w - summed(t, q), summed(t, f)) for t, w, q, f in parts]),
+        pitch: ("az and alpha", [(w + summed(t, q), summed(t, f)) for t, w, q, f in parts]),
     }
     yield from _turned("vertical", agreement if slope > 0 else 0.0, turned)
 
@@ -246,7 +247,7 @@ def _upwards(time: Array, c: Columns) -> Iterator[Suspicion]:
 def _turned(motion: str, agreement: float, turned: Turned) -> Iterator[Suspicion]:
     """The columns that, turned, would make a motion agree. agreement: share of it explained as it is. An angle and its rate that
     agree with each other, as of a left-handed roll, are turned together."""
-    found = [(columns, others, *_line(pairs)) for columns, (others, pairs) in turned.items()]
+    found = [(columns, others, *line(pairs)) for columns, (others, pairs) in turned.items()]
     columns, others, slope, share = max(found, key=lambda f: f[3] if abs(f[2] - 1.0) < 0.25 else 0.0)
     if share > AGREE and abs(slope - 1.0) < 0.25 and (1.0 - share) < LEFT * (1.0 - agreement):
         wrong = "is its sign" if len(columns) == 1 else f"are the signs of {' and '.join(columns)}"
@@ -255,38 +256,10 @@ def _turned(motion: str, agreement: float, turned: Turned) -> Iterator[Suspicion
         )
 
 
-def _summed(time: Array, values: Array) -> Array:
-    """Integral by the trapezoidal rule, from 0."""
-    return np.concatenate([[0.0], np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(time))])
-
-
-def _windows(time: Array, *values: Array) -> Iterator[tuple[Array, ...]]:
-    """Stretches of 4 s in which all is measured and time rises."""
-    start = 0
-    while start < time.size - 10:
-        stop = int(np.searchsorted(time, time[start] + 4.0))
-        part = [v[start:stop] for v in (time, *values)]
-        start = max(stop, start + 1)
-        if part[0].size >= 10 and all(np.all(np.isfinite(v)) for v in part) and np.all(np.diff(part[0]) > 0):
-            yield tuple(part)
-
-
-def _line(pairs: Iterable[tuple[Array, Array]]) -> tuple[float, float]:
-    """Slope of y against x, and the share of y it explains, with a straight line in time removed from each window."""
-    top = bottom = rest = 0.0
-    for x, y in pairs:
-        trend = np.vander(np.linspace(-1.0, 1.0, x.size), 2)
-        x, y = (v - trend @ np.linalg.lstsq(trend, v, rcond=None)[0] for v in (x, y))
-        top, bottom, rest = top + float(x @ y), bottom + float(x @ x), rest + float(y @ y)
-    if bottom <= 0 or rest <= 0:
-        return 0.0, 0.0
-    return top / bottom, top * top / (bottom * rest)
-
-
 def _integral_slope(time: Array, angle: Array, rate: Array) -> float | None:
     """Slope of the angle against the integrated rate over windows of 4 s with their lines removed; None without motion."""
-    pairs = [(_summed(t, b), np.unwrap(a) if np.ptp(a) < 7 else a) for t, a, b in _windows(time, angle, rate)]
-    slope, agreement = _line(pairs)
+    pairs = [(summed(t, b), np.unwrap(a) if np.ptp(a) < 7 else a) for t, a, b in windows(time, angle, rate)]
+    slope, agreement = line(pairs)
     return slope if agreement >= 0.7 else None  # else the two do not show the same motion
 
 
