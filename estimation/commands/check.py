@@ -168,9 +168,11 @@ def _as_json(
 ) -> dict[str, object]:
     """As in the interface: one entry a flight, and the joint factors where there are any."""
     from estimation.report.compatibility_tables import fit_of
+    from groundstation.flight.contradictions import contradictions
 
-    entries = []
+    entries, contradicted = [], []
     for flight, findings, (_, result) in zip(flights, quality, results, strict=False):
+        contradicted += [{"flight": flight.name, **c.to_json()} for c in contradictions(flight)]
         entries.append(
             {
                 "name": flight.name,
@@ -182,7 +184,7 @@ def _as_json(
                 "quality": [f.to_json() for f in findings],
             }
         )
-    data: dict[str, object] = {"version": 1, "flights": entries}
+    data: dict[str, object] = {"version": 1, "flights": entries, "contradictions": contradicted}
     if len(results) > len(flights):
         data["joint"] = {n: _factor_json(f) for n, f in results[-1][1].factors.items()}
     return data

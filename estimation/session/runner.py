@@ -17,6 +17,7 @@ from estimation.session.scatter import scatter
 from estimation.session.session import FlightEstimates, Session
 from estimation.session.verdict import verdict
 from groundstation.flight import Flight
+from groundstation.flight.contradictions import contradictions
 from groundstation.flight.quality.plausibility import suspicions
 from groundstation.flight.quality.same_record import one_record_twice
 
@@ -96,9 +97,11 @@ def _reconstructed_angles(model: Model, flight: Flight) -> tuple[str, ...]:
 
 
 def _odd_columns(model: Model, flight: Flight) -> tuple[str, ...]:
-    """What the record of a flight itself shows of columns of the model that are of another unit or sign."""
+    """What the record of a flight itself shows of columns of the model that are of another unit or sign, and the contradictions
+    in it that move derivatives."""
     used = {"time", *(s.source for s in (*model.inputs, *model.outputs, *model.states))}
-    return tuple(s.text for s in suspicions(flight.time, flight.columns) if used & set(s.columns))
+    odd = tuple(s.text for s in suspicions(flight.time, flight.columns) if used & set(s.columns))
+    return (*odd, *(f"{c.text} (moves {c.moves})" for c in contradictions(flight) if c.stops))
 
 
 def _tried(estimator: Estimator, task: Task) -> Outcome:

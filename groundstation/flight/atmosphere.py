@@ -12,6 +12,9 @@ _SEA_LEVEL_TEMPERATURE = 288.15  # K
 _LAPSE = 0.0065  # K/m
 _EXPONENT = 5.255876  # g / (R lapse)
 
+OUTSIDE_TEMPERATURE = 25.0
+"""[K] from the standard atmosphere beyond which a temperature beside a barometer is its board's, not the air's."""
+
 
 def density(p_static: Array, temperature: Array) -> Array:
     """Density [kg/m3] of dry air from static pressure [Pa] and temperature [K]."""
@@ -22,6 +25,11 @@ def standard_temperature(p_static: Array) -> Array:
     """Temperature [K] of the standard atmosphere where its pressure is p_static [Pa]."""
     share = np.maximum(p_static, 1.0) / SEA_LEVEL_PRESSURE
     return np.asarray(_SEA_LEVEL_TEMPERATURE * share ** (1.0 / _EXPONENT))
+
+
+def is_of_the_air(p_static: Array, temperature: Array) -> bool:
+    """Whether a temperature [K] can be that of the air at a static pressure [Pa], not of a board that is warm."""
+    return abs(float(np.nanmedian(temperature - standard_temperature(p_static)))) < OUTSIDE_TEMPERATURE
 
 
 def density_at_pressure(p_static: Array) -> Array:

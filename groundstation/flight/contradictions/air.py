@@ -9,7 +9,7 @@ from groundstation.flight.atmosphere import (
     density,
     density_at_altitude,
     density_at_pressure,
-    standard_temperature,
+    is_of_the_air,
 )
 from groundstation.flight.contradictions.contradiction import Contradiction
 from groundstation.flight.contradictions.fits import Array, Columns, Found, ratio_of, scale_by_ground
@@ -25,12 +25,10 @@ TELLS_APART = 9.0
 """Difference of chi-square by which the motion favours one scale of V over another: three sigmas."""
 CREDIBLE_SCALE = 0.1
 """A scale of V further than this from the motion's (and its 2 sigma) is not the one it favours."""
-OUTSIDE_TEMPERATURE = 25.0
-"""[K] from the standard atmosphere beyond which a temperature beside a barometer is its board's, not the air's."""
 
 
 def air_density(c: Columns) -> tuple[Array, str] | None:
-    """(N,) density [kg/m3] and what it is from: rho, pressure and temperature, pressure, or altitude; None where nothing tells."""
+    """(N,) density [kg/m3] and what it is from: rho, else `independent_density`; None where nothing tells."""
     if "rho" in c:
         return c["rho"], "rho"
     return independent_density(c)
@@ -40,10 +38,7 @@ def independent_density(c: Columns) -> tuple[Array, str] | None:
     """The density that a flight's pressure (with a credible temperature) or altitude give, whatever its column rho says."""
     if "p_static" in c:
         p = c["p_static"]
-        if (
-            "temperature" in c
-            and abs(float(np.nanmedian(c["temperature"] - standard_temperature(p)))) < OUTSIDE_TEMPERATURE
-        ):
+        if "temperature" in c and is_of_the_air(p, c["temperature"]):
             return density(p, c["temperature"]), "p_static and temperature"
         return density_at_pressure(p), "p_static"
     for name in ("altitude_gnss", "altitude"):

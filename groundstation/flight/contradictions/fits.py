@@ -66,7 +66,7 @@ def least_squares(design: Array, target: Array, windows: int) -> tuple[Array, Ar
     neighbours = float(left[1:] @ left[:-1]) / spread if spread > 0 else 0.0
     rho = min(max(neighbours, 0.0), 0.9)
     variance = spread / free * (1.0 + rho) / (1.0 - rho)
-    return solved, np.asarray(variance * np.linalg.inv(normal))
+    return np.asarray(solved, float), np.asarray(variance * np.linalg.inv(normal), float)
 
 
 def horizontal_airspeed(c: Columns) -> Array:

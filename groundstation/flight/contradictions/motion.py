@@ -37,7 +37,7 @@ def gyros_and_attitude(time: Array, c: Columns) -> Iterator[Contradiction]:
     for (angle, gyro), rate in rates.items():
         pairs = [(summed(t, b), np.unwrap(a)) for t, a, b in windows(time, c[angle], rate)]
         slope, agreement = line(pairs)
-        if agreement > AGREEMENT and SCALE_TOLERANCE < abs(slope - 1.0) and 1 / MOST_SCALE < slope < MOST_SCALE:
+        if agreement > AGREEMENT and abs(slope - 1.0) > SCALE_TOLERANCE and 1 / MOST_SCALE < slope < MOST_SCALE:
             text = f"{angle} moves {slope:.3g} times as far as {gyro} turns: scale of a gyro, or of time"
             moves = f"derivatives by {gyro} and of its moment by {abs(slope - 1):.0%}"
             yield Contradiction(
@@ -54,7 +54,7 @@ def acceleration_and_velocity(time: Array, c: Columns) -> Iterator[Contradiction
     for v, a in ((c["vn"], north), (c["ve"], east), (c["vd"], down)):
         pairs += [(summed(t, push), speed) for t, speed, push in windows(time, v, a)]
     slope, agreement = line(pairs)
-    if agreement > AGREEMENT and SCALE_TOLERANCE < abs(slope - 1.0) and 1 / MOST_SCALE < slope < MOST_SCALE:
+    if agreement > AGREEMENT and abs(slope - 1.0) > SCALE_TOLERANCE and 1 / MOST_SCALE < slope < MOST_SCALE:
         text = (
             f"velocity by GNSS changes {slope:.3g} times as much as ax, ay, az with attitude and gravity make it: scale of "
             "either, or of time"
