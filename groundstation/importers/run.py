@@ -121,11 +121,11 @@ def read_logs(path: Path, given: Map | None = None) -> list[tuple[Log, Map]]:
         return _read_tables(path, given)
     if suffix not in LOGS:
         return [_read_with_package(path, given)]
-    readers: dict[str, Callable[[Path], Log]] = {"px4": _ulog, "ardupilot": _dataflash, "mavlink": _tlog}
+    readers: dict[str, Callable[[Path], list[Log]]] = {"px4": _ulog, "ardupilot": _dataflash, "mavlink": _tlog}
     name = LOGS[suffix]
     base = built_in_map(name)
-    log = readers[name](path)
-    return [(EVIDENCE[log.kind](log), given.over(base) if given else base)]
+    chosen = given.over(base) if given else base
+    return [(EVIDENCE[log.kind](log), chosen) for log in readers[name](path)]
 
 
 def _read_with_package(path: Path, given: Map | None) -> tuple[Log, Map]:
@@ -163,19 +163,19 @@ def _read_tables(path: Path, given: Map | None) -> list[tuple[Log, Map]]:
     return records
 
 
-def _ulog(path: Path) -> Log:
+def _ulog(path: Path) -> list[Log]:
     from groundstation.importers.formats.ulog import read_ulog
 
-    return read_ulog(path)
+    return [read_ulog(path)]
 
 
-def _dataflash(path: Path) -> Log:
+def _dataflash(path: Path) -> list[Log]:
     from groundstation.importers.formats.dataflash import read_dataflash
 
-    return read_dataflash(path)
+    return [read_dataflash(path)]
 
 
-def _tlog(path: Path) -> Log:
+def _tlog(path: Path) -> list[Log]:
     from groundstation.importers.formats.tlog import read_tlog
 
     return read_tlog(path)
