@@ -26,6 +26,7 @@ from groundstation.importers.join import joined
 from groundstation.importers.mapping import EXAMPLE, FileFormat, Map, built_in_map, load_map
 from groundstation.importers.series import Log, Series, credible, grid, native_rate
 from groundstation.importers.servos import with_servos
+from groundstation.importers.topics import joined_topics, topics_of_px4
 
 Array = NDArray[np.float64]
 
@@ -55,11 +56,21 @@ def import_data(
     if not paths:
         raise ImportDataError("no file to import")
     given = load_map(mapping) if isinstance(mapping, (str, Path)) else mapping
-    records = []
     for one in paths:
         check_file(one, error=ImportDataError)
-        records += [_record(one, log, chosen, rate_hz, accept_implausible) for log, chosen in read_logs(one, given)]
+    records = [_record(one, log, chosen, rate_hz, accept_implausible) for one, log, chosen in _logs(paths, given)]
     return joined(records)
+
+
+def _logs(paths: Sequence[Path], given: Map | None) -> list[tuple[Path, Log, Map]]:
+    """The records of all files, each with its mapping; those of one flight with a topic each as one."""
+    topics = topics_of_px4(paths) if given is None or given.time is None else None
+    if topics is not None:
+        base = built_in_map("px4")
+        return [(paths[0], EVIDENCE[topics.kind](topics), given.over(base) if given else base)]
+    found = [(one, log, chosen) for one in paths for log, chosen in read_logs(one, given)]
+    together = joined_topics(found)
+    return [(paths[0], *together)] if together is not None else found
 
 
 def _record(path: Path, log: Log, chosen: Map, rate_hz: float | None, accept_implausible: bool) -> Flight:
@@ -146,6 +157,7 @@ def _read_with_package(path: Path, given: Map | None) -> tuple[Log, Map]:
 
 def _read_tables(path: Path, given: Map | None) -> list[tuple[Log, Map]]:
     from groundstation.importers.formats.tables import header_map, read_table, table_log
+    from groundstation.importers.quaternion import with_quaternion
 
     layout = given.file if given else FileFormat()
     if path.suffix.lower() == ".mat":
@@ -158,7 +170,7 @@ def _read_tables(path: Path, given: Map | None) -> list[tuple[Log, Map]]:
     for table in tables:
         guessed, notes = header_map(table, given.columns if given else ())
         chosen = given.over(guessed) if given else guessed
-        log = table_log(path, table, chosen.time)
+        log, chosen = with_quaternion(table_log(path, table, chosen.time), chosen)
         records.append((replace(log, notes=(*log.notes, *notes)), chosen))
     return records
 

@@ -50,6 +50,7 @@ class Log:
     parameters: Mapping[str, float] = field(default_factory=dict)
     kinds: Mapping[str, str] = field(default_factory=dict)
     contradictions: tuple[Contradiction, ...] = ()
+    origin: float = 0.0
 
     def extended(self, series: Mapping[str, Series], units: Mapping[str, str]) -> "Log":
         """The same with further series."""

@@ -26,7 +26,9 @@ LEFT = 1.0 / 3.0  # of what is not explained as it is, at most, may be left then
 _GRAVITY_IN = {"g": 1.0, "ft/s2": 32.174, "mg (or cm/s2)": 990.0}
 _ANGLES = ("phi", "theta", "psi", "alpha", "beta", "delta_e", "delta_a", "delta_r", "cmd_e", "cmd_a", "cmd_r")
 _RATES = ("p", "q", "r")
-_SPEED_UNITS = {"knots": 3600 / 1852, "km/h": 3.6, "mph": 1 / 0.44704, "ft/s": 1 / 0.3048}
+_LONG_UNITS = {"min": 60.0, "h": 3600.0, "days (of Excel or MATLAB)": 86400.0}
+_USUAL_STEP = (0.004, 1.0)  # s between samples of flight dynamics
+_SPEED_UNITS = {"knots": 3600 / 1852, "km/h": 3.6, "mph": 1 / 0.44704, "ft/s": 1 / 0.3048, "cm/s": 100.0}
 
 # column -> (unit, lowest and highest median that this unit gives)
 _OTHER_UNITS: dict[str, tuple[tuple[str, float, float], ...]] = {
@@ -60,6 +62,7 @@ def suspicions(time: Array, columns: Columns) -> list[Suspicion]:
         _gravity(present),
         _angles(present),
         _rates(present),
+        _speed(present),
         _others(present),
         _attitude_rate(time, present),
         _pressure_speed(present),
@@ -101,7 +104,9 @@ def _time(time: Array) -> Iterator[Suspicion]:
             ("time",), f"{interval:g} s from sample to sample is too slow for flight dynamics; check the time unit"
         )
     elif interval < 1e-4:
-        yield Suspicion(("time",), f"{interval:.3g} s from sample to sample; is the column in min or h?")
+        units = [u for u, scale in _LONG_UNITS.items() if _USUAL_STEP[0] <= interval * scale <= _USUAL_STEP[1]]
+        likely = " or ".join(units) if units else "min, h or days"
+        yield Suspicion(("time",), f"{interval:.3g} s from sample to sample; is the column in {likely}?")
 
 
 def _shuffled(time: Array) -> bool:
@@ -154,6 +159,15 @@ def _rates(c: Columns) -> Iterator[Suspicion]:
                 yield Suspicion((name,), f"reaches {worst:.4g} rad/s, beyond {high:g}; is it in deg/s?")
 
 
+def _speed(c: Columns) -> Iterator[Suspicion]:
+    if "V" not in c:
+        return
+    high, middle = COLUMN_BY_NAME["V"].plausible[1], _median(c["V"])
+    if middle > high:
+        unit = "cm/s" if middle / 100.0 <= high else "mm/s"
+        yield Suspicion(("V",), f"median {middle:.4g} m/s, beyond {high:g}; is it in {unit}?")
+
+
 def _others(c: Columns) -> Iterator[Suspicion]:
     for name, values in c.items():
         if name in (*_ANGLES, *_RATES, "ax", "ay", "az", "V", "V_cas"):
@@ -171,7 +185,12 @@ def _others(c: Columns) -> Iterator[Suspicion]:
 
 
 def _attitude_rate(time: Array, c: Columns) -> Iterator[Suspicion]:
-    """Attitude against what the gyro turns: their ratio is 1, or 57.3 where one is in degrees, or -1."""
+    """Attitude against what the gyro turns: their ratio is 1, or 57.3 where one is in degrees, or -1; one ratio of all three that
+    is another is the clock's."""
+    if (runs := _clock_ratio(time, c)) is not None:
+        told = f"runs {max(runs, 1 / runs):.3g} times too {'slowly' if runs < 1 else 'fast'}"
+        yield Suspicion(("time",), f"{told} for attitude to be what the gyros turn: check the time unit")
+        return
     for angle, rate in (("phi", "p"), ("theta", "q"), ("psi", "r")):
         if angle not in c or rate not in c:
             continue
@@ -185,6 +204,22 @@ def _attitude_rate(time: Array, c: Columns) -> Iterator[Suspicion]:
             yield Suspicion((rate,), f"turns {1 / abs(slope):.0f} times as far as {angle} moves; is {rate} in deg/s?")
         elif -2 < slope < -0.5:
             yield Suspicion((rate,), f"turns against {angle}; one of them has the wrong sign (sign = -1)")
+
+
+def _clock_ratio(time: Array, c: Columns) -> float | None:
+    """How many times too fast time runs by every angle and its gyro alike; None where they do not agree on one, or it is a ratio
+    that another unit of the angles makes."""
+    slopes = []
+    for angle, rate in (("phi", "p"), ("theta", "q"), ("psi", "r")):
+        if angle in c and rate in c:
+            turning = c[rate] if angle != "psi" else _heading_rate(c)
+            slopes.append(_integral_slope(time, c[angle], turning) or 0.0)
+    sound = [s for s in slopes if s > 0.0]
+    if len(sound) < 2 or max(sound) > 1.2 * min(sound):
+        return None
+    middle = float(np.median(sound))
+    usual = (0.5 < middle < 2.0) or (0.5 < middle / _DEG < 2.0) or (0.5 < middle * _DEG < 2.0)
+    return None if usual else 1.0 / middle
 
 
 def _heading_rate(c: Columns) -> Array:
