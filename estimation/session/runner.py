@@ -19,6 +19,7 @@ from estimation.session.verdict import verdict
 from groundstation.flight import Flight
 from groundstation.flight.contradictions import contradictions
 from groundstation.flight.quality.plausibility import suspicions
+from groundstation.flight.quality.rates import too_slow
 from groundstation.flight.quality.same_record import one_record_twice
 
 NUMERICAL = (LinAlgError, ArithmeticError)
@@ -101,7 +102,12 @@ def _odd_columns(model: Model, flight: Flight) -> tuple[str, ...]:
     in it that move derivatives."""
     used = {"time", *(s.source for s in (*model.inputs, *model.outputs, *model.states))}
     odd = tuple(s.text for s in suspicions(flight.time, flight.columns) if used & set(s.columns))
-    return (*odd, *(f"{c.text} (moves {c.moves})" for c in contradictions(flight) if c.stops))
+    slow = too_slow(flight, used)
+    return (
+        *odd,
+        *([slow] if slow else []),
+        *(f"{c.text} (moves {c.moves})" for c in contradictions(flight) if c.stops),
+    )
 
 
 def _tried(estimator: Estimator, task: Task) -> Outcome:

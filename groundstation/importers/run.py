@@ -22,10 +22,11 @@ from groundstation.importers.endings import LOGS, TABLES
 from groundstation.importers.errors import ImportDataError
 from groundstation.importers.evidence import EVIDENCE
 from groundstation.importers.formats.tables import RECORD
+from groundstation.importers.functions import misnamed
 from groundstation.importers.join import joined
 from groundstation.importers.mapping import EXAMPLE, FileFormat, Map, built_in_map, load_map
 from groundstation.importers.series import Log, Series, credible, grid, native_rate
-from groundstation.importers.servos import with_servos
+from groundstation.importers.servos import outputs_elsewhere, with_servos
 from groundstation.importers.topics import joined_topics, topics_of_px4
 
 Array = NDArray[np.float64]
@@ -79,6 +80,7 @@ def _record(path: Path, log: Log, chosen: Map, rate_hz: float | None, accept_imp
         series, dropped = credible(log.series)
         said = (f"{dropped} samples with a time far from all others left out",) if dropped else ()
         log = replace(log, series=series, notes=(*log.notes, *said))
+    log = replace(log, contradictions=(*log.contradictions, *misnamed(log, chosen)))
     log, no_output = with_servos(log, chosen.servos)
     time = _time_base(path, log, chosen, rate)
     if np.isfinite(time).sum() < 2:
@@ -97,6 +99,7 @@ def _record(path: Path, log: Log, chosen: Map, rate_hz: float | None, accept_imp
         notes.append("surfaces by the trim and travel of an example map: copy it and write down those of this aircraft")
     if no_output:
         notes.append(f"servo outputs named in the mapping and not in the file: {listed(no_output)}")
+    notes += outputs_elsewhere(log, chosen.servos)
     notes = [*log.notes, *notes]
     suspected = suspicions(time, columns)
     doubts = [s.text for s in suspected if not set(s.columns) <= _NEEDED_BY_NONE]

@@ -52,7 +52,7 @@ def _bare(header: str) -> str:
 
 @dataclass(frozen=True)
 class Table:
-    """A table as read: columns of numbers (N,), of dates (N,) [s] after the first (firsts: [s] since 1970) and of words by header,
+    """A table as read: columns of numbers (N,), of dates (N,) [s] after the first (firsts: [s since 1970]) and of words,
     units of a row below the header, and notes. Cells of words are kept only of a column that can be the time."""
 
     numeric: dict[str, Array]
