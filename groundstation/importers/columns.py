@@ -15,7 +15,7 @@ from groundstation.flight.contradictions.air import independent_density
 from groundstation.flight.flight import HELD, INTERVAL
 from groundstation.flight.notes import Note, NoteKind, unknown_columns
 from groundstation.importers.errors import ImportDataError
-from groundstation.importers.expression import parse
+from groundstation.flight.expression import parse
 from groundstation.importers.formats.tables import RECORD
 from groundstation.importers.mapping import Kind, Map, Source
 from groundstation.importers.origins import COMPUTED, NOT_FLOWN, is_command, kind_of, kind_of_all

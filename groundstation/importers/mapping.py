@@ -20,7 +20,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 from daq.contract.channels import COLUMN_BY_NAME
 from daq.contract.input_files import read_toml
 from groundstation.importers.errors import ImportDataError
-from groundstation.importers.expression import parse
+from groundstation.flight.expression import parse
 from groundstation.importers.servos import Servo
 from groundstation.importers.units import conversion
 
