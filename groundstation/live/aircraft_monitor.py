@@ -165,6 +165,8 @@ class AircraftMonitor:
                 self._note("WARN", f"refused {count} x {message}: {why}")
             case ev.Doubted(what=what, count=count):
                 self._note("WARN", f"not believed: {count} {what}")
+            case ev.Quarantined(text=text):
+                self._note("WARN", text)
             case ev.Contested():
                 self._note("WARN", event.text)
             case ev.Restarted(previous=previous) if previous is not None:

@@ -26,6 +26,7 @@ from groundstation.receiver.kept.sessions import RECORDING, Sessions
 from groundstation.receiver.link_config import LinkConfig
 from groundstation.receiver.link_quality import RateMeter
 from groundstation.receiver.ports.link import open_port
+from groundstation.receiver.quarantine import Quarantine
 from groundstation.receiver.security import SIGNING_STATE, Gate, make_signer
 from groundstation.receiver.senders import Senders
 from groundstation.receiver.sending.backfill import BackfillClient, Mode
@@ -84,6 +85,7 @@ class Receiver:
         self._lock = threading.RLock()
         self.faults = Faults()
         self.doubts = d.Doubts()
+        self.quarantine = Quarantine()
         self._gate = Gate(make_signer(config, clock), self.faults)
         if self._gate.signer is not None and self._gate.signer.notice:
             self.faults.note(SIGNING_STATE, OSError(self._gate.signer.notice))
@@ -119,11 +121,15 @@ class Receiver:
             out: list[ev.Event] = []
             now, utc = self.clock.monotonic_ns(), self.clock.utc_ns()
             for sender, frame in self._frame_input.frames(now, utc):
-                self._take_frame(frame, sender, now, utc, out)
+                try:
+                    self._take_frame(frame, sender, now, utc, out)
+                except Exception as error:  # noqa: BLE001  the edge of reception: no frame ends a flight
+                    self.quarantine.put_error(frame.system, f"a frame of {frame.name}", error)
             out += [*self._gate.reports(now), *self._contests(now)]
             self._keep(out)
-            self._do_due(now, out)
-            return out + self.doubts.reports(now) + self.faults.changes(now)
+            with self.quarantine.guard(d.NOBODY, "what is due to be sent and told"):
+                self._do_due(now, out)
+            return out + self.doubts.reports(now) + self.quarantine.reports(now) + self.faults.changes(now)
 
     @property
     def port_faults(self) -> dict[str, str]:
@@ -226,12 +232,18 @@ class Receiver:
         """Hand events to the recorders of their sessions."""
         for event in out:
             if isinstance(event, ev.Restarted):
-                with self.faults.watch(RECORDING):
+                with self.quarantine.guard(event.session.system, "its new session"), self.faults.watch(RECORDING):
                     self._begin(event.session)
             elif isinstance(event, ev.ScanReceived | ev.EventMarked):
-                sessions = self._aircraft[event.session.system].sessions
-                if sessions is not None and not sessions.keep(event):
-                    self.doubts.note(event.session.system, d.EVENTS)
+                try:
+                    self._keep_one(event)
+                except Exception as error:  # noqa: BLE001  one scan that cannot be kept is not the next one's end
+                    self.quarantine.put_error(event.session.system, f"a {type(event).__name__} in the recording", error)
+
+    def _keep_one(self, event: ev.ScanReceived | ev.EventMarked) -> None:
+        sessions = self._aircraft[event.session.system].sessions
+        if sessions is not None and not sessions.keep(event):
+            self.doubts.note(event.session.system, d.EVENTS)
 
     def _begin(self, session: ev.Session) -> None:
         aircraft = self._aircraft[session.system]
@@ -407,6 +419,7 @@ class Receiver:
             "second_senders": [row for a in self._aircraft.values() for row in a.senders.table()],
             "scans_doubted": self.doubts.total(d.NUMBERS) + sum(a.decoder.waiting for a in self._aircraft.values()),
             "doubted": self.doubts.table(),
+            "quarantined": self.quarantine.table(),
         }
 
     def close(self) -> None:
