@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from daq.contract.durable import whole
 from sideslip.notebook import Figures, plot_estimates, plot_proof, plot_reconstructed, plot_scores, table
 
 if TYPE_CHECKING:
@@ -339,7 +340,8 @@ def _csv(frame: "pd.DataFrame", path: str | Path) -> Path:
     path = Path(path)
     if path.suffix.lower() != ".csv":
         raise UserError(f"{path}: no known format of this table; end the name in .csv")
-    frame.to_csv(path, index=False)
+    with whole(path) as new:
+        frame.to_csv(new, index=False)
     return path
 
 

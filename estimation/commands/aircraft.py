@@ -4,6 +4,8 @@ from pathlib import Path
 
 import click
 
+from daq.contract.outputs import write_text
+
 
 @click.group(
     epilog="Example: sideslip aircraft new glider, then fill in glider.toml and: sideslip aircraft check glider.toml"
@@ -29,8 +31,7 @@ def new(name: str, output: Path | None) -> None:
     if target.exists():
         raise AircraftError(f"{target} is there already; remove it, or give -o another name")
     check_outputs(output=target)
-    target.parent.mkdir(parents=True, exist_ok=True)
-    target.write_text(template(name, str(target)), encoding="utf-8")
+    write_text(template(name, str(target)), target)
     click.echo(f"{target} written; fill it in, then: sideslip aircraft check {target}")
 
 

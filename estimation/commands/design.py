@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from daq.contract.outputs import write_text
+
 if TYPE_CHECKING:
     from estimation.design.design import Design, Task
     from estimation.models.base import Model
@@ -150,8 +152,7 @@ def write_manoeuvre(found: "Design", path: Path) -> None:
     """The file that `fly --manoeuvre` and the sequencer on board read."""
     import tomli_w
 
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(tomli_w.dumps(found.manoeuvre().to_dict()), encoding="utf-8")
+    write_text(tomli_w.dumps(found.manoeuvre().to_dict()), path)
 
 
 def with_effects(model: "Model", names: tuple[str, ...]) -> tuple["Model", dict[str, float]]:

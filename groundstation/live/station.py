@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
+from daq.contract.durable import open_log
 from daq.contract.recordings.recording import RecordingInfo
 from groundstation.calibration.errors import CalibrationError
 from groundstation.calibration.facts import reported
@@ -49,8 +50,7 @@ class Station:
         self.identifications = LiveIdentifications(config.identification, config.handover.landing, aircraft, self._note)
         self._papers: set[str] = set()
         self._next_papers_ns = 0
-        folder.mkdir(parents=True, exist_ok=True)
-        self._log = (folder / "events.log").open("a", encoding="utf-8")
+        self._log = open_log(folder / "events.log")
 
     def monitor(self, system: int) -> AircraftMonitor:
         """The monitor of an aircraft, opened when it is first heard."""
@@ -70,7 +70,7 @@ class Station:
         line = legible(line)
         self._echo(line)
         with self.receiver.faults.watch("event log"):
-            self._log.write(line + "\n")
+            self._log.write((line + "\n").encode("utf-8", "backslashreplace"))
             self._log.flush()
 
     def step(self) -> list[ev.Event]:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from daq.contract.channels import CHANNELS
-from daq.contract.durable import make_directories
+from daq.contract.durable import open_log
 from daq.contract.errors import UserError
 from daq.contract.input_files import read_bytes
 from daq.contract.link.wire import layouts
@@ -39,8 +39,7 @@ class TlogWriter:
 
     def __init__(self, path: Path) -> None:
         try:
-            make_directories(path.parent)
-            self._file: IO[bytes] = path.open("ab")
+            self._file: IO[bytes] = open_log(path)
         except OSError as error:
             raise TlogError(f"{path}: telemetry log cannot be written ({error.strerror})") from error
         self.path = path

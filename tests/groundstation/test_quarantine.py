@@ -32,7 +32,7 @@ NUMBER_FACTS = (
     "pitot.zero_count", *(f"{g}.filter_delay_s" for g in GROUP_NAMES), *(f"{c.group}.{c.name}_after_s" for c in CHANNELS),
     *(f"{g}.scale_v" for g in GROUP_NAMES if g.startswith("analog")),
 )  # fmt: skip
-BAD = ("nan", "inf", "-inf", "1e999", "-1e300", "many", "", "\x1b[2J", "9" * 4000, "‮1", "0x10")
+BAD = ("nan", "inf", "-inf", "1e999", "-1e300", "many", "", "\x1b[2J", "9" * 4000, "\u202e1", "0x10")
 
 
 class Sky:
@@ -124,7 +124,7 @@ def hostile_frames(draw: st.DrawFn) -> list[bytes]:
             fields: dict[str, Any] = {}
             for name, count, text in zip(made.fields, made.counts, made.text, strict=True):
                 if text:
-                    fields[name] = draw(st.sampled_from(["\x1b[31m", "‮", "nan", "", "\x00", "\r\n"]))
+                    fields[name] = draw(st.sampled_from(["\x1b[31m", "\u202e", "nan", "", "\x00", "\r\n"]))
                 else:
                     fields[name] = [_value(next(values), draw) for _ in range(count)]
                     fields[name] = fields[name] if count > 1 else fields[name][0]

@@ -16,7 +16,7 @@ from typing import IO, NamedTuple
 
 import numpy as np
 
-from daq.contract.durable import make_directories
+from daq.contract.durable import open_log
 from daq.contract.link.scan_map import ScanMap
 from daq.contract.scan import Scan, ScanDecodeError, decode_scan, encode_scan
 
@@ -56,11 +56,10 @@ class SessionLog:
     """Scans by number, the complete form preferred, and the other records in order."""
 
     def __init__(self, path: Path) -> None:
-        make_directories(path.parent)
         self.path = path
         self.received = ScanMap()
         self.complete = ScanMap()
-        self._file: IO[bytes] = path.open("ab")
+        self._file: IO[bytes] = open_log(path)
         end = 0
         for record in self._records():
             self._note(record.kind, record.number)
