@@ -148,11 +148,30 @@ def replacing_folder(path: Path) -> Iterator[Path]:
         sync_directory(path.parent)
 
 
-def open_log(path: Path) -> IO[bytes]:
+class FolderInUseError(Exception):
+    """Another process writes into a folder."""
+
+
+@contextmanager
+def folder_of_ones_own(folder: Path, name: str) -> Iterator[None]:
+    """Hold a folder, made if need be, against every other process that holds it under this name. The kernel lets go of it
+    however this process ends. Raises FolderInUseError, or OSError where the folder cannot be written."""
+    make_directories(folder)
+    with open_log(folder / f".{name}.lock") as held:
+        if fcntl is not None:
+            try:
+                fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise FolderInUseError(str(folder)) from None
+        clear_leftovers(folder)
+        yield
+
+
+def open_log(path: Path, buffering: int = -1) -> IO[bytes]:
     """A file that grows while it is read, at its end: telemetry, journals, logs. What is written is there at once or later
     as its owner flushes; a torn last record is its reader's to pass over."""
     make_directories(path.parent)
-    return path.open("ab")
+    return path.open("a+b", buffering=buffering)
 
 
 def clear_leftovers(directory: Path) -> None:

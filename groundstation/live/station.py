@@ -3,8 +3,8 @@
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from daq.contract.durable import open_log
 from daq.contract.recordings.recording import RecordingInfo
+from daq.contract.rotating_log import RotatingLog
 from groundstation.calibration.errors import CalibrationError
 from groundstation.calibration.facts import reported
 from groundstation.calibration.schema import CalibrationSet, load_calibration
@@ -50,7 +50,7 @@ class Station:
         self.identifications = LiveIdentifications(config.identification, config.handover.landing, aircraft, self._note)
         self._papers: set[str] = set()
         self._next_papers_ns = 0
-        self._log = open_log(folder / "events.log")
+        self._log = RotatingLog(folder / "events.log")
 
     def monitor(self, system: int) -> AircraftMonitor:
         """The monitor of an aircraft, opened when it is first heard."""
@@ -69,9 +69,10 @@ class Station:
     def _note(self, line: str) -> None:
         line = legible(line)
         self._echo(line)
+        self._log.write((line + "\n").encode("utf-8", "backslashreplace"))
         with self.receiver.faults.watch("event log"):
-            self._log.write((line + "\n").encode("utf-8", "backslashreplace"))
-            self._log.flush()
+            if self._log.trouble:
+                raise OSError(self._log.trouble)
 
     def step(self) -> list[ev.Event]:
         """Take in what has arrived and act on it."""
@@ -171,8 +172,7 @@ class Station:
         for event in self.receiver.faults.changes(self._clock.monotonic_ns()):
             self._dispatch(event)
         self.identifications.close()
-        with self.receiver.faults.watch("event log"):
-            self._log.close()
+        self._log.close()
 
 
 def _system(event: ev.Event) -> int:

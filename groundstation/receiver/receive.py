@@ -329,6 +329,7 @@ class Receiver:
             if progress is not None:
                 out.append(progress)
         self._frame_input.flush()
+        self._look_after_disk()
         for what, count in (
             (d.BYTES, self._frame_input.refused_bytes),
             (d.DATAGRAMS, self._frame_input.datagrams_dropped),
@@ -337,6 +338,14 @@ class Receiver:
         with self.faults.watch(_DISK):
             journals = (r.journal for kept in self._kept() for r in kept.recorders.values())
             self._disk.sync([*self._frame_input.logs, *journals])
+
+    def _look_after_disk(self) -> None:
+        """Journals go on where the disk failed, and what it has lost is wanted again."""
+        for aircraft in self._aircraft.values():
+            if aircraft.sessions is not None:
+                aircraft.sessions.look_after()
+            if aircraft.backfill is not None:
+                aircraft.backfill.look_after()
 
     # ------------------------------------------------------------------------------------------ for the owner
 
@@ -408,7 +417,18 @@ class Receiver:
         with self._lock:
             trackers = [t for a in self._aircraft.values() for t in a.decoder.trackers.values()]
             made = counters(self.accounting(), self._frame_input.totals(), trackers, self._gate.rejected, self._written)
-            return made | self._unbelieved()
+            return made | self._unbelieved() | self._on_disk()
+
+    def _on_disk(self) -> dict[str, Any]:
+        """What the disk holds of what came down, for `ground --json`."""
+        books = [(a.sessions, b) for a in self._aircraft.values() for b in a.decoder.sessions]
+        states = [(kept.state(b) if kept is not None else None) for kept, b in books]
+        known = [state for state in states if state is not None]
+        return {
+            "scans_on_disk": sum(on_disk for on_disk, _ in known),
+            "scans_not_on_disk": sum(gone for _, gone in known),
+            "telemetry_bytes_refused": sum(log.refused for log in self._frame_input.logs),
+        }
 
     def _unbelieved(self) -> dict[str, Any]:
         """What came and was not used, for `ground --json`."""
