@@ -85,7 +85,11 @@ def ground(
     from groundstation.live.replay import Replay, parse_speed, replay_into
 
     settings = configured(config, layout, aircraft, watched, model)
-    with _terminal_may_go(), _session(settings, out) as (folder, say), _views(settings, window, say) as views:
+    with (
+        _terminal_may_go(),
+        _session(settings, out, replay is not None) as (folder, say),
+        _views(settings, window, say) as views,
+    ):
         player = Replay()
         station = _station(settings, folder, views, player if replay is not None else None, replay, source, say)
         say(
@@ -123,15 +127,18 @@ def _terminal_may_go() -> Iterator[None]:
 
 
 @contextmanager
-def _session(settings: "GroundConfig", out: Path | None) -> Iterator[tuple[Path, Say]]:
+def _session(settings: "GroundConfig", out: Path | None, replayed: bool) -> Iterator[tuple[Path, Say]]:
     """The session's folder, held against other ground stations, and where its lines go: standard output, as long as there is
-    one, and `ground.log` in the folder."""
+    one, and `ground.log` in the folder. replayed: then it must not hold a session already."""
     from daq.contract.durable import FolderInUseError, folder_of_ones_own
     from groundstation.live.config import GroundConfigError
     from groundstation.live.said import spoken
 
     wanted = out or _session_folder(settings)
     dated = out is None and settings.output.dated
+    old = sorted([*wanted.glob("*.tlog"), *wanted.glob("*.journal")]) if replayed else []
+    if old:
+        raise GroundConfigError(f"{wanted} holds a session already ({old[0].name}); give another folder with --out")
     for folder in [wanted, *(wanted.with_name(f"{wanted.name}_{n}") for n in range(2, 100) if dated)]:
         with ExitStack() as held:
             try:
@@ -224,11 +231,6 @@ def _station(
     if replay is None and not settings.link.ports:
         raise GroundConfigError("[link] ports is empty: there is nothing to listen to; name a port")
     if replay is not None:
-        held = sorted([*folder.glob("*.tlog"), *folder.glob("*.journal")])
-        if held:
-            raise GroundConfigError(
-                f"{folder} holds a session already ({held[0].name}); give another folder with --out"
-            )
         quiet = settings.link.model_copy(update={"ports": (), "transmit": False, "backfill": "off"})
         # A recording does not come over a link: there is nothing to keep of it.
         kept = folder if played is not None and played.suffix == ".tlog" else None
