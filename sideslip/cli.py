@@ -5,6 +5,7 @@ Exit status: 0 done; 1 done, but the answer is a failed check; 2 unusable input,
 """
 
 import contextlib
+import errno
 import importlib
 import io
 import os
@@ -218,6 +219,8 @@ def _status(argv: list[str] | None, interrupts: "Interrupts | None" = None) -> i
     except BrokenPipeError as error:  # of a file that is a pipe: its reader has seen enough
         return 0 if error.filename is not None else _unforeseen(error)
     except OSError as error:
+        if error.filename is None and error.errno == errno.ENOENT:  # of tempfile: no folder takes a file
+            return _said(f"{error.strerror}; make room in one of them, or name another with TMPDIR")
         if error.filename is None and error.errno not in DISK_ERRNOS:
             return _unforeseen(error)
         where = error.filename2 or error.filename or "a file"

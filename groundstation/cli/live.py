@@ -380,8 +380,9 @@ def view(
     if save_blueprint is not None:
         blueprint.save_blueprint(save_blueprint, chosen)
         click.echo(f"layout: {save_blueprint}")
-    with tempfile.TemporaryDirectory() as scratch:
-        shown = as_rrd(file, rrd or Path(scratch) / "view.rrd", chosen, calibration)
+    with ExitStack() as scratch:
+        target = rrd or Path(scratch.enter_context(tempfile.TemporaryDirectory())) / "view.rrd"
+        shown = as_rrd(file, target, chosen, calibration)
         if rrd is not None:
             click.echo(f"rerun recording: {shown}")
         if window == "none":

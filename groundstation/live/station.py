@@ -1,5 +1,6 @@
 """The ground station: receiver, one monitor per aircraft, views, and the hand-over at the end of a flight."""
 
+import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from groundstation.calibration.schema import CalibrationSet, load_calibration
 from groundstation.identification.aircraft import AircraftSource
 from groundstation.live.aircraft_monitor import AircraftMonitor, View
 from groundstation.live.config import GroundConfig
+from groundstation.live.free_space import FreeSpace, free_bytes
 from groundstation.live.identifying import LiveIdentifications
 from groundstation.receiver import events as ev
 from groundstation.receiver.doubts import NOBODY
@@ -48,6 +50,8 @@ class Station:
         self.replayed: Path | None = None  # a recording that was played instead of received
         self.replayed_as: ev.Session | None = None
         self.identifications = LiveIdentifications(config.identification, config.handover.landing, aircraft, self._note)
+        self.space = FreeSpace()
+        self._space_told = False
         self._papers: set[str] = set()
         self._next_papers_ns = 0
         self._log = RotatingLog(folder / "events.log")
@@ -92,6 +96,7 @@ class Station:
         if now >= self._next_papers_ns:
             self._next_papers_ns = now + PAPERS_PERIOD_NS
             self._adopt_calibrations()
+            self._look_at_disk(now)
         return happened
 
     def _dispatch(self, event: ev.Event) -> None:
@@ -131,6 +136,17 @@ class Station:
                     monitor.happened(event)
             case _:
                 self.monitor(event.session.system).happened(event)
+
+    def _look_at_disk(self, now_ns: int) -> None:
+        """Room on this computer's disk: an alarm of every aircraft, and a line while there is none."""
+        with self.receiver.faults.watch("disk"):
+            self.space.update(now_ns * 1e-9, free_bytes(self.folder))
+        for system, monitor in self.monitors.items():
+            with self.receiver.quarantine.guard(system, "the disk"):
+                monitor.disk(self.space)
+        if not (self._space_told or math.isnan(self.space.megabytes)):
+            self._space_told = True
+            self._note(f"{'':10}    ground station  INFO disk: {self.space.words}")
 
     def _adopt_calibrations(self) -> None:
         """Once the recording's papers have come down, calibrate with what the aircraft carries."""
