@@ -36,11 +36,14 @@ class CalibrationConfig(_Table):
 
 
 class ViewConfig(_Table):
-    """The live view; ports are on loopback."""
+    """The live view. port: where further viewers of this computer attach. host: where the page listens; beyond loopback, and with
+    `token`, only who has the page's whole address gets in."""
 
     layout: Literal["full", "light"] = "full"
     port: Annotated[int, Field(ge=1, le=65535)] = 9876
     web_port: Annotated[int, Field(ge=1, le=65535)] = 9090
+    host: Annotated[str, Field(min_length=1, max_length=255)] = "127.0.0.1"
+    token: bool = False
     memory_limit: str = "64MiB"
 
 
