@@ -145,9 +145,8 @@ class _Passing(socketserver.BaseRequestHandler):
             if not head.startswith(_HTTP2):
                 why = refusal(_headers(head), HERE, "")
                 if why is not None:
-                    client.sendall(
-                        f"HTTP/1.1 {why.value} {why.phrase}\r\nContent-Length: 0\r\nConnection: close\r\n\r\n".encode()
-                    )
+                    said = (f"HTTP/1.1 {why.value} {why.phrase}", "Content-Length: 0", "Connection: close", "", "")
+                    client.sendall("\r\n".join(said).encode())
                     return
                 head = once(head)
             with socket.create_connection(self.behind, HEAD_S) as server:

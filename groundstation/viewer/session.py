@@ -41,13 +41,8 @@ class SessionViews:
             view = LiveView(f"aircraft{system}", options)
             self._views.append(view)
             if self._window == "web":
-                page = WebPage(
-                    view.url,
-                    _free_from(self._config.web_port + len(self._pages)),
-                    wait=False,
-                    host=self._config.host,
-                    token=self._token,
-                )
+                web_port = _free_from(self._config.web_port + len(self._pages))
+                page = WebPage(view.url, web_port, wait=False, host=self._config.host, token=self._token)
                 self._pages[len(self._shown)] = name
                 self._shown.append(page)
                 self._say(f"{name}: {page.url}")
