@@ -1,12 +1,12 @@
 """`sideslip design`: an input designed from what is known, with what it will do to the aircraft and what it will tell."""
 
-import json
 import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from daq.contract.input_files import read_json
 from daq.contract.outputs import write_text
 
 if TYPE_CHECKING:
@@ -205,7 +205,7 @@ def _estimate(path: Path) -> dict[str, Any]:
     from estimation.errors import EstimationError
 
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = read_json(path, "estimate", EstimationError)
         methods = content["joint"] or content["flights"][0]["methods"]
         found = next(m for m in methods.values() if m["parameters"])
         values = {n: float(p["estimate"]) for n, p in found["parameters"].items() if p["estimate"] is not None}
