@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from estimation.gap.search.search_state import Finding, Setting
 from estimation.gap.search.select import Choice
 from estimation.gap.tests_of_fit.calibration import Round, by_name
 from estimation.gap.tests_of_fit.measure import predictive_cost
+from estimation.gap.tests_of_fit.measured_again import MeasuredAgain
 from estimation.gap.tests_of_fit.omnibus import Omnibus
 
 
@@ -27,9 +29,17 @@ def accept(
     nameless = max((s.gain for s in omnibus.leading if s.kind == "term"), default=0.0)
     shape = shapes() if any(c.score >= round_.threshold for c in choice.candidates) else 0.0
     nameless = max(nameless, shape)
+    again = MeasuredAgain(round_.baseline, setting.errors, setting.options.seed)
     for candidate in choice.candidates:
         if candidate.score < round_.threshold:
             break
+        centred = centred_score(again, candidate)
+        if centred < round_.threshold:
+            why = f"gains nearly as much where only the controls are measured again ({centred:.1f} of {round_.threshold:.1f} is left)"
+            refused.add(candidate.hypothesis.key)
+            said.append(Rejected(candidate.hypothesis.label, why))
+            continue
+        candidate = replace(candidate, score=min(candidate.score, centred))
         child, why = confirmed(setting, round_, candidate, nameless)
         if child is not None:
             doubted = doubtful(candidate, shape, round_.threshold, round_.criteria)
@@ -37,6 +47,14 @@ def accept(
         refused.add(candidate.hypothesis.key)
         said.append(Rejected(candidate.hypothesis.label, why))
     return None, said
+
+
+def centred_score(again: MeasuredAgain, candidate: Candidate) -> float:
+    """The score of a candidate less what it gains by the noise of the controls alone."""
+    if candidate.gain <= 0.0:
+        return candidate.score
+    share = max(again.centred(candidate.gain, candidate.fit), 0.0) / candidate.gain
+    return candidate.score * math.sqrt(min(share, 1.0))
 
 
 def confirmed(setting: Setting, round_: Round, candidate: Candidate, nameless: float) -> tuple[Baseline | None, str]:
