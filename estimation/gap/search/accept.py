@@ -29,17 +29,18 @@ def accept(
     nameless = max((s.gain for s in omnibus.leading if s.kind == "term"), default=0.0)
     shape = shapes() if any(c.score >= round_.threshold for c in choice.candidates) else 0.0
     nameless = max(nameless, shape)
-    again = MeasuredAgain(round_.baseline, setting.errors, setting.options.seed)
+    again = MeasuredAgain(round_.baseline, setting.options.seed)
     for candidate in choice.candidates:
         if candidate.score < round_.threshold:
             break
-        centred = centred_score(again, candidate)
+        centred = candidate.score * math.sqrt(again.share(candidate.gain, candidate.fit))
         if centred < round_.threshold:
-            why = f"gains nearly as much where only the controls are measured again ({centred:.1f} of {round_.threshold:.1f} is left)"
+            left = f"{centred:.1f} of {round_.threshold:.1f} is left"
+            why = f"gains nearly as much where only the controls are measured again ({left})"
             refused.add(candidate.hypothesis.key)
             said.append(Rejected(candidate.hypothesis.label, why))
             continue
-        candidate = replace(candidate, score=min(candidate.score, centred))
+        candidate = replace(candidate, score=centred)
         child, why = confirmed(setting, round_, candidate, nameless)
         if child is not None:
             doubted = doubtful(candidate, shape, round_.threshold, round_.criteria)
@@ -47,14 +48,6 @@ def accept(
         refused.add(candidate.hypothesis.key)
         said.append(Rejected(candidate.hypothesis.label, why))
     return None, said
-
-
-def centred_score(again: MeasuredAgain, candidate: Candidate) -> float:
-    """The score of a candidate less what it gains by the noise of the controls alone."""
-    if candidate.gain <= 0.0:
-        return candidate.score
-    share = max(again.centred(candidate.gain, candidate.fit), 0.0) / candidate.gain
-    return candidate.score * math.sqrt(min(share, 1.0))
 
 
 def confirmed(setting: Setting, round_: Round, candidate: Candidate, nameless: float) -> tuple[Baseline | None, str]:

@@ -13,7 +13,7 @@ difference is what the effect itself has gained: the centred likelihood ratio of
 families of hypotheses", Journal of the Royal Statistical Society B 24 (1962), 406-424, eq. 8.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -43,17 +43,17 @@ class Remade:
 
 @dataclass(frozen=True)
 class MeasuredAgain:
-    """The training flights of a baseline made anew, `REPEATS` times. errors: of the inputs of every record."""
+    """The training flights of a baseline made anew, `REPEATS` times."""
 
     baseline: Baseline
-    errors: Sequence[InputErrors]
     seed: int
 
     @cached_property
     def sets(self) -> tuple[tuple[Remade, ...], ...]:
         """Every repeat, a record each; none where the motion runs away."""
         problem = self.baseline.problem
-        flyer = NullFlyer.build(problem, self.baseline.fit, self.baseline.noise, self.errors)
+        exact = [InputErrors({}) for _ in problem.records]
+        flyer = NullFlyer.build(problem, self.baseline.fit, self.baseline.noise, exact)
         made = []
         for number in range(REPEATS):
             rng = Stream.MEASURED_AGAIN.generator(self.seed, number)
@@ -62,11 +62,14 @@ class MeasuredAgain:
                 made.append(tuple(r for r in records if r is not None))
         return tuple(made)
 
-    def centred(self, gain: float, found: Fit) -> float:
-        """Half the difference between the gain of a fitted hypothesis on the flights (twice a log-likelihood) and its mean on
-        flights without the effect; the gain itself where it is no more, or where these cannot be flown."""
+    def share(self, gain: float, found: Fit) -> float:
+        """The share of a fitted hypothesis' gain on the flights (twice a log-likelihood) that is its own: half the difference
+        from
+        its mean gain on flights without the effect, within 0 to 1; 1 where these cannot be flown."""
         gains = [g for remade in self.sets if (g := self._gain(remade, found)) is not None]
-        return min(gain, 0.5 * (gain - float(np.mean(gains)))) if gains else gain
+        if not gains or gain <= 0.0:
+            return 1.0
+        return float(np.clip(0.5 * (1.0 - np.mean(gains) / gain), 0.0, 1.0))
 
     def _gain(self, remade: Sequence[Remade], found: Fit) -> float | None:
         problem = replace(self.baseline.problem, model=found.model)
