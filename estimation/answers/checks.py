@@ -129,9 +129,11 @@ class Check(Answer):
     def to_json(self) -> dict[str, Any]:
         """As `check --json` has it: one entry a flight, and the joint factors where there are any."""
         from estimation.report.compatibility_tables import fit_of
+        from groundstation.flight.contradictions import contradictions
 
-        entries = []
+        entries, contradicted = [], []
         for flight in self.flights:
+            contradicted += [{"flight": flight.name, **c.to_json()} for c in contradictions(flight)]
             result = self.results[flight.name]
             entries.append(
                 {
@@ -144,7 +146,7 @@ class Check(Answer):
                     "quality": [f.to_json() for f in self.quality[flight.name]],
                 }
             )
-        data: dict[str, Any] = {"version": 1, "flights": entries}
+        data: dict[str, Any] = {"version": 1, "flights": entries, "contradictions": contradicted}
         if self.joint is not None:
             data["joint"] = {n: _factor_json(f) for n, f in self.joint.factors.items()}
         return data
