@@ -8,6 +8,8 @@ import click
 from daq.contract.errors import UserError
 from daq.contract.outputs import tried_file, write_json
 
+MOST_SAID = 40
+"""Modes, and events with messages, that are printed; the JSON has all."""
 _READ_HERE = (".tlog", ".csv", ".parquet")
 
 
@@ -83,6 +85,12 @@ def _say_log(found: dict[str, Any], json_path: Path | None) -> None:
     )
     for note in found.get("notes", []):
         click.echo(f"  note: {note}")
+    for mode in found.get("modes", [])[:MOST_SAID]:
+        click.echo(f"  mode {mode['mode']:<16} {mode['from']:10.2f} to {mode['to']:.2f} s")
+    for mark in sorted([*found.get("events", []), *found.get("messages", [])], key=lambda m: m["time"])[:MOST_SAID]:
+        click.echo(f"  {mark['time']:10.2f} s  {mark['text']}")
+    if found.get("parameters"):
+        click.echo(f"  {len(found['parameters'])} parameters (--json lists them)")
     topics: dict[str, int] = {}
     for channel in found["channels"]:
         topic = channel["name"].rpartition(".")[0] or channel["name"]

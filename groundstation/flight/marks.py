@@ -1,7 +1,8 @@
-"""What a log says beside its samples: flight modes, events and messages of the autopilot. They travel with a flight, are drawn, and
-name stretches of it.
+"""What a log says beside its samples: flight modes, events and messages of the autopilot. They travel with a flight, are drawn,
+and name stretches of it.
 
-In a flight file they stand in the provenance: `modes` [{"mode", "from", "to"}], `events` and `messages` [{"time", "origin", "text"}].
+In a flight file they stand in the provenance: `modes` [{"mode", "from", "to"}], `events` and
+`messages` [{"time", "origin", "text"}].
 """
 
 from collections.abc import Iterable, Mapping

@@ -12,10 +12,10 @@ from daq.contract.channels import COLUMN_BY_NAME
 from daq.contract.plain_words import LONGEST_NAME, listed
 from groundstation.flight.atmosphere import SEA_LEVEL_DENSITY
 from groundstation.flight.contradictions.air import independent_density
+from groundstation.flight.expression import parse
 from groundstation.flight.flight import HELD, INTERVAL
 from groundstation.flight.notes import Note, NoteKind, unknown_columns
 from groundstation.importers.errors import ImportDataError
-from groundstation.flight.expression import parse
 from groundstation.importers.formats.tables import RECORD
 from groundstation.importers.mapping import Kind, Map, Source
 from groundstation.importers.origins import COMPUTED, NOT_FLOWN, is_command, kind_of, kind_of_all

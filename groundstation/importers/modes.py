@@ -10,12 +10,14 @@ from daq.contract.plain_words import one_line
 from groundstation.flight.marks import LONGEST_TEXT, Mark, Marks, changes
 
 PLANE: Mapping[int, str] = {
-    0: "MANUAL", 1: "CIRCLE", 2: "STABILIZE", 3: "TRAINING", 4: "ACRO", 5: "FBWA", 6: "FBWB", 7: "CRUISE", 8: "AUTOTUNE", 10: "AUTO",
+    0: "MANUAL", 1: "CIRCLE", 2: "STABILIZE", 3: "TRAINING", 4: "ACRO", 5: "FBWA", 6: "FBWB",
+    7: "CRUISE", 8: "AUTOTUNE", 10: "AUTO",
     11: "RTL", 12: "LOITER", 13: "TAKEOFF", 14: "AVOID_ADSB", 15: "GUIDED", 16: "INITIALISING", 17: "QSTABILIZE", 18: "QHOVER",
     19: "QLOITER", 20: "QLAND", 21: "QRTL", 22: "QAUTOTUNE", 23: "QACRO", 24: "THERMAL", 25: "LOITERALTQLAND", 26: "AUTOLAND",
 }  # fmt: skip
 COPTER: Mapping[int, str] = {
-    0: "STABILIZE", 1: "ACRO", 2: "ALT_HOLD", 3: "AUTO", 4: "GUIDED", 5: "LOITER", 6: "RTL", 7: "CIRCLE", 9: "LAND", 11: "DRIFT",
+    0: "STABILIZE", 1: "ACRO", 2: "ALT_HOLD", 3: "AUTO", 4: "GUIDED", 5: "LOITER", 6: "RTL",
+    7: "CIRCLE", 9: "LAND", 11: "DRIFT",
     13: "SPORT", 14: "FLIP", 15: "AUTOTUNE", 16: "POSHOLD", 17: "BRAKE", 18: "THROW", 19: "AVOID_ADSB", 20: "GUIDED_NOGPS",
     21: "SMART_RTL", 22: "FLOWHOLD", 23: "FOLLOW", 24: "ZIGZAG", 25: "SYSTEMID", 26: "AUTOROTATE", 27: "AUTO_RTL", 28: "TURTLE",
 }  # fmt: skip
@@ -25,23 +27,27 @@ ROVER: Mapping[int, str] = {
 }  # fmt: skip
 PX4_NAVIGATION: Mapping[int, str] = {
     0: "MANUAL", 1: "ALTCTL", 2: "POSCTL", 3: "AUTO_MISSION", 4: "AUTO_LOITER", 5: "AUTO_RTL", 8: "ALTITUDE_CRUISE", 10: "ACRO",
-    12: "DESCEND", 13: "TERMINATION", 14: "OFFBOARD", 15: "STABILIZED", 17: "AUTO_TAKEOFF", 18: "AUTO_LAND", 19: "AUTO_FOLLOW_TARGET",
+    12: "DESCEND", 13: "TERMINATION", 14: "OFFBOARD", 15: "STABILIZED", 17: "AUTO_TAKEOFF",
+    18: "AUTO_LAND", 19: "AUTO_FOLLOW_TARGET",
     20: "AUTO_PRECLAND", 21: "ORBIT", 22: "AUTO_VTOL_TAKEOFF",
 }  # fmt: skip
 _PX4_MAIN: Mapping[int, str] = {
     1: "MANUAL", 2: "ALTCTL", 3: "POSCTL", 4: "AUTO", 5: "ACRO", 6: "OFFBOARD", 7: "STABILIZED", 8: "RATTITUDE",
 }  # fmt: skip
 _PX4_AUTO: Mapping[int, str] = {
-    1: "AUTO_READY", 2: "AUTO_TAKEOFF", 3: "AUTO_LOITER", 4: "AUTO_MISSION", 5: "AUTO_RTL", 6: "AUTO_LAND", 8: "AUTO_FOLLOW_TARGET",
+    1: "AUTO_READY", 2: "AUTO_TAKEOFF", 3: "AUTO_LOITER", 4: "AUTO_MISSION", 5: "AUTO_RTL",
+    6: "AUTO_LAND", 8: "AUTO_FOLLOW_TARGET",
     9: "AUTO_PRECLAND",
 }  # fmt: skip
 _VEHICLES = {"ArduCopter": COPTER, "ArduRover": ROVER, "APMrover": ROVER, "Rover": ROVER}
 """What a log's own first message calls its firmware; an aeroplane in all other cases, for which this program is."""
 _EVENTS: Mapping[int, str] = {
-    10: "armed", 11: "disarmed", 15: "auto armed", 17: "land complete maybe", 18: "land complete", 25: "home set", 28: "not landed",
+    10: "armed", 11: "disarmed", 15: "auto armed", 17: "land complete maybe", 18: "land complete",
+    25: "home set", 28: "not landed",
 }  # fmt: skip
 _ERRORS: Mapping[int, str] = {
-    2: "radio", 5: "failsafe of the radio", 6: "failsafe of the battery", 8: "failsafe of the ground station", 9: "failsafe of the fence",
+    2: "radio", 5: "failsafe of the radio", 6: "failsafe of the battery",
+    8: "failsafe of the ground station", 9: "failsafe of the fence",
     11: "GPS", 12: "crash check", 16: "EKF check", 17: "failsafe of the EKF", 18: "barometer", 24: "EKF changed",
 }  # fmt: skip
 _QUADROTOR, _HELICOPTER, _ROVER_TYPE, _OTHER_COPTERS = 2, 4, 10, (13, 14, 15, 29, 35)

@@ -59,7 +59,7 @@ class Log:
     kinds: Mapping[str, str] = field(default_factory=dict)
     contradictions: tuple[Contradiction, ...] = ()
     origin: float = 0.0
-    marks: Marks = Marks()
+    marks: Marks = field(default_factory=Marks)
 
     def extended(self, series: Mapping[str, Series], units: Mapping[str, str]) -> "Log":
         """The same with further series."""

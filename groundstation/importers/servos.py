@@ -56,7 +56,8 @@ class Servo(BaseModel):
             raise ValueError(str(error).removeprefix("column servo: ")) from error
         if (self.travel is None) == (self.throw is None):
             raise ValueError(
-                "give either travel, output and deflection at either end, or throw, the deflections at SERVOn_MIN and _MAX of the log"
+                "give either travel, output and deflection at either end, "
+                "or throw, the deflections at SERVOn_MIN and _MAX of the log"
             )
         if self.travel is None:
             self._check_ends(*(self.throw or (0.0, 0.0)), scale, "throw")

@@ -80,7 +80,7 @@ class Boot:
     component: int
     notes: tuple[str, ...] = ()
     contradictions: tuple[Contradiction, ...] = field(default_factory=tuple)
-    marks: Marks = Marks()
+    marks: Marks = field(default_factory=Marks)
 
 
 @dataclass(frozen=True)

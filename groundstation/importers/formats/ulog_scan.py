@@ -11,7 +11,8 @@ import math
 import re
 import struct
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,7 +55,7 @@ class Sound:
     dropouts: int
     dropped_ms: int
     logged: tuple[tuple[float, str], ...] = ()
-    parameters: Mapping[str, float] = field(default_factory=dict)
+    parameters: Mapping[str, float] = MappingProxyType({})
 
 
 @dataclass(frozen=True, slots=True)
