@@ -147,3 +147,18 @@ def test_what_an_import_saw_travels_with_the_flight(tmp_path) -> None:  # type: 
     again = read_flight(flight.save(tmp_path / "turns.mcap"))
     told = contradictions(again)
     assert [(c.between, c.ratio, c.stops) for c in told] == [(("ARSP[0]", "ARSP[1]"), 0.8, True)]
+
+
+def test_a_receiver_that_cannot_follow_a_dutch_roll_is_no_contradiction() -> None:
+    """Fixes of 5 Hz, filtered and late, on straight lines, of a motion of 1.1 Hz in pieces of eight seconds."""
+    c = turning_flight(4, hz=50.0)
+    t = c["time"]
+    swing = 1.5 * np.sin(2 * np.pi * 1.1 * t)
+    sway = 1.5 / (2 * np.pi * 1.1) * (1 - np.cos(2 * np.pi * 1.1 * t))  # of a push to the right, phi taken as it is
+    c["ay"] = c["ay"] + swing
+    right = np.array([-np.sin(c["psi"]), np.cos(c["psi"])]) * np.cos(c["phi"]) * sway
+    fix = np.arange(0.0, t[-1], 0.2)
+    for name, change in (("vn", right[0]), ("ve", right[1]), ("vd", np.sin(c["phi"]) * sway)):
+        filtered = np.convolve(c[name] + change, np.ones(10) / 10, "full")[: t.size]
+        c[name] = np.interp(t, fix, np.interp(fix, t, filtered))
+    assert ("vn", "ve", "vd", "ax", "ay", "az") not in found_in({n: v[(t > 8) & (t < 48)] for n, v in c.items()})
