@@ -1,7 +1,7 @@
 """The stages of an analysis after the import: contradictions, air data, stretches, model, estimate, gap, and the page."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -53,7 +53,11 @@ def analyse_flights(given: Given, aircraft: str | None, aircraft_key: str, stage
     estimate = without = None
     if alone:
         tell("what can be said without an aircraft file", 0.4)
-        stage = stages.run("without_aircraft", about, lambda: without_aircraft([c.flight for c in training], found))
+        stage = stages.run(
+            "without_aircraft",
+            about,
+            lambda: without_aircraft([c.flight for c in training], found, [s.content for _, s in air]),
+        )
         without = stage.content
     else:
         stage = _estimated(training, found, aircraft, about, stages, tell)
@@ -88,7 +92,7 @@ def _with_air(flight: Flight, key: str, stages: Stages, tell: Tell) -> tuple[Fli
     except UserError as error:
         why = str(error)
         return flight, stages.run(f"air_{flight.name}", [key, why], lambda: {"said": [why]})
-    return read_flight(path) if path.is_file() else flight, stage
+    return (replace(read_flight(path), name=flight.name), stage) if path.is_file() else (flight, stage)
 
 
 def _estimated(

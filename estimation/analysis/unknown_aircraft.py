@@ -1,10 +1,12 @@
 """What can be said of a flight without an aircraft file: do the instruments agree, the wind, and the natural motion.
 
 The motion is that of dimensional derivatives, which need neither mass nor geometry: an aircraft file only makes them
-dimensionless. So the model is estimated with a stand-in's geometry, and what is kept of it are frequencies, dampings and time constants.
+dimensionless. So the model is estimated with a stand-in's geometry,
+and what is kept of it are frequencies, dampings and time constants.
 """
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -24,11 +26,12 @@ NEEDS = (
 SEED = 3
 
 
-def without_aircraft(flights: Sequence[Flight], found: Recipe) -> dict[str, Any]:
-    """`verdict`, `lines` and `next`, with the numbers behind them. flights: their stretches as segments."""
+def without_aircraft(flights: Sequence[Flight], found: Recipe, air: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """`verdict`, `lines` and `next`, with the numbers behind them. flights: their stretches as segments; air: what
+    the reconstruction of each has found."""
     lines: list[str] = []
     compatibility = _compatibility(flights, lines)
-    wind = _wind(flights, lines)
+    wind = _wind(flights, air, lines)
     models = [m for m in models_to_try(found, sorted({c for f in flights for c in moved(f)})) if m != "six-dof"]
     modes = [m for model in models[:1] for m in _modes(flights, model, lines)]
     said = ", ".join(
@@ -68,17 +71,17 @@ def _compatibility(flights: Sequence[Flight], lines: list[str]) -> list[dict[str
     return found
 
 
-def _wind(flights: Sequence[Flight], lines: list[str]) -> list[dict[str, Any]]:
-    """Mean wind of each flight, where it was reconstructed or air data and velocity tell it."""
-    from estimation.report.flight_card import mean_wind
-
+def _wind(flights: Sequence[Flight], air: Sequence[Mapping[str, Any]], lines: list[str]) -> list[dict[str, Any]]:
+    """Mean wind of each flight whose air data were reconstructed."""
     found = []
-    for flight in flights:
-        wind = mean_wind(flight)
-        if wind is not None:
-            speed, from_deg = wind
-            lines.append(f"wind of {flight.name}: {speed:.1f} m/s from {from_deg:.0f} deg")
-            found.append({"flight": flight.name, "speed": speed, "from_deg": from_deg})
+    for flight, made in zip(flights, air, strict=False):
+        if not isinstance(made.get("wind"), Mapping):
+            continue
+        north, east = made["wind"]["ned"][:2]
+        speed, from_deg = math.hypot(north, east), math.degrees(math.atan2(-east, -north)) % 360.0
+        std = max(made["wind"]["std"][:2])
+        lines.append(f"wind of {flight.name}: {speed:.1f} +- {std:.1f} m/s from {from_deg:.0f} deg")
+        found.append({"flight": flight.name, "speed": speed, "from_deg": from_deg, "std": std})
     return found
 
 

@@ -73,12 +73,12 @@ def flight_columns(log: Log, chosen: Map, time: Array, resampled: bool) -> Colum
     absent: list[str] = []
     notes: list[Note | str] = []
     for name, sources in chosen.columns.items():
-        source = _first_there(log, sources)
+        source = chosen_source(log, sources)
         if source is None:
             absent.append(f"{name} ({' + '.join(t.column for t in sources[0].parts)})")
             continue
         source = source.model_copy(update={"unit": _unit(log, source, name)})
-        kind = _kind(log, source)
+        kind = flight_kind(log, source)
         under = f"{name}_computed" if kind == COMPUTED and name in NOT_FLOWN else name
         rate = min(native_rate(log.series[t.column]) for t in source.parts) if resampled else None
         made[name] = Made(source, kind, rate, under, *_held(log, source))
@@ -94,13 +94,13 @@ def flight_columns(log: Log, chosen: Map, time: Array, resampled: bool) -> Colum
     return Columns(values, made, tuple(notes))
 
 
-def _first_there(log: Log, sources: Iterable[Source]) -> Source | None:
+def chosen_source(log: Log, sources: Iterable[Source]) -> Source | None:
     """The first source of which the log has all; one that was measured before one that was computed."""
     there = [s for s in sources if all(t.column in log.series for t in s.parts)]
-    return next((s for s in there if _kind(log, s) != COMPUTED), there[0] if there else None)
+    return next((s for s in there if flight_kind(log, s) != COMPUTED), there[0] if there else None)
 
 
-def _kind(log: Log, source: Source) -> Kind:
+def flight_kind(log: Log, source: Source) -> Kind:
     """Whence a source is: of an expression that of its first column, which the others correct; of several, the worst."""
     if source.kind is not None:
         return source.kind

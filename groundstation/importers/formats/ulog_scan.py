@@ -11,8 +11,7 @@ import math
 import re
 import struct
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
-from types import MappingProxyType
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,7 +54,7 @@ class Sound:
     dropouts: int
     dropped_ms: int
     logged: tuple[tuple[float, str], ...] = ()
-    parameters: Mapping[str, float] = MappingProxyType({})
+    parameters: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -222,11 +221,11 @@ class _Scan:
     def _expanded(self, fields: tuple[_Field, ...], depth: int) -> tuple[int, int]:
         """Bytes and number of plain fields in `fields`; MOST_BYTES when they are too many, or a format holds itself."""
         size = count = 0
-        for field in fields:
-            one = (_SIZES[field.kind], 1) if field.kind in _SIZES else (MOST_BYTES, 0)
-            if field.kind in self._formats and depth:
-                one = self._expanded(self._formats[field.kind], depth - 1)
-            size, count = size + field.count * one[0], count + field.count * one[1]
+        for part in fields:
+            one = (_SIZES[part.kind], 1) if part.kind in _SIZES else (MOST_BYTES, 0)
+            if part.kind in self._formats and depth:
+                one = self._expanded(self._formats[part.kind], depth - 1)
+            size, count = size + part.count * one[0], count + part.count * one[1]
             if size >= MOST_BYTES:
                 return MOST_BYTES, count
         return size, count
