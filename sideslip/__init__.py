@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from sideslip.api import (
+        analyse,
         check,
         design,
         estimate,
@@ -37,7 +38,7 @@ _HOMES = {
 }
 _RENAMED = {"frequency_response": "frequency"}
 __all__ = [
-    "Flown", "check", "design", "estimate", "fly_scenario", "frequency", "frequency_response", "gap", "import_log", "main",
+    "Flown", "analyse", "check", "design", "estimate", "fly_scenario", "frequency", "frequency_response", "gap", "import_log", "main",
     "match", "open", "reconstruct", "simulate", "software_version", "watch",
 ]  # fmt: skip
 

@@ -27,6 +27,7 @@ from estimation.answers.notebook import Figures
 from estimation.answers.reconstruction import Reconstruction
 from estimation.answers.responses import Response
 from estimation.answers.watching import Watching
+from sideslip import analysis
 
 if TYPE_CHECKING:
     from estimation.resolve import AnyAircraft, AnyModel
@@ -34,7 +35,8 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Answer", "Check", "DesignAnswer", "Estimates", "Figures", "GapAnswer", "Match", "Reconstruction", "Response", "Watching",
-    "check", "design", "estimate", "frequency", "gap", "import_log", "match", "open", "reconstruct", "simulate", "watch",
+    "analyse", "check",
+    "design", "estimate", "frequency", "gap", "import_log", "match", "open", "reconstruct", "simulate", "watch",
 ]  # fmt: skip
 
 P = ParamSpec("P")
@@ -76,6 +78,7 @@ watch = _opening(watching.watch)
 frequency = _opening(responses.frequency)
 reconstruct = _opening(reconstruction.reconstruct)
 design = designs.design
+analyse = analysis.analyse
 
 
 def import_log(

@@ -1,23 +1,30 @@
 """`import LOG --draft-map`: a mapping proposed, each line with its evidence, and UNKNOWN where the log cannot tell."""
 
+import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from daq.contract.channels import COLUMN_BY_NAME
 from daq.contract.errors import UserError
-from daq.contract.input_files import check_file
+from daq.contract.input_files import check_file, read_bytes
 from daq.contract.plain_words import one_line
 from groundstation.importers.columns import chosen_source, flight_kind
 from groundstation.importers.draft_names import meant, time_column, time_unit, unit_of
 from groundstation.importers.draft_surfaces import drafted_servos, surface_lines
 from groundstation.importers.endings import TABLES
 from groundstation.importers.errors import ImportDataError
-from groundstation.importers.mapping import EXAMPLE, FileFormat, Map, Source
+from groundstation.importers.mapping import EXAMPLE, FileFormat, Map, Source, Time
 from groundstation.importers.run import import_data, read_logs
 from groundstation.importers.series import Log, native_rate
 
+if TYPE_CHECKING:
+    from groundstation.importers.formats.tables import Table
+
+FIRST_BYTES = 65_536
+"""Of a file, among which its header line is."""
 SURFACES = ("delta_e", "delta_a", "delta_r")
 MOST_LEFT = 40
 """Columns in no flight column that are listed."""
@@ -93,9 +100,9 @@ def _value(value: object) -> str:
 
 def _of_table(path: Path) -> list[str]:
     """A table, whose columns are told by their names and values."""
-    from groundstation.importers.formats.tables import header_map, read_table
+    from groundstation.importers.formats.tables import header_map
 
-    table = read_table(path, FileFormat(), None)
+    table = _table(path)
     known, _ = header_map(table)
     names = list(table.numeric)
     lines = [*_head(path), "", "[time]"]
@@ -135,6 +142,24 @@ def _of_table(path: Path) -> list[str]:
     lines += [f"# {len(left) - MOST_LEFT} more columns are UNKNOWN"] if len(left) > MOST_LEFT else []
     missing = [c for c in ("ax", "p", "phi", "V", *SURFACES) if c not in chosen and c in COLUMN_BY_NAME]
     return [*lines, *(f"# {c} = UNKNOWN: no column looks like it" for c in missing)]
+
+
+def _table(path: Path) -> "Table":
+    """The table with the column that is its time, as numbers or as words; without one, its numbers alone."""
+    from groundstation.importers.formats.tables import read_table
+
+    try:
+        return read_table(path, FileFormat(), None)
+    except ImportDataError:
+        bare = read_table(path, FileFormat(), Time(rate_hz=1.0))
+    words = re.split(r"[,;\t\r\n]", read_bytes(path, error=ImportDataError)[:FIRST_BYTES].decode("utf-8", "replace"))
+    column = time_column([w.strip(' "') for w in words])
+    if column is None:
+        return bare
+    try:
+        return read_table(path, FileFormat(), Time(column=column, unit="s" if column in bare.numeric else "iso"))
+    except ImportDataError:
+        return bare
 
 
 def _tried(path: Path, text: str) -> Iterator[str]:

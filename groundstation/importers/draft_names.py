@@ -120,12 +120,12 @@ def unit_of(
         limit = np.pi if column in ("phi", "psi") else np.pi / 2 if column in ("theta", "alpha", "beta") else 1.0
         if most > 1.1 * limit:
             return "deg", f"{told}: more than an angle in rad can be", True
-        return "rad", f"{told}: rad, if it moves so far; UNKNOWN where degrees would be small", most > 0.35
+        return "rad", f"{told}: rad, if it moves so far; UNKNOWN where degrees would be small", False
     return _by_range(column, si, float(np.median(known)), told)
 
 
 _RANGES: Mapping[str, tuple[tuple[str, float, float], ...]] = {
-    "p_static": (("Pa", 15e3, 110e3), ("hPa", 150, 1100), ("kPa", 15, 110), ("inHg", 4.5, 14), ("psi", 2.1, 16)),
+    "p_static": (("Pa", 15e3, 110e3), ("hPa", 150, 1100), ("kPa", 15, 110), ("inHg", 4.5, 32), ("psi", 2.1, 16)),
     "temperature": (("K", 200, 330), ("degC", -60, 55)),
     "rho": (("kg/m3", 0.2, 1.5), ("slug/ft3", 0.0004, 0.003)),
 }
@@ -133,9 +133,11 @@ _RANGES: Mapping[str, tuple[tuple[str, float, float], ...]] = {
 
 
 def _by_range(column: str, si: str, median: float, told: str) -> tuple[str, str, bool]:
-    for unit, low, high in _RANGES.get(column, ()):
-        if low <= median <= high:
-            return unit, f"{told}: {unit} by what the atmosphere allows", True
+    able = [unit for unit, low, high in _RANGES.get(column, ()) if low <= median <= high]
+    if len(able) == 1:
+        return able[0], f"{told}: {able[0]} by what the atmosphere allows", True
+    if able:
+        return able[0], f"{told}; UNKNOWN unit: {' or '.join(able)}", False
     return si, f"{told}; UNKNOWN unit, taken as {si}", False
 
 
