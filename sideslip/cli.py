@@ -38,7 +38,7 @@ VERBS: dict[str, Verb] = {
     "fly": Verb("sideslip.fly", "fly", "One simulated flight through the real logger, radio link and ground station."),
     "record": Verb("daq.commands", "record", "The onboard logger, on hardware."),
     "preflight": Verb("daq.commands", "preflight", "The logger's go/no-go table."),
-    "info": Verb("sideslip.info", "info", "What is in a recording, flight or telemetry log."),
+    "info": Verb("sideslip.contents", "info", "What is in a recording, flight or telemetry log."),
     "verify": Verb("daq.commands", "verify", "Integrity and scan accounting of a recording."),
     "recover": Verb("daq.commands", "recover", "Salvage a damaged recording."),
     "ground": Verb("sideslip.ground", "ground", "Receive, decode, calibrate, view live, record, hand over."),

@@ -1,5 +1,6 @@
 """Command line of the data side: `sideslip calibrate`, `bench` and `import`."""
 
+from collections.abc import Iterator
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -26,6 +27,13 @@ def write_json(report: Path | None, content: Any) -> None:
 
 
 def _say(flight: "Flight", output: Path, report: Path | None) -> None:
+    for line in written_lines(flight, str(output)):
+        click.echo(line)
+    write_json(report, written_content(flight, str(output)))
+
+
+def written_lines(flight: "Flight", output: str) -> Iterator[str]:
+    """What a person reads of a flight that was made: how much, and what to know of it."""
     from groundstation.flight.contradictions import contradictions
 
     rate = 1 / flight.sample_interval
@@ -33,32 +41,35 @@ def _say(flight: "Flight", output: Path, report: Path | None) -> None:
     measured = sum(
         flight.measured(c) and channels.get(c, {}).get("kind", "measured") == "measured" for c in flight.known_columns
     )
-    contradicted = contradictions(flight)
-    click.echo(
+    yield (
         f"{output}: {len(flight)} samples, {flight.time[-1] - flight.time[0]:.1f} s at {rate:.1f} Hz, "
         f"{len(flight.segments)} segment{'s' if len(flight.segments) > 1 else ''}, {measured} columns measured"
     )
-    for note in flight.notes:
-        click.echo(f"  note: {note}")
-    for one in contradicted:
-        click.echo(f"  contradiction: {one.text}{f' (moves {one.moves})' if one.moves else ''}")
-    content = {
-        "flight": str(output),
+    yield from (f"  note: {note}" for note in flight.notes)
+    for one in contradictions(flight):
+        yield f"  contradiction: {one.text}{f' (moves {one.moves})' if one.moves else ''}"
+
+
+def written_content(flight: "Flight", output: str) -> dict[str, Any]:
+    """The same as `calibrate --json` and `import --json` have it."""
+    from groundstation.flight.contradictions import contradictions
+
+    return {
+        "flight": output,
         "samples": len(flight),
         "duration_s": float(flight.time[-1] - flight.time[0]),
-        "rate_hz": rate,
+        "rate_hz": 1 / flight.sample_interval,
         "segments": len(flight.segments),
         "columns": [c for c in flight.columns if flight.measured(c)],
         "notes": [note.text for note in flight.notes],
-        "channels": channels,
-        "contradictions": [one.to_json() for one in contradicted],
+        "channels": flight.channels,
+        "contradictions": [one.to_json() for one in contradictions(flight)],
         "provenance": {
             "source": flight.provenance.source,
             "sha256": flight.provenance.sha256,
             **flight.provenance.detail,
         },
     }
-    write_json(report, content)
 
 
 def _write(flight: "Flight", output: Path, split: bool, report: Path | None) -> None:

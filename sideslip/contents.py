@@ -1,24 +1,33 @@
 """The verb `info`: what is in a file of any of our kinds."""
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import click
 
 from daq.contract.errors import UserError
-from daq.contract.outputs import tried_file, write_json
+from daq.contract.options import json_option
+from daq.contract.outputs import write_json
 
 _READ_HERE = (".tlog", ".csv", ".parquet")
 
 
 @click.command(epilog="Example: sideslip info recordings/cdfp_ld1_raw.mcap --json info.json")
 @click.argument("file", type=click.Path(path_type=Path))
-@click.option(
-    "--json", "json_path", type=click.Path(path_type=Path), callback=tried_file, help="Write the same as JSON."
-)
-@click.pass_context
-def info(ctx: click.Context, file: Path, json_path: Path | None) -> int:
+@json_option("Write the same as JSON.")
+def info(file: Path, json_path: Path | None) -> int:
     """What is in FILE: a raw recording, the directory of its segments, a flight, or a .tlog."""
+    content = content_of(file)
+    if json_path is not None:
+        write_json(content, json_path)
+    for line in lines_of(file, content):
+        click.echo(line)
+    return 0
+
+
+def content_of(file: Path) -> dict[str, Any]:
+    """What is in a file, as `info --json` has it. Raises UserError for another program's log, or what cannot be read."""
     from groundstation.importers.endings import FOREIGN
 
     if file.suffix.lower() in FOREIGN - {*_READ_HERE} and file.is_file():
@@ -26,25 +35,29 @@ def info(ctx: click.Context, file: Path, json_path: Path | None) -> int:
             f"{file}: a log of another program; convert it to a flight with 'sideslip import {file} -o FLIGHT.mcap'"
         )
     if file.suffix not in _READ_HERE:
-        from daq.commands import info as recording_info
+        from daq.contract.recordings.accounting import info_mcap
 
-        ctx.invoke(recording_info, recording=file, json_path=json_path)
-        return 0
-    if file.suffix == ".tlog":
-        from groundstation.receiver.tlog import info_tlog
+        return info_mcap(file)
+    if file.suffix != ".tlog":
+        return _flight_info(file)
+    from groundstation.receiver.tlog import info_tlog
 
-        found = info_tlog(file)
-    else:
-        found = _flight_info(file)
-    if json_path is not None:
-        write_json(found, json_path)
-    click.echo(
-        f"{file}: {found['kind']}, {found['source']}, {found['scans']} scans in {found['duration_s']:.2f} s, "
-        f"{found['rate_hz']:.2f} Hz"
+    return info_tlog(file)
+
+
+def lines_of(file: Path, content: dict[str, Any]) -> Iterator[str]:
+    """The same for a person."""
+    if file.suffix not in _READ_HERE:
+        from daq.commands import info_lines
+
+        yield from info_lines(file, content)
+        return
+    yield (
+        f"{file}: {content['kind']}, {content['source']}, {content['scans']} scans in {content['duration_s']:.2f} s, "
+        f"{content['rate_hz']:.2f} Hz"
     )
-    for channel in found["channels"]:
-        click.echo(f"  {channel['name']:<24} {channel['unit'] or '-':<6} {channel['samples']:>8} samples")
-    return 0
+    for channel in content["channels"]:
+        yield f"  {channel['name']:<24} {channel['unit'] or '-':<6} {channel['samples']:>8} samples"
 
 
 def _flight_info(file: Path) -> dict[str, Any]:
