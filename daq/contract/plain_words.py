@@ -61,6 +61,10 @@ class VisibleStream:
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
 
+    def flush(self) -> None:
+        """Hand everything over."""
+        self._stream.flush()
+
     @property
     def bare(self) -> TextIO:
         """The stream itself, for who draws on the terminal and makes strangers' words visible before."""

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from daq.contract.durable import whole
 from daq.contract.errors import UserError
 from daq.contract.outputs import PICTURES, write_json
 from estimation.answers.notebook import Figures, table
@@ -98,8 +99,8 @@ def table_writers(answer: Any) -> dict[str, Callable[[Path], Any]]:
 
     def write(path: Path) -> None:
         frame: pd.DataFrame = answer.to_pandas()
-        path.parent.mkdir(parents=True, exist_ok=True)
-        frame.to_csv(path, index=False)
+        with whole(path) as new:
+            frame.to_csv(new, index=False)
 
     return {".csv": write}
 

@@ -1,12 +1,13 @@
 """`design`: an input designed from what is known, with what it will do to the aircraft and what it will tell."""
 
-import json
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from daq.contract.input_files import read_json
+from daq.contract.outputs import write_text
 from daq.contract.plain_words import comma_separated
 from estimation.answers.answer import Answer, Rows, picture_writers
 from estimation.answers.estimates import Estimates
@@ -182,8 +183,7 @@ def write_manoeuvre(found: "Design", path: Path) -> None:
     """The file that `fly --manoeuvre` and the sequencer on board read."""
     import tomli_w
 
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(tomli_w.dumps(found.manoeuvre().to_dict()), encoding="utf-8")
+    write_text(tomli_w.dumps(found.manoeuvre().to_dict()), path)
 
 
 def with_effects(model: "Model", names: tuple[str, ...]) -> tuple["Model", dict[str, float]]:
@@ -222,7 +222,9 @@ def _known(estimate: "Estimates | str | Path") -> dict[str, Any]:
     path = "the estimate" if isinstance(estimate, Estimates) else Path(estimate)
     try:
         content = (
-            estimate.to_json() if isinstance(estimate, Estimates) else json.loads(Path(estimate).read_text("utf-8"))
+            estimate.to_json()
+            if isinstance(estimate, Estimates)
+            else read_json(Path(estimate), "estimate", EstimationError)
         )
         methods = content["joint"] or content["flights"][0]["methods"]
         found = next(m for m in methods.values() if m["parameters"])

@@ -5,7 +5,7 @@ from pathlib import Path
 import click
 
 from daq.contract.options import json_option
-from daq.contract.outputs import check_file, write_json
+from daq.contract.outputs import check_file, write_json, write_text
 
 
 @click.group(
@@ -31,8 +31,7 @@ def new(name: str, output: Path | None) -> None:
     if target.exists():
         raise AircraftError(f"{target} is there already; remove it, or give -o another name")
     check_file("--output", target)
-    target.parent.mkdir(parents=True, exist_ok=True)
-    target.write_text(template(name, str(target)), encoding="utf-8")
+    write_text(template(name, str(target)), target)
     click.echo(f"{target} written; fill it in, then: sideslip aircraft check {target}")
 
 

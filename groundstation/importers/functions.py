@@ -13,7 +13,8 @@ from groundstation.importers.servos import PREFIX, parameter_of
 NAMES: Mapping[int, str] = {
     0: "disabled", 1: "RC passed through", 2: "flap", 3: "flap auto", 4: "aileron", 6: "mount pan", 7: "mount tilt",
     8: "mount roll", 9: "mount open", 10: "camera trigger", 16: "differential spoiler left 1",
-    17: "differential spoiler right 1", 19: "elevator", 21: "rudder", 24: "flaperon left", 25: "flaperon right", 26: "ground steering", 27: "parachute", 28: "gripper",
+    17: "differential spoiler right 1", 19: "elevator", 21: "rudder",
+    24: "flaperon left", 25: "flaperon right", 26: "ground steering", 27: "parachute", 28: "gripper",
     29: "landing gear", 41: "motor tilt", 67: "tricopter tail", 70: "throttle", 73: "throttle left", 74: "throttle right",
     75: "motor tilt left", 76: "motor tilt right", 77: "elevon left", 78: "elevon right", 79: "V-tail left", 80: "V-tail right",
     86: "differential spoiler left 2", 87: "differential spoiler right 2", 110: "airbrake",
