@@ -13,6 +13,7 @@ from daq.contract.errors import UserError
 from daq.contract.outputs import tried_file, tried_folder
 
 if TYPE_CHECKING:
+    from groundstation.cli.services import Services
     from groundstation.flight import Flight
 
 
@@ -91,13 +92,14 @@ def _write(flight: "Flight", output: Path, split: bool, report: Path | None) -> 
         _say(part, target, report and report.with_stem(f"{report.stem}_{number}"))
 
 
+_OUTPUT_HELP = "Flight to write: .mcap, .csv or .parquet."
 _OUTPUT = click.option(
     "-o",
     "--output",
     type=click.Path(path_type=Path),
     required=True,
     callback=tried_file,
-    help="Flight to write: .mcap, .csv or .parquet.",
+    help=_OUTPUT_HELP,
 )
 _SPLIT = click.option("--split", is_flag=True, help="Write each stretch without a gap in time to a file of its own.")
 
@@ -145,7 +147,7 @@ def calibrate(
 
 @click.command("import")
 @click.argument("data", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="DATA...")
-@_OUTPUT
+@click.option("-o", "--output", type=click.Path(path_type=Path), callback=tried_file, help=_OUTPUT_HELP)
 @click.option(
     "--map",
     "mapping",
@@ -155,15 +157,24 @@ def calibrate(
 @click.option("--aircraft", help="Built-in aircraft or an AIRCRAFT.toml that the flight is of and carries.")
 @click.option("--rate", type=click.FloatRange(min=0, min_open=True, max=1000), help="Resample to so many Hz.")
 @click.option("--accept-implausible", is_flag=True, help="Import values that look like another unit, with a note.")
+@click.option(
+    "--recipe",
+    "advised",
+    is_flag=True,
+    help="Write no flight: say which models and methods the log is good for, and what one more sensor would add.",
+)
 @_SPLIT
 @_JSON
+@click.pass_obj
 def import_(
+    services: "Services | None",
     data: tuple[Path, ...],
-    output: Path,
+    output: Path | None,
     mapping: Path | None,
     aircraft: str | None,
     rate: float | None,
     accept_implausible: bool,
+    advised: bool,
     split: bool,
     report: Path | None,
 ) -> None:
@@ -175,6 +186,14 @@ def import_(
     """
     from groundstation.importers.run import import_data
 
+    if advised and output is not None:
+        raise click.UsageError("--recipe writes no flight: leave out one of --recipe and -o")
+    if advised:
+        assert services is not None  # the command line has them
+        _advise(services, data, mapping, rate, report)
+        return
+    if output is None:
+        raise click.UsageError("Missing option '-o' / '--output'")
     flight = import_data(data, mapping, rate_hz=rate, accept_implausible=accept_implausible)
     if aircraft is not None:
         from groundstation.importers.aircraft import with_aircraft
@@ -184,6 +203,32 @@ def import_(
             said = f"a CSV cannot carry its aircraft: give --aircraft {aircraft} to each verb, or import to .mcap or .parquet"
             flight = flight.with_notes(said)
     _write(flight, output, split, report)
+
+
+def _advise(
+    services: "Services", data: tuple[Path, ...], mapping: Path | None, rate: float | None, report: Path | None
+) -> None:
+    """Print what can be done with a log, and its servo outputs; report: a JSON to write."""
+    from groundstation.importers.recipe import servo_outputs
+    from groundstation.importers.run import import_data
+
+    flight = import_data(data, mapping, rate_hz=rate, accept_implausible=True)
+    found = services.recipe(flight)
+    for line in found.lines():
+        click.echo(line)
+    outputs = [o for path in data for o in servo_outputs(path)]
+    for output in outputs:
+        click.echo(f"servo output {output.line()}")
+    if outputs and not any(flight.measured(c) for c in ("delta_e", "delta_a", "delta_r")):
+        click.echo(
+            "which surface each servo moves, with trim and travel, goes into a mapping: see the example maps in docs/import.md"
+        )
+    stated = ({ending.lower(): value for ending, value in o.stated.items()} for o in outputs)
+    servos = [
+        {"name": o.name, "low": o.low, "high": o.high, "usual": o.usual, **more}
+        for o, more in zip(outputs, stated, strict=True)
+    ]
+    write_json(report, {**found.to_json(), "servo_outputs": servos})
 
 
 @click.command()
