@@ -10,6 +10,7 @@ import click
 from daq.contract import outputs
 from daq.contract.durable import write_text
 from daq.contract.errors import UserError
+from daq.contract.options import aircraft_option, json_option
 from daq.contract.outputs import tried_file, tried_folder
 
 if TYPE_CHECKING:
@@ -17,9 +18,7 @@ if TYPE_CHECKING:
     from groundstation.flight import Flight
 
 
-_JSON = click.option(
-    "--json", "report", type=click.Path(path_type=Path), callback=tried_file, help="Write the same as JSON."
-)
+_JSON = json_option("Write the same as JSON.", "report")
 
 
 def write_json(report: Path | None, content: Any) -> None:
@@ -154,7 +153,7 @@ def calibrate(
     type=click.Path(path_type=Path),
     help="Mapping file: columns, units, signs, time; or the name of an example, such as ardupilot-elevon.",
 )
-@click.option("--aircraft", help="Built-in aircraft or an AIRCRAFT.toml that the flight is of and carries.")
+@aircraft_option("Built-in aircraft or an AIRCRAFT.toml that the flight is of and carries", "")
 @click.option("--rate", type=click.FloatRange(min=0, min_open=True, max=1000), help="Resample to so many Hz.")
 @click.option("--accept-implausible", is_flag=True, help="Import values that look like another unit, with a note.")
 @click.option(

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from daq.contract.errors import UserError
+from daq.contract.options import aircraft_option, json_option, model_option
 from daq.contract.outputs import tried_file, tried_folder
 
 if TYPE_CHECKING:
@@ -37,12 +38,12 @@ _VIEW_HELP = "Show it in the browser, in rerun's own window, or not at all."
     type=click.Choice(["full", "light"]),
     help="Of the view: light for a browser that lags  [default: full].",
 )
-@click.option("--aircraft", help="Name or file, for live identification  [default: the one the recording names].")
+@aircraft_option("Name or file, for live identification", "the one the recording names")
 @click.option("--watch", "watched", is_flag=True, help="Say when the aircraft no longer flies as its file believes.")
-@click.option(
-    "--model",
-    type=click.Path(path_type=Path),
-    help="MODEL.toml that --watch holds against flight, in place of the aircraft's beliefs.",
+@model_option(
+    "MODEL.toml that --watch holds against flight, in place of the aircraft's beliefs.",
+    None,
+    click.Path(path_type=Path),
 )
 @click.option("--estimate", "with_estimate", is_flag=True, help="Estimate parameters from the finished flight.")
 @click.option(
@@ -51,13 +52,7 @@ _VIEW_HELP = "Show it in the browser, in rerun's own window, or not at all."
     callback=tried_folder,
     help="Folder of this session, instead of the configured.",
 )
-@click.option(
-    "--json",
-    "json_path",
-    type=click.Path(path_type=Path),
-    callback=tried_file,
-    help="Write the counters of the session as JSON.",
-)
+@json_option("Write the counters of the session as JSON.")
 @click.option("--duration", type=float, help="End after this many seconds.")
 @click.pass_obj
 def ground(
