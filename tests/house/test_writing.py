@@ -38,7 +38,7 @@ ALLOWED: dict[tuple[str, str], str] = {
     ("groundstation/viewer/live.py", "FileSink"): "a picture that grows while it is seen",
     ("groundstation/receiver/kept/recording.py", "open:wb"): GIVEN,
     ("daq/contract/standard_streams.py", "os.open:w"): "the null device, in place of a standard stream that is closed",
-    ("sideslip/results.py", "to_csv"): GIVEN,
+    ("estimation/answers/answer.py", "to_csv"): GIVEN,
     ("sideslip/demo.py", "copyfile"): GIVEN,
     ("estimation/simulation/jsbsim/export.py", "copytree"): "a hidden folder that `replacing_folder` gave",
 }
