@@ -7,7 +7,7 @@ from numpy.linalg import LinAlgError
 
 from daq.contract.errors import UserError
 from estimation.aircraft import Aircraft
-from estimation.errors import DataError, EstimationError
+from estimation.errors import AircraftError, DataError, EstimationError
 from estimation.estimators.estimator import NO_EXTRAS, Estimator, Extras, Task
 from estimation.estimators.registry import check_extras, find, names
 from estimation.estimators.result import Result
@@ -51,6 +51,9 @@ def estimate(
         raise EstimationError(f"no method given; choose from {', '.join(names())}")
     chosen = [find(m) for m in methods]
     _check(extras, model, chosen)
+    for e in chosen:
+        if e.needs_aircraft:
+            _refuse_unknown(aircraft, e)
     flights = unique_names(flights)
     if joint and (same := one_record_twice(flights)) is not None:
         first, second = (flights[k].name for k in same)
@@ -185,6 +188,15 @@ def _check(extras: Extras, model: Model, chosen: Sequence[Estimator]) -> None:
     for name in extras.profile:
         if model.parameter(name).fixed:
             raise EstimationError(f"model {model.name}: {name} is fixed, so it has no profile; free it first")
+
+
+def _refuse_unknown(aircraft: Aircraft, estimator: Estimator) -> None:
+    """AircraftError for a method that takes geometry and mass itself, where nothing at all is known of the aircraft."""
+    if aircraft.unknown:
+        raise AircraftError(
+            f"method {estimator.name} takes geometry and mass of the aircraft, and none is known of aircraft"
+            f" {aircraft.name!r}; say which with --aircraft NAME or FILE"
+        )
 
 
 def joint_model(model: Model) -> Model:

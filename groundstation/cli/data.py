@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from daq.contract import outputs
+from daq.contract.durable import write_text
 from daq.contract.errors import UserError
 from daq.contract.outputs import tried_file, tried_folder
 
@@ -208,7 +209,7 @@ def bench(
     fits = fit_bench(raw, chosen, base, today=day.date() if day else None)
     output.mkdir(parents=True, exist_ok=True)
     for name, text in fitted_set(base, fits).texts.items():
-        (output / name).write_text(text, encoding="utf-8")
+        write_text(output / name, text)
     for fit in fits:
         click.echo(fit.text)
     click.echo(f"{output}: {len(fits)} of {len(base.instruments)} calibration files fitted, the others taken over")

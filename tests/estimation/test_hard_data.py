@@ -11,7 +11,6 @@ from click.testing import CliRunner, Result
 from daq.contract.errors import UserError
 from estimation.aircraft import load_aircraft
 from estimation.commands.estimate import estimate
-from estimation.commands.outputs import check_outputs
 from estimation.engine.data import Preparation, prepare
 from estimation.engine.plausible import stuck
 from estimation.errors import DataError, ModelError
@@ -141,7 +140,9 @@ def test_options_are_looked_at_before_any_work(
 
 
 def test_outputs_that_can_be_written_leave_nothing_behind(tmp_path: Path) -> None:
-    check_outputs(json=tmp_path / "a" / "b.json", report=tmp_path / "report", figure=tmp_path / "f.PNG")
+    written = ["--json", tmp_path / "a" / "b.json", "--report", tmp_path / "report", "--figure", tmp_path / "f.PNG"]
+    result = run(tmp_path / "none.csv", *written)
+    assert "none.csv" in str(result.exception)
     assert list(tmp_path.iterdir()) == []
 
 
