@@ -289,3 +289,33 @@ def test_mavlink_1_is_read_too(tmp_path: Path) -> None:
     f = autopilots.flight(seconds=20)
     flight = imported(tmp_path, "a.tlog", autopilots.telemetry(f, version=1))
     assert off(flight, "phi", f["phi"], f["time"]) < 0.05
+
+
+# --------------------------------------------------------------------------------------------------------------- MATLAB
+
+
+@pytest.mark.parametrize("form", ["labels", "structs"])
+def test_mission_planners_matrices_and_structs_by_message_are_the_log(tmp_path: Path, form: str) -> None:
+    scipy_io = pytest.importorskip("scipy.io")
+    tables = autopilots.ardupilot(autopilots.flight(), pitots=(0.6, 1.0, 1))
+    content: dict[str, object] = {}
+    for name, (_, labels, time, fields) in tables.items():
+        columns = {
+            "LineNo": np.arange(time.size),
+            "TimeUS": np.round(time * 1e6),
+            **dict(zip(labels.split(","), fields, strict=True)),
+        }
+        if form == "labels":
+            content[name] = np.column_stack([np.asarray(c, float) for c in columns.values()])
+            content[f"{name}_label"] = np.array(list(columns), object).reshape(-1, 1)
+        else:
+            content[name] = {n: np.asarray(c, float) for n, c in columns.items()}
+    path = tmp_path / "log.mat"
+    scipy_io.savemat(path, content)
+    flight = import_data(path)
+    direct = imported(tmp_path, "a.bin", autopilots.dataflash(tables))
+    assert {"V", "p", "phi", "vn", "rho"} <= set(flight.columns)
+    for name in ("V", "phi", "p_dynamic"):
+        difference = flight[name] - np.interp(flight.time, direct.time, direct[name])
+        assert np.nanstd(difference) < 0.02 * np.nanstd(direct[name])
+    assert "instance 1 is taken" in said(flight)
