@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from daq.contract.input_files import read_bytes
+from daq.contract.recordings.apart import sessions_apart
 from daq.contract.recordings.mcap_records import Attachment, Metadata
 from daq.contract.recordings.messages import (
     EVENT_TOPIC,
@@ -188,9 +189,25 @@ def read_parts(path: Path) -> list[Segment]:
             found[-1] = replace(segment, at_byte=found[-1].at_byte, damages=(*found[-1].damages, *segment.damages))
         else:
             found.append(segment)
+    found = [piece for segment in found for piece in _by_line(segment)]
     if all(s.empty for s in found) and not data.startswith(b"\x89MCAP"):
         raise RecordingError(f"{path}: not an MCAP file, and nothing of ours in it")
     return found
+
+
+def _by_line(segment: Segment) -> list[Segment]:
+    """A segment as it is, or taken apart where scans of another session stand among its own: those have lost their head."""
+    own, *others = sessions_apart(segment.entries) or [()]
+    if not others:
+        return [segment]
+    at = next((d.at_byte for d in segment.damages if d.at_byte > segment.at_byte), segment.at_byte)
+    strange = [
+        replace(segment, info=None, metadata=(), entries=e, at_byte=at + n, size=0, kept={}, foreign={}, closed=False, damages=(
+            Damage(at, 0, f"{sum(x.topic == SCAN_TOPIC for x in e)} scans of another session stand here"),
+        ))
+        for n, e in enumerate(others, start=1)
+    ]  # fmt: skip
+    return [replace(segment, entries=own), *strange]
 
 
 def _schemas(walk: Walk) -> dict[str, tuple[str, bytes]]:
