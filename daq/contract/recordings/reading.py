@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from daq.contract.input_files import read_bytes
+from daq.contract.plain_words import visible
 from daq.contract.recordings.apart import sessions_apart
 from daq.contract.recordings.mcap_records import Attachment, Metadata
 from daq.contract.recordings.messages import (
@@ -368,7 +369,7 @@ def by_session(segments: Iterable[Segment]) -> dict[str, list[Segment]]:
             known.setdefault(session, []).append(segment)
     for segment in lost:
         homes = [k for k, group in known.items() if _continues(group, segment)]
-        alone = f"{segment.path.stem}@{segment.at_byte}" if segment.at_byte else segment.path.stem
+        alone = f"{visible(segment.path.stem)}@{segment.at_byte}" if segment.at_byte else visible(segment.path.stem)
         known.setdefault(homes[0] if len(homes) == 1 else alone, []).append(segment)
     return known
 
@@ -431,7 +432,9 @@ def join(path: Path, segments: list[Segment]) -> Recording:
     if not known and not entries:
         raise RecordingError(f"{path}: {_why_not_raw(segments)}")
     info = (
-        known[0] if known else RecordingInfo(session=path.stem, source="unknown", role="recovered", software="unknown")
+        known[0]
+        if known
+        else RecordingInfo(session=visible(path.stem), source="unknown", role="recovered", software="unknown")
     )
     details = {k: v for i in known for k, v in i.details.items()}
     attachments = {k: v for i in reversed(known) for k, v in i.attachments.items()}
