@@ -83,10 +83,6 @@ def campaign(
     **options: Any,
 ) -> int:
     """Estimate many flights (files, patterns, folders, URLs; or a PLAN.toml); what lies in --out already is not done again."""
-    import os
-
-    for library in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
-        os.environ.setdefault(library, "1")  # matrices of a fit are small: threads only wait for one another
     from estimation.campaign.run import Campaign
     from estimation.campaign.sources import entries_of
     from estimation.campaign.store import Store
