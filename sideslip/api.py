@@ -82,12 +82,15 @@ def estimate(
     joint: bool = False,
     seed: int = 0,
     simulation: str | None = None,
+    structure: str = "test",
 ) -> "Estimates":
     """Aerodynamic parameters with bounds; method: names as for `estimate --method`, comma-separated or a list. simulation: one of
-    your own as base, as for `--simulation`; then model is a built-in name or a model file found on a simulation."""
+    your own as base, as for `--simulation`; then model is a built-in name or a model file found on a simulation. structure: off, test or auto, as for
+    `--structure`."""
     from estimation.estimators.estimator import Extras
     from estimation.session import runner
     from estimation.session.flights import unique_names
+    from estimation.session.structured import Wish
 
     read = unique_names(read_flights(flights))
     if simulation is None:
@@ -96,7 +99,7 @@ def estimate(
         attached = _on_simulation(simulation, model, read, aircraft, estimating=True)
         chosen, craft, read = attached.model, attached.aircraft, list(attached.flights)
     methods = [m.strip() for m in method.split(",")] if isinstance(method, str) else list(method)
-    session = runner.estimate(chosen, read, craft, methods, joint=joint, extras=Extras(seed=seed))
+    session = runner.estimate(chosen, read, craft, methods, joint=joint, extras=Extras(seed=seed), structure=Wish(structure))
     return Estimates(session)
 
 

@@ -119,6 +119,13 @@ def _able(extra: Extra) -> str:
     help=f"Spread by N refits ({_able(Extra.BOOTSTRAP)}): of simulated repetitions, or networks on resampled "
     "stretches (64 where not given).",
 )
+@click.option(
+    "--structure",
+    type=click.Choice(["off", "test", "auto"]),
+    default="test",
+    show_default=True,
+    help="Test each fit for what its model lacks (derivatives, nonlinear terms, lags, scales); auto adds it and fits again.",
+)
 @click.option("--seed", default=0, show_default=True, help="Of the bootstrap, and of the networks.")
 @click.option(
     "--brief",
@@ -148,6 +155,7 @@ def estimate(
     truth_path: Path | None,
     profile: str,
     bootstrap: int,
+    structure: str,
     seed: int,
     brief: bool,
 ) -> int:
@@ -167,6 +175,7 @@ def estimate(
     from estimation.models.load import asks_for_aircraft, check_model
     from estimation.session import runner
     from estimation.session.flights import select_segments, separated
+    from estimation.session.structured import Wish
     from groundstation.flight import read_flight
 
     check_outputs(
@@ -193,7 +202,15 @@ def estimate(
     extras = Extras(profiled, bootstrap, seed, raw_inputs, stepwise, keep_held)
     with Progress() as progress:
         session = runner.estimate(
-            chosen, read, craft, chosen_methods, joint=joint, device=device, progress=progress, extras=extras
+            chosen,
+            read,
+            craft,
+            chosen_methods,
+            joint=joint,
+            device=device,
+            progress=progress,
+            extras=extras,
+            structure=Wish(structure),
         )
     session = replace(session, truth=truth)
     # files first: a reader that closes the pipe early (| head) must not cost a result

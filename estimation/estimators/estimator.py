@@ -1,7 +1,7 @@
 """What an estimator is: a record with a name, a title, a fit, and the extras that it heeds; and the task it is given."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from typing import TYPE_CHECKING
 
@@ -60,6 +60,7 @@ class Task:
     """One fit: `model` to one flight, or to several together. device: where networks are trained (cpu, cuda or auto).
 
     number: of the fit in its session, so that each draws noise of its own. tell: told each long piece of work as it begins.
+    plain: the same model without terms that were added to it, for estimators that have no way for those.
     """
 
     model: Model
@@ -69,6 +70,13 @@ class Task:
     device: str = "cpu"
     number: int = 0
     tell: Callable[[str], None] = lambda text: None
+    plain: Model | None = None
+
+    def for_estimator(self, estimator: "Estimator") -> "Task":
+        """The task with its plain model where the estimator has no way for the whole one; itself otherwise."""
+        if self.plain is None or not estimator.refuses(self.model) or estimator.refuses(self.plain):
+            return self
+        return replace(self, model=self.plain)
 
     @property
     def data(self) -> "Sequence[Flight | FlightData]":

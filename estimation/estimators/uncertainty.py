@@ -149,9 +149,9 @@ def flight_score(
     responses = disturbed(problem, unknowns, index)
     noise, edges = responses[0].noise, responses[0].edges
     projected = without_nuisance(pieces, nuisance_inverse)
-    white = _responses(pieces, nuisance_inverse, responses, point)
+    white = white_responses(pieces, nuisance_inverse, responses, point)
     columns = np.sum([J.T @ w for J, w in zip(projected, white, strict=True)], axis=0)
-    lags = _input_lags(pieces, projected, [w[:, :noise] for w in white], inverse @ columns[:, :noise])
+    lags = input_lags(pieces, projected, [w[:, :noise] for w in white], inverse @ columns[:, :noise])
     spectrum = noise_spectrum(pieces, projected, inverse, nuisance_inverse, lags)
     inputs, edge, common = np.split(columns, [noise, noise + edges], axis=1)
     return FlightScore(
@@ -163,7 +163,7 @@ def flight_score(
     )
 
 
-def _responses(
+def white_responses(
     pieces: list[Piece], nuisance_inverse: list[Array], responses: list[Disturbed], point: LikelihoodPoint
 ) -> list[Array]:
     """Responses (N ny, columns) of each piece in units of the noise, initial states projected out."""
@@ -174,7 +174,7 @@ def _responses(
     return white
 
 
-def _input_lags(pieces: list[Piece], projected: list[Array], white: list[Array], change: Array) -> Array | None:
+def input_lags(pieces: list[Piece], projected: list[Array], white: list[Array], change: Array) -> Array | None:
     """Autocovariance that the noise of the inputs gives the residuals of a fit. change: (n, draws) of the parameters."""
     if not change.shape[1]:
         return None
@@ -191,9 +191,9 @@ def noise_spectra(problem: OutputErrorProblem, unknowns: Array, point: Likelihoo
         pieces, inverse, nuisance_inverse = _pieces(problem, point, i, covariance, block)
         responses = disturbed(problem, unknowns, i)
         projected = without_nuisance(pieces, nuisance_inverse)
-        white = [w[:, : responses[0].noise] for w in _responses(pieces, nuisance_inverse, responses, point)]
+        white = [w[:, : responses[0].noise] for w in white_responses(pieces, nuisance_inverse, responses, point)]
         change = inverse @ np.sum([J.T @ w for J, w in zip(projected, white, strict=True)], axis=0)
-        lags = _input_lags(pieces, projected, white, change)
+        lags = input_lags(pieces, projected, white, change)
         spectra.append(noise_spectrum(pieces, projected, inverse, nuisance_inverse, lags))
     return spectra
 

@@ -15,6 +15,8 @@ from estimation.models.base import Model, ParameterRole
 from estimation.session.flights import unique_names
 from estimation.session.scatter import scatter
 from estimation.session.session import FlightEstimates, Session
+from estimation.session.structured import Wish, structured
+from estimation.session.of_aircraft import of_aircraft
 from estimation.session.verdict import verdict
 from groundstation.flight import Flight
 from groundstation.flight.quality.plausibility import suspicions
@@ -37,10 +39,11 @@ def estimate(
     device: str = "cpu",
     progress: Callable[[str], None] | None = None,
     extras: Extras = NO_EXTRAS,
+    structure: Wish = Wish.TEST,
 ) -> Session:
     """Run every method on every flight, and on all of them together where `joint`.
 
-    device: where networks are trained. progress: told each piece of work as it begins. Raises EstimationError for an
+    structure: whether what the model may lack is tested beside the fits, and added. device: where networks are trained. progress: told each piece of work as it begins. Raises EstimationError for an
     unknown method, DataError where a joint estimate would count one record twice, and what the first method raises when a
     flight cannot feed the model.
     """
@@ -55,29 +58,50 @@ def estimate(
             f"{second} is of the same record as {first}, which would count twice jointly: give every flight once"
         )
     task = Task(model, flights, aircraft, extras, device, tell=progress or (lambda text: None))
+    session = _fitted(task, chosen, joint)
+    if structure is not Wish.OFF:
+        plain = task.plain or model
+        session = structured(session, extras, structure, lambda more: _fitted(replace(task, model=more, plain=plain), chosen, joint))
+    return _judged(session)
+
+
+def _fitted(task: Task, chosen: Sequence[Estimator], joint: bool) -> Session:
+    """Every method over every flight, and over all of them together where `joint`."""
+    flights = task.flights
     found = {e.name: _each(e, task) for e in chosen}
     for flight, outcomes in zip(flights, zip(*found.values(), strict=True), strict=True):
         _refuse_useless(flight, outcomes)
     together: dict[str, Outcome] = {}
     for e in chosen if joint else ():
         task.tell(f"joint over {len(flights)} flights: {e.title}")
-        together[e.name] = _tried(e, replace(task, model=joint_model(model), number=len(flights)))
+        whole = replace(task, number=len(flights), model=joint_model(task.model))
+        together[e.name] = _tried(e, replace(whole, plain=None if task.plain is None else joint_model(task.plain)))
     done = []
     for i, flight in enumerate(flights):
         results, failures = _split({m: outcomes[i] for m, outcomes in found.items()})
         done.append(FlightEstimates(flight, results, failures))
     mean = {m: scatter(r) for m, outcomes in found.items() if (r := [o for o in outcomes if isinstance(o, Result)])}
     results, failures = _split(together)
-    session = Session(aircraft, model, tuple(found), tuple(done), results, mean, joint_failures=failures)
-    return _judged(session)
+    return Session(task.aircraft, task.model, tuple(found), tuple(done), results, mean, joint_failures=failures)
 
 
 def _judged(session: Session) -> Session:
     """The session with a verdict on each flight, and on the joint estimate where there is one."""
     found = {f.flight.name: _reconstructed_angles(session.model, f.flight) for f in session.flights}
     odd = {f.flight.name: _odd_columns(session.model, f.flight) for f in session.flights}
+    craft = of_aircraft(session.aircraft, session.model)
     flights = tuple(
-        replace(f, verdict=verdict(f.results, f.failures, reconstructed=found[f.flight.name], odd=odd[f.flight.name]))
+        replace(
+            f,
+            verdict=verdict(
+                f.results,
+                f.failures,
+                reconstructed=found[f.flight.name],
+                odd=odd[f.flight.name],
+                craft=craft,
+                structure=f.structure,
+            ),
+        )
         for f in session.flights
     )
     if not session.joint and not session.joint_failures:
@@ -85,7 +109,16 @@ def _judged(session: Session) -> Session:
     any_of = tuple(sorted(set().union(*found.values())))
     members = {m: [f.results[m] for f in session.flights if m in f.results] for m in session.methods}
     every = [f"{name}: {text}" for name, texts in odd.items() for text in texts]
-    said = verdict(session.joint, session.joint_failures, members, any_of, every)
+    said = verdict(
+        session.joint,
+        session.joint_failures,
+        members,
+        any_of,
+        every,
+        craft=craft,
+        structure=session.structure,
+        odd_flights=session.odd,
+    )
     return replace(session, flights=flights, verdict=said)
 
 
@@ -104,7 +137,7 @@ def _odd_columns(model: Model, flight: Flight) -> tuple[str, ...]:
 def _tried(estimator: Estimator, task: Task) -> Outcome:
     """One fit; where it fails, why: the results of other methods and flights stand."""
     try:
-        return estimator.fit(task)
+        return estimator.fit(task.for_estimator(estimator))
     except (UserError, *NUMERICAL) as error:
         return error
 
@@ -115,7 +148,7 @@ def _each(estimator: Estimator, task: Task) -> list[Outcome]:
         count = len(task.flights)
         task.tell(f"{count} flight{'s' if count > 1 else ''} side by side: {estimator.title}")
         try:
-            return list(estimator.fit_each(task))
+            return list(estimator.fit_each(task.for_estimator(estimator)))
         except (UserError, *NUMERICAL):
             pass  # one of them cannot be used: which one shows when each is tried by itself
     results = []

@@ -22,7 +22,7 @@ from estimation.aircraft.handbook import Shape, beliefs, flap_effectiveness, lif
 from estimation.aircraft.of_flight import aircraft_of
 from estimation.aircraft.schema import aircraft_from_text
 from estimation.commands.aircraft import aircraft as verb
-from estimation.commands.aircraft_review import review
+from estimation.session.aircraft_review import review
 from estimation.commands.estimate import estimate
 from estimation.commands.gap import gap
 from estimation.commands.match import match
