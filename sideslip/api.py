@@ -85,7 +85,8 @@ def estimate(
     structure: str = "test",
 ) -> "Estimates":
     """Aerodynamic parameters with bounds; method: names as for `estimate --method`, comma-separated or a list. simulation: one of
-    your own as base, as for `--simulation`; then model is a built-in name or a model file found on a simulation. structure: off, test or auto, as for
+    your own as base, as for `--simulation`; then model is a built-in name or a model file found on a simulation. structure:
+    off, test or auto, as for
     `--structure`."""
     from estimation.estimators.estimator import Extras
     from estimation.session import runner

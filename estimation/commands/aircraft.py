@@ -43,8 +43,8 @@ def check(file: str, json_path: Path | None) -> int:
     Exit status 1 where it says something impossible, or is not enough for any model.
     """
     from estimation.aircraft import load_aircraft
-    from estimation.session.aircraft_review import review
     from estimation.commands.outputs import check_outputs, write_json
+    from estimation.session.aircraft_review import review
 
     check_outputs(json=json_path)
     found = load_aircraft(file)

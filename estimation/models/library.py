@@ -112,7 +112,9 @@ def stated_terms(model: Model, aircraft: Aircraft) -> Model:
             continue
         terms[line] = f"{terms[line]} + {name}*{regressor}" if line in terms else f"{name}*{regressor}"
         (parameter,) = aerodynamic_parameters((name,), aircraft)
-        parameters.append(replace(parameter, prior_mean=None if prior.std is None else prior.value, prior_std=prior.std))
+        parameters.append(
+            replace(parameter, prior_mean=None if prior.std is None else prior.value, prior_std=prior.std)
+        )
     return model.plus(terms=terms, parameters=parameters) if parameters else model
 
 

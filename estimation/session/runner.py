@@ -11,12 +11,13 @@ from estimation.errors import DataError, EstimationError
 from estimation.estimators.estimator import NO_EXTRAS, Estimator, Extras, Task
 from estimation.estimators.registry import check_extras, find, names
 from estimation.estimators.result import Result
-from estimation.models.base import Model, ParameterRole
+from estimation.models.base import Model
 from estimation.session.flights import unique_names
+from estimation.session.joint import joint_model
+from estimation.session.of_aircraft import of_aircraft
 from estimation.session.scatter import scatter
 from estimation.session.session import FlightEstimates, Session
 from estimation.session.structured import Wish, structured
-from estimation.session.of_aircraft import of_aircraft
 from estimation.session.verdict import verdict
 from groundstation.flight import Flight
 from groundstation.flight.quality.plausibility import suspicions
@@ -43,7 +44,8 @@ def estimate(
 ) -> Session:
     """Run every method on every flight, and on all of them together where `joint`.
 
-    structure: whether what the model may lack is tested beside the fits, and added. device: where networks are trained. progress: told each piece of work as it begins. Raises EstimationError for an
+    structure: whether what the model may lack is tested beside the fits, and added. device: where networks are trained.
+    progress: told each piece of work as it begins. Raises EstimationError for an
     unknown method, DataError where a joint estimate would count one record twice, and what the first method raises when a
     flight cannot feed the model.
     """
@@ -61,7 +63,9 @@ def estimate(
     session = _fitted(task, chosen, joint)
     if structure is not Wish.OFF:
         plain = task.plain or model
-        session = structured(session, extras, structure, lambda more: _fitted(replace(task, model=more, plain=plain), chosen, joint))
+        session = structured(
+            session, task, structure, lambda more: _fitted(replace(task, model=more, plain=plain), chosen, joint)
+        )
     return _judged(session)
 
 
@@ -201,11 +205,3 @@ def _check(extras: Extras, model: Model, chosen: Sequence[Estimator]) -> None:
     for name in extras.profile:
         if model.parameter(name).fixed:
             raise EstimationError(f"model {model.name}: {name} is fixed, so it has no profile; free it first")
-
-
-def joint_model(model: Model) -> Model:
-    """The model for a joint fit: constant coefficients (CY_0 Cl_0 Cn_0 ...) are each flight's own.
-
-    They hold the trim, the centre of gravity and the sensor offsets of the day as much as the aircraft.
-    """
-    return model.with_local(*model.free_of(ParameterRole.CONSTANT))

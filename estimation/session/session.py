@@ -48,7 +48,8 @@ class FlightEstimates:
 class Session:
     """Everything one call of `estimate` found. truth: derivatives of simulated flights, to be shown beside the means.
 
-    joint_failures: method -> why it left no joint estimate; verdict: on the joint estimates, where there are any; structure: what their
+    joint_failures: method -> why it left no joint estimate; verdict: on the joint estimates, where there are any; structure:
+    what their
     model lacks; odd: flights that differ from the others."""
 
     aircraft: Aircraft

@@ -4,7 +4,7 @@ Each flight's fit is tested, and the joint one. The whole linear model is the bu
 are added whatever is wished (`estimation.structure.score_test.THRESHOLD`), everything else on request only.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from enum import Enum
 
@@ -12,13 +12,14 @@ from numpy.linalg import LinAlgError
 
 from daq.contract.errors import UserError
 from estimation.engine.data import FlightData
-from estimation.engine.prepared import compared, prepared
-from estimation.estimators.estimator import Extras, Task
+from estimation.engine.prepared import compared
+from estimation.estimators.estimator import Task
 from estimation.estimators.output_error import output_error
 from estimation.estimators.result import Result
 from estimation.models.base import Model
 from estimation.models.library import WHOLE
-from estimation.session.session import FlightEstimates, Session
+from estimation.session.joint import joint_model
+from estimation.session.session import Session
 from estimation.structure.candidates import Candidate, Kind, candidates, with_candidates
 from estimation.structure.excerpt import excerpt
 from estimation.structure.linearised import linearise
@@ -39,14 +40,14 @@ class Wish(Enum):
     AUTO = "auto"
 
 
-def structured(session: Session, extras: Extras, wish: Wish, fitted: Callable[[Model], Session]) -> Session:
+def structured(session: Session, task: Task, wish: Wish, fitted: Callable[[Model], Session]) -> Session:
     """The session with the structure test of each flight and of the joint fit, fitted again where something is added.
 
     fitted: the session of another model.
     """
     added: list[str] = []
     ambiguous: list[Lack] = []
-    now = _tested(session, extras)
+    now = _tested(session, task)
     for _ in range(ROUNDS):
         lacks = _lacks(now)
         new = [lack for lack in lacks if _wanted(lack, now.model, wish) and lack.names[0] not in added]
@@ -56,7 +57,7 @@ def structured(session: Session, extras: Extras, wish: Wish, fitted: Callable[[M
         terms = [chosen[lack.names[0]] for lack in new if lack.names[0] in chosen]
         added += [t.name for t in terms]
         ambiguous += [lack for lack in new if lack.rivals]
-        now = _tested(fitted(with_candidates(now.model, _fresh(terms))), extras)
+        now = _tested(fitted(with_candidates(now.model, _fresh(terms))), task)
     return _with_added(now, added, ambiguous)
 
 
@@ -87,48 +88,40 @@ def _with_added(session: Session, added: Sequence[str], ambiguous: Sequence[Lack
     return replace(session, flights=flights, structure=joint)
 
 
-def _tested(session: Session, extras: Extras) -> Session:
+def _tested(session: Session, task: Task) -> Session:
     """The session with its structure tests."""
-    flights = tuple(replace(f, structure=_test(session, [f.flight], f.results, extras)[0]) for f in session.flights)
+    flights = tuple(replace(f, structure=_test(session, [f.flight], f.results, task)[0]) for f in session.flights)
     if not session.joint:
         return replace(session, flights=flights)
-    structure, odd = _test(session, [f.flight for f in session.flights], session.joint, extras)
+    structure, odd = _test(session, [f.flight for f in session.flights], session.joint, task)
     return replace(session, flights=flights, structure=structure, odd=odd)
 
 
 def _test(
-    session: Session, flights: Sequence[Flight], results: "dict[str, Result] | object", extras: Extras
+    session: Session, flights: Sequence[Flight], results: Mapping[str, Result], task: Task
 ) -> tuple[Structure | None, tuple[OddFlight, ...]]:
     """The structure test of one set of results on the same flights; a structure that says why not where there is none."""
-    assert isinstance(results, dict)
     try:
-        return _of_basis(session, flights, results, extras)
+        return _of_basis(session, replace(task, flights=flights), results)
     except (UserError, LinAlgError, ArithmeticError) as error:
         return Structure((), (), why_not=f"not tested: {error}"), ()
 
 
 def _of_basis(
-    session: Session, flights: Sequence[Flight], results: dict[str, Result], extras: Extras
+    session: Session, task: Task, results: Mapping[str, Result]
 ) -> tuple[Structure | None, tuple[OddFlight, ...]]:
-    usable = {m: r for m, r in results.items() if r.converged and r.method == m}
+    usable = {m: r for m, r in results.items() if r.converged}
     if not usable:
         return Structure((), (), why_not="not tested: no fit to test"), ()
-    basis = usable.get("ml") or next((usable[m] for m in FILTERS if m in usable), None)
-    model = next(iter(usable.values())).model if basis is None else basis.model
-    data = list(Task(model, flights, session.aircraft, extras).data)
-    ready = compared(model, prepared(model, data))[1] if basis is None else _ready(basis, data)
+    basis = next((usable[m] for m in ("ml", *FILTERS) if m in usable), None)
+    model = session.model
+    _, ready = compared(session.model, replace(task, model=session.model).data)
     if basis is None:
-        basis = output_error(model, ready)
-    return _of_result(basis, _moved_result(results, basis), ready)
+        basis = output_error(model if len(ready) == 1 else joint_model(model), ready)
+    return _of_result(basis, _moved_result(results, basis), ready, session.aircraft.sensors)
 
 
-def _ready(basis: Result, data: Sequence["Flight | FlightData"]) -> list[FlightData]:
-    """Flights prepared for the model of a result, compared in the outputs in which it was."""
-    made = prepared(basis.model, data)
-    return compared(basis.model, made)[1]
-
-
-def _moved_result(results: dict[str, Result], basis: Result) -> Result:
+def _moved_result(results: Mapping[str, Result], basis: Result) -> Result:
     """The result whose bounds the moves are counted in: a filter's where it is trusted with rough air, else the basis."""
     from estimation.session.verdict import verdict
 
@@ -137,14 +130,25 @@ def _moved_result(results: dict[str, Result], basis: Result) -> Result:
     return chosen if set(chosen.names) == set(basis.names) else basis
 
 
-def _of_result(basis: Result, chosen: Result, ready: list[FlightData]) -> tuple[Structure | None, tuple[OddFlight, ...]]:
+def _of_result(
+    basis: Result, chosen: Result, ready: list[FlightData], places: Collection[str]
+) -> tuple[Structure | None, tuple[OddFlight, ...]]:
+    """What a fit lacks in all flights, and the flight that still differs with that; what is lacking is then asked of the others.
+
+    places: sensors whose places are stated, so that readings are brought to the CG.
+    """
     filtered = chosen.method in FILTERS
     at = chosen if filtered else basis
     linear = linearise(*excerpt(at, ready))
     if linear is None:
         return Structure((), (), why_not="not tested: the motion runs away from the smallest change"), ()
-    odd = odd_flights(linear, chosen)
+    if "imu" in places:
+        linear = linear.without(Kind.PLACE)
+    found = structure_of(linear, chosen, filtered=filtered)
+    lacking = [lack.leading.candidate.name for lack in found.lacks]
+    odd = odd_flights(linear.absorbing(lacking), chosen)
     differ = {o.flight for o in odd if o.moves > MOVES}
     if differ and len(linear.flights) > len(differ) + 1:
         linear = replace(linear, flights=tuple(f for f in linear.flights if f.name not in differ))
-    return structure_of(linear, chosen, filtered=filtered), odd
+        found = structure_of(linear, chosen, filtered=filtered)
+    return found, odd

@@ -184,7 +184,11 @@ def lack_text(lack: Lack) -> str:
     """What the model lacks, how sure that is, what it moves and how it is added."""
     leading = lack.leading
     name, moved = leading.worst
-    rivals = f" (or {', '.join(r.candidate.phrase for r in lack.rivals)}: these flights cannot tell which)" if lack.rivals else ""
+    rivals = (
+        f" (or {', '.join(r.candidate.phrase for r in lack.rivals)}: these flights cannot tell which)"
+        if lack.rivals
+        else ""
+    )
     size = f"{leading.value:.3g} {leading.candidate.parameter.unit}".removesuffix(" 1")
     moves = f"leaving it out moves {name} by {moved:.1f} of its bounds" if name else "it moves nothing that is printed"
     return (
@@ -198,9 +202,9 @@ def ambiguous_text(lack: Lack) -> str:
     leading = lack.leading.candidate
     rivals = ", ".join(f"{r.candidate.phrase} ({r.candidate.name} = {r.value:.3g})" for r in lack.rivals)
     return (
-        f"{leading.name} was added (score {abs(lack.leading.score):.1f}), but {rivals} instead explains these flights as well and"
-        f" moves estimates by up to {lack.apart:.1f} of their bounds: state {leading.name} in the aircraft file, measure the other"
-        " (a swing test for inertia), or fly a symmetric pull-up with aileron 3-2-1-1"
+        f"{leading.name} was added (score {abs(lack.leading.score):.1f}), but {rivals} instead explains these flights as well"
+        f" and moves estimates by up to {lack.apart:.1f} of their bounds: state {leading.name} in the aircraft file, measure the"
+        " other (a swing test for inertia), or fly a symmetric pull-up with aileron 3-2-1-1"
     )
 
 

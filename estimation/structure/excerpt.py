@@ -8,7 +8,8 @@ from estimation.engine.data import FlightData, Segment
 from estimation.estimators.result import FlightFit, Result
 
 MOST_SAMPLES = 16_000
-"""Of one flight: 80 s at 200 Hz, a quarter of an hour at 20 Hz. With some 50 columns and as many draws of the inputs that is 130 MB."""
+"""Of one flight: 80 s at 200 Hz, a quarter of an hour at 20 Hz. With some 50 columns and as many draws of the inputs that is
+130 MB."""
 
 
 def excerpt(result: Result, data: list[FlightData]) -> tuple[Result, list[FlightData]]:

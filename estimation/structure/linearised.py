@@ -1,13 +1,15 @@
 """One fit with everything that its model may lack beside it, linearised: inner products of sensitivities and residuals.
 
-Products are in the metric in which the outputs' noise is white. That noise is found of what is left once parameters *and* everything
+Products are in the metric in which the outputs' noise is white. That noise is found of what is left once parameters *and*
+everything
 that may be lacking have been fitted, flight by flight: what a model lacks must not pass for noise. A flight's own unknowns
-(initial states, constants of the day) are eliminated. What the inputs' errors put in (`estimation.estimators.input_error`) is kept
+(initial states, constants of the day) are eliminated. What the inputs' errors put in (`estimation.estimators.input_error`) is
+kept
 as draws: simulated nulls, by which scores are calibrated.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,13 +17,13 @@ from numpy.typing import NDArray
 from estimation.engine.data import FlightData
 from estimation.engine.simulate import Simulator
 from estimation.estimators.arrow import pseudo_inverse
-from estimation.estimators.coloured import Piece, noise_spectrum, without_nuisance, white_products
+from estimation.estimators.coloured import Piece, noise_spectrum, white_products, without_nuisance
 from estimation.estimators.input_error import LEAST_NOISE, Disturbed, Evidence, common_error, disturbed, edge_size
 from estimation.estimators.likelihood import LikelihoodPoint, OutputErrorProblem, whiten_all
 from estimation.estimators.output_error import in_pieces_of
 from estimation.estimators.result import Result
 from estimation.estimators.uncertainty import input_lags, white_responses
-from estimation.structure.candidates import Candidate, candidates, with_candidates
+from estimation.structure.candidates import Candidate, Kind, candidates, with_candidates
 
 Array = NDArray[np.float64]
 
@@ -29,10 +31,10 @@ SEEN = 1e-6
 """Share of a column that parameters must leave over: less is a combination of them, which no data can tell from the model."""
 
 
-
 @dataclass(frozen=True)
 class FlightProducts:
-    """One flight, columns [shared parameters | candidates | residual], its own unknowns eliminated. gram: as weighed by the noise; plain:
+    """One flight, columns [shared parameters | candidates | residual], its own unknowns eliminated. gram: as weighed by the
+    noise; plain:
     weighed by the variances of the residuals, as output error does (without the residual). noise, edges: (columns, draws) and
     common: (columns, errors) products with what the inputs' errors do to the outputs."""
 
@@ -43,10 +45,18 @@ class FlightProducts:
     edges: Array
     common: Array
 
+    def in_order(self, index: NDArray[np.intp]) -> "FlightProducts":
+        """Some columns, in another order; the residual last."""
+        pick, without = np.ix_(index, index), np.ix_(index[:-1], index[:-1])
+        return FlightProducts(
+            self.name, self.gram[pick], self.plain[without], self.noise[index], self.edges[index], self.common[index]
+        )
+
 
 @dataclass(frozen=True)
 class Linearised:
-    """All flights of a fit. shared: parameters; values: theirs; tested: candidates. prior: information of priors on the shared ones."""
+    """All flights of a fit. shared: parameters; values: theirs; tested: candidates. prior: information of priors on the shared
+    ones."""
 
     shared: tuple[str, ...]
     values: Array
@@ -73,6 +83,31 @@ class Linearised:
         gram = np.sum([f.plain for f in self.flights], axis=0)
         gram[: self.n, : self.n] += self.prior
         return np.asarray(gram)
+
+    def without(self, kind: Kind) -> "Linearised":
+        """The same without candidates of a kind."""
+        n, kept = self.n, [k for k, c in enumerate(self.tested) if c.kind is not kind]
+        order = np.array([*range(n), *(n + k for k in kept), n + len(self.tested)], np.intp)
+        flights = tuple(f.in_order(order) for f in self.flights)
+        return replace(self, tested=tuple(self.tested[k] for k in kept), flights=flights)
+
+    def absorbing(self, names: Collection[str]) -> "Linearised":
+        """The same with some candidates counted among the parameters, at nothing."""
+        n = self.n
+        taken = [k for k, c in enumerate(self.tested) if c.name in names]
+        left = [k for k in range(len(self.tested)) if k not in taken]
+        columns = len(self.tested) + n
+        order = np.array([*range(n), *(n + k for k in taken), *(n + k for k in left), columns], int)
+        prior = np.zeros((n + len(taken), n + len(taken)))
+        prior[:n, :n] = self.prior
+        return replace(
+            self,
+            shared=(*self.shared, *(self.tested[k].name for k in taken)),
+            values=np.concatenate([self.values, np.zeros(len(taken))]),
+            tested=tuple(self.tested[k] for k in left),
+            flights=tuple(f.in_order(order) for f in self.flights),
+            prior=prior,
+        )
 
     def by_inputs(self, combine: Array) -> Array:
         """(rows, rows) covariance of scores from the inputs' errors. combine: (rows, columns) of what is scored."""
@@ -125,20 +160,10 @@ def _visible(found: Linearised) -> Linearised:
     rest = _eliminated(gram, n)
     raw = np.diag(gram)[n:-1]
     keep = np.flatnonzero(np.diag(rest)[:-1] > SEEN * np.maximum(raw, 1e-300))
-    index = np.concatenate([np.arange(n), n + keep, [len(gram) - 1]]).astype(int)
-    flights = tuple(
-        FlightProducts(
-            f.name,
-            f.gram[np.ix_(index, index)],
-            f.plain[np.ix_(index[:-1], index[:-1])],
-            f.noise[index],
-            f.edges[index],
-            f.common[index],
-        )
-        for f in found.flights
-    )
+    index = np.concatenate([np.arange(n), n + keep, [len(gram) - 1]]).astype(np.intp)
+    flights = tuple(f.in_order(index) for f in found.flights)
     tested = tuple(found.tested[k] for k in keep)
-    return Linearised(found.shared, found.values, tested, flights, found.prior, found.edges, found.common)
+    return replace(found, tested=tested, flights=flights)
 
 
 def _products(
@@ -156,9 +181,8 @@ def _products(
     spectrum = noise_spectrum(left, projected, inverse, own, lags)
     metric = np.linalg.inv(spectrum + LEAST_NOISE * np.eye(problem.ny)).astype(np.complex128)
     order = np.concatenate([problem.local, problem.shared])
-    gram = _sum(
-        _eliminated(white_products(p, w, metric), p.nuisance.shape[1]) for p, w in zip(pieces, white, strict=True)
-    )
+    grams = [_eliminated(white_products(p, w, metric), p.nuisance.shape[1]) for p, w in zip(pieces, white, strict=True)]
+    gram = np.asarray(np.sum(grams, axis=0))
     rest = _eliminated(gram, len(problem.free))
     columns = np.concatenate([order, np.arange(len(problem.free), len(gram))])
     gram = _eliminated(gram[np.ix_(columns, columns)], len(problem.local))
@@ -204,14 +228,6 @@ def _without_everything(pieces: list[Piece], own: list[Array]) -> tuple[Array, l
             rest = rest - p.nuisance @ (mine @ (p.nuisance.T @ rest))
         left.append(Piece(rest.reshape(p.residual.shape) * p.known, p.jacobian, p.nuisance, p.known))
     return inverse, left
-
-
-def _sum(grams: "Sequence[Array] | object") -> Array:
-    total: Array | None = None
-    for gram in grams:  # type: ignore[attr-defined]
-        total = gram if total is None else total + gram
-    assert total is not None
-    return total
 
 
 def _eliminated(gram: Array, count: int) -> Array:

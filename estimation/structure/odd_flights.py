@@ -25,13 +25,15 @@ CHANCE = 1e-4
 INFLATED = 2.0
 """Of a flight's score covariance: flights of one aircraft differ by speed, loading and air by as much as noise once more."""
 SIMPLE = 0.8
-"""Share of what one single derivative explains from which a simpler cause, all forces by one factor or a whole coefficient, is named."""
+"""Share of what one single derivative explains from which a simpler cause, all forces by one factor or a whole coefficient, is
+named."""
 WHOLE = "mass or dynamic pressure"
 
 
 @dataclass(frozen=True)
 class OddFlight:
-    """A flight that differs. ratio: of what it has to what the others have (mass over mass, derivative over derivative, scale; seconds
+    """A flight that differs. ratio: of what it has to what the others have (mass over mass, derivative over derivative, scale;
+    seconds
     for a lag, as it is); probability: of so much by chance; moves: bounds by which it moves the joint estimate at most."""
 
     flight: str
@@ -71,7 +73,8 @@ class _Hypothesis:
 
 
 def odd_flights(linear: Linearised, result: Result) -> tuple[OddFlight, ...]:
-    """The flight that differs most from the others, if any does; with two flights there is no telling which, and the first is taken.
+    """The flight that differs most from the others, if any does; with two flights there is no telling which, and the first is
+    taken.
 
     One flight that differs makes the others look odd beside the joint estimate, so the oddest is named alone.
     """
@@ -101,7 +104,7 @@ def _of_flight(linear: Linearised, result: Result, index: int) -> tuple[float, O
     best, size = _explained(linear, result, index, score, covariance)
     every = linear.total()
     moved = np.abs(pseudo_inverse(every[:n, :n])[0] @ every[:n, -1] - theta)
-    bounds = np.array([result.parameters[name].std_coloured for name in linear.shared])
+    bounds = np.array([result.std_coloured.get(name, np.inf) for name in linear.shared])
     with np.errstate(invalid="ignore", divide="ignore"):
         moved = np.where(np.isfinite(bounds) & (bounds > 0.0), moved / bounds, 0.0)
     most = int(np.argmax(moved))
@@ -150,7 +153,8 @@ def _hypotheses(linear: Linearised, result: Result) -> Iterator[_Hypothesis]:
     """All forces by one factor, one coefficient by a factor, one derivative, one of the candidates."""
     n = linear.n
     shared = tuple(range(n))
-    forces = [result.model.parameter(p).role is ParameterRole.DERIVATIVE for p in linear.shared]
+    derivatives = {p.name for p in result.model.parameters if p.role is ParameterRole.DERIVATIVE}
+    forces = [name in derivatives for name in linear.shared]
     values = linear.values * np.array(forces, float)
     yield _Hypothesis(WHOLE, shared, values)
     for line in force_lines(result.model):

@@ -1,6 +1,7 @@
 """Which of the things that a model may lack the residuals ask for, and what leaving them out does to the estimates.
 
-The score of one candidate is what the residuals have in common with its effect once all parameters have taken what they can, over its
+The score of one candidate is what the residuals have in common with its effect once all parameters have taken what they can,
+over its
 standard deviation from the outputs' noise and the inputs' errors: of unit variance where nothing is lacking (C. R. Rao, 1948;
 V. Klein and E. A. Morelli, Aircraft System Identification, 2nd ed., section 5.4, does the same for regressions). Candidates
 that are significant are taken one after the other, the strongest first, until none is left; what would have served as well is its
@@ -22,7 +23,8 @@ from estimation.structure.linearised import Linearised
 Array = NDArray[np.float64]
 
 THRESHOLD = 5.0
-"""Score from which a candidate is significant: 25 candidates that are not independent reach 3.3 by chance in one plain flight of a
+"""Score from which a candidate is significant: 25 candidates that are not independent reach 3.3 by chance in one plain flight
+of a
 hundred; unmodelled edges of surfaces between samples add as much again (docs/validation.md, the study of random aeroplanes)."""
 RIVAL = 0.85
 """Share of the strongest score from which another candidate would serve as well, if it is no more needed once that is in."""
@@ -33,7 +35,9 @@ MOST = 4  # candidates taken one after the other: a model that lacks more is ano
 ADVERSE = 0.25
 """Of the roll by aileron, the largest yaw by aileron (Roskam, Airplane Flight Dynamics I, 4.1: -5 to -15 %; spoilers the same the
 other way): more is a product of inertia that is not what the file says."""
-FACTORS = (0.5, 2.0)  # scale of an instrument beyond which it is no scale error
+FACTORS = {"alpha": (0.5, 2.0), "beta": (0.5, 2.0)}
+"""Scales that a vane in the upwash of an airframe can have (Gracey, NASA RP-1046: 1.1 to 1.8 ahead of a fuselage)."""
+FACTORS_ELSE = (0.75, 1.33)  # of any other channel: a calibration, not another instrument
 NOTABLE = 1.0  # bounds by which a printed value has to move
 
 LIKELY = {
@@ -54,7 +58,8 @@ LIKELY = {
 
 @dataclass(frozen=True)
 class Tested:
-    """One candidate. score: signed, in standard deviations; value: what it would be; moves: parameter -> by how many of its corrected
+    """One candidate. score: signed, in standard deviations; value: what it would be; moves: parameter -> by how many of its
+    corrected
     bounds the estimate is moved by leaving it out."""
 
     candidate: Candidate
@@ -88,7 +93,8 @@ class Tested:
 
 @dataclass(frozen=True)
 class Lack:
-    """Something the model lacks, and what would serve as well. apart: bounds by which estimates differ with a rival in its place."""
+    """Something the model lacks, and what would serve as well. apart: bounds by which estimates differ with a rival in its
+    place."""
 
     leading: Tested
     rivals: tuple[Tested, ...] = ()
@@ -130,7 +136,8 @@ class Structure:
 def structure_of(linear: Linearised, result: Result, *, filtered: bool = False) -> Structure:
     """Test every candidate, and take the significant ones one after the other.
 
-    result: whose bounds the moves are counted in. filtered: its estimates weigh residuals as a filter does, not as output error does.
+    result: whose bounds the moves are counted in. filtered: its estimates weigh residuals as a filter does, not as output
+    error does.
     """
     first = _scores(linear, (), result, filtered)
     chosen: list[int] = []
@@ -171,7 +178,8 @@ def _possible(tested: Tested, result: Result) -> bool:
     """Whether a candidate of that size can be what it is called."""
     c = tested.candidate
     if c.kind is Kind.SCALE:
-        return FACTORS[0] <= tested.value <= FACTORS[1]
+        low, high = FACTORS.get(c.channel, FACTORS_ELSE)
+        return low <= tested.value <= high
     roll = result.parameters.get("Cl_da")
     if c.name == "Cn_da" and roll is not None:
         return abs(tested.value) <= ADVERSE * abs(roll.estimate)
@@ -222,9 +230,7 @@ def _apart(linear: Linearised, best: int, rival: int, now: Sequence[Tested], res
     """By how many bounds the estimates with `best` in the model differ, at most, from those with `rival` in its place."""
     n, weigh = linear.n, linear.plain()
     inverse = pseudo_inverse(weigh[:n, :n])[0]
-    change = [
-        inverse @ weigh[:n, n + k] * (now[k].value - now[k].candidate.null) for k in (best, rival)
-    ]
+    change = [inverse @ weigh[:n, n + k] * (now[k].value - now[k].candidate.null) for k in (best, rival)]
     off = np.abs(change[0] - change[1]) / _bounds(linear, result)
     told = [o for o, name in zip(off.tolist(), linear.shared, strict=True) if result.parameters[name].identifiable]
     return max(told, default=0.0)
