@@ -25,6 +25,7 @@ from estimation.estimators.coloured import (
 from estimation.estimators.input_error import Disturbed, Evidence, common_error, disturbed, edge_size, evidence
 from estimation.estimators.likelihood import LikelihoodPoint, OutputErrorProblem, whiten_all
 from estimation.estimators.result import Estimate, correlation
+from estimation.estimators.together import moving_together, text_of
 from estimation.models.base import Model, Parameter
 from estimation.models.expressions import products_in
 
@@ -238,11 +239,13 @@ def estimates(
     rho = correlation(covariance)
     diagonal = np.diag(covariance)  # zero where the data holds no information at all
     movement = input_movement(model, flights)
+    together = moving_together(model, flights)
     result = {}
     for i, name in enumerate(names):
         parameter = model.parameter(name)
         size = (float(values[i]), float(std_coloured[i]))
-        why = _why_not(model, parameter, *size, rho[i], names, i, movement, effects.get(name))
+        why = next((t for c in sorted(companions(model, name)) if (t := text_of(c, together))), "")
+        why = why or _why_not(model, parameter, *size, rho[i], names, i, movement, effects.get(name))
         if not why and undetermined[i] and diagonal[i] <= 0.0:
             why = "has no effect on any output in this data"
         if not why and undetermined[i]:
