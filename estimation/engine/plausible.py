@@ -42,7 +42,8 @@ def refuse_impossible(flight: Flight, driving: Sequence[Signal], shown: Sequence
     """DataError for a column of another unit or sign; what is only unlikely goes to `notes`.
 
     driving: inputs and states, by whose airspeed and density a model divides; shown: outputs, which may be of an aircraft
-    that still stands. Only columns that the model, too, takes in the unit of the flight format are judged, and a model that states
+    that still stands. Only columns that the model, too, takes in the unit of the flight format are judged, and a model that
+    states
     another unit for one is refused.
     """
     for s in (*driving, *shown):

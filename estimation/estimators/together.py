@@ -1,4 +1,5 @@
-"""Controls that only move together with others, or with the motion: no data can tell their derivatives apart, however many flights."""
+"""Controls that only move together with others, or with the motion: no data can tell their derivatives apart, however many
+flights."""
 
 from collections.abc import Mapping
 

@@ -22,6 +22,7 @@ from estimation.session.joint import joint_model
 from estimation.session.session import Session
 from estimation.structure.candidates import Candidate, Kind, candidates, with_candidates
 from estimation.structure.excerpt import excerpt
+from estimation.structure.following import follows_controls
 from estimation.structure.linearised import linearise
 from estimation.structure.odd_flights import OddFlight, odd_flights
 from estimation.structure.score_test import Lack, Structure, structure_of
@@ -99,7 +100,7 @@ def _tested(session: Session, task: Task) -> Session:
 
 def _test(
     session: Session, flights: Sequence[Flight], results: Mapping[str, Result], task: Task
-) -> tuple[Structure | None, tuple[OddFlight, ...]]:
+) -> tuple[Structure, tuple[OddFlight, ...]]:
     """The structure test of one set of results on the same flights; a structure that says why not where there is none."""
     try:
         return _of_basis(session, replace(task, flights=flights), results)
@@ -107,9 +108,7 @@ def _test(
         return Structure((), (), why_not=f"not tested: {error}"), ()
 
 
-def _of_basis(
-    session: Session, task: Task, results: Mapping[str, Result]
-) -> tuple[Structure | None, tuple[OddFlight, ...]]:
+def _of_basis(session: Session, task: Task, results: Mapping[str, Result]) -> tuple[Structure, tuple[OddFlight, ...]]:
     usable = {m: r for m, r in results.items() if r.converged}
     if not usable:
         return Structure((), (), why_not="not tested: no fit to test"), ()
@@ -118,7 +117,9 @@ def _of_basis(
     _, ready = compared(session.model, replace(task, model=session.model).data)
     if basis is None:
         basis = output_error(model if len(ready) == 1 else joint_model(model), ready)
-    return _of_result(basis, _moved_result(results, basis), ready, session.aircraft.sensors)
+    found, odd = _of_result(basis, _moved_result(results, basis), ready, session.aircraft.sensors)
+    follows = {m: follows_controls(usable[m], ready) for m in FILTERS if m in usable}
+    return replace(found, follows={m: text for m, text in follows.items() if text}), odd
 
 
 def _moved_result(results: Mapping[str, Result], basis: Result) -> Result:
@@ -132,7 +133,7 @@ def _moved_result(results: Mapping[str, Result], basis: Result) -> Result:
 
 def _of_result(
     basis: Result, chosen: Result, ready: list[FlightData], places: Collection[str]
-) -> tuple[Structure | None, tuple[OddFlight, ...]]:
+) -> tuple[Structure, tuple[OddFlight, ...]]:
     """What a fit lacks in all flights, and the flight that still differs with that; what is lacking is then asked of the others.
 
     places: sensors whose places are stated, so that readings are brought to the CG.

@@ -159,12 +159,13 @@ def of_structure(
     chosen: Recommendation, doubts: list[Doubt], structure: Structure | None, odd_flights: Sequence[OddFlight]
 ) -> Recommendation:
     """The recommendation in view of what the model lacks and of flights that differ; their doubts are added to `doubts`."""
-    lacking, ambiguous = ([], []) if structure is None else (structure.lacks, structure.ambiguous)
-    against = []
+    structure = structure or Structure((), ())
+    lacking, ambiguous = structure.lacks, structure.ambiguous
+    against = [structure.follows[chosen.method]] if chosen.method in structure.follows else []
+    doubts += [Doubt(DoubtKind.PROCESS_NOISE, f"{method}: {text}") for method, text in structure.follows.items()]
     for odd in odd_flights:
         doubts.append(Doubt(DoubtKind.ODD_FLIGHT, odd.text))
         against += [odd.text] if odd.moves > NOTABLE else []
-    against.sort(key=len)
     for lack in lacking:
         text = lack_text(lack)
         doubts.append(Doubt(DoubtKind.LACK, text))

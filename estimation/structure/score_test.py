@@ -9,7 +9,7 @@ rival.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -114,13 +114,15 @@ class Lack:
 @dataclass(frozen=True)
 class Structure:
     """What was tested beside a fit. added: candidates that have been put into the model; ambiguous: of these, those that a rival
-    outside the model explains as well, though it gives other values."""
+    outside the model explains as well, though it gives other values. follows: filter method -> why its process noise is no
+    gusts."""
 
     tested: tuple[Tested, ...]
     lacks: tuple[Lack, ...]
     added: tuple[str, ...] = ()
     ambiguous: tuple[Lack, ...] = ()
     why_not: str = ""
+    follows: Mapping[str, str] = field(default_factory=dict)
 
     def with_added(self, names: Sequence[str], ambiguous: Sequence[Lack]) -> "Structure":
         """The same with what had been put into the model before."""

@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 DEG = np.pi / 180
 G = 9.80665
-STEP = 0.0025  # s
+STEP = 0.005  # s
 
 BASE: Mapping[str, float] = {
     "CY_beta": -0.45, "CY_p": -0.05, "CY_r": 0.2, "CY_da": 0.0, "CY_dr": 0.19,
