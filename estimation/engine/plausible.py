@@ -73,8 +73,8 @@ def _refuse_stated_unit(flight: Flight, signal: Signal) -> None:
         return
     if _plain_unit(signal.unit) not in {_plain_unit(known.unit), *(("1",) if known.unit == "rad" else ())}:
         raise DataError(
-            f"{flight.name}: the model states {signal.name} in {signal.unit}, and flights hold {signal.source} in {known.unit}: write "
-            f'the equations for {known.unit} and state unit = "{known.unit}", or convert in them (name = factor*{signal.source})'
+            f"{flight.name}: the model states {signal.name} in {signal.unit}, and flights hold {signal.source} in {known.unit}:"
+            f' write the equations for {known.unit} and state unit = "{known.unit}", or convert in them (name = factor*{signal.source})'
         )
 
 

@@ -66,6 +66,6 @@ def text_of(control: str, together: Mapping[str, tuple[str, ...]]) -> str:
         return ""
     with_ = " and ".join(together[control])
     return (
-        f"{control} moves only together with {with_} (a combination of them to within its noise or {ALONE:.0%}): these flights cannot "
-        "tell their effects apart; move it by itself"
+        f"{control} moves only together with {with_} (a combination of them to within its noise or {ALONE:.0%}): these flights"
+        " cannot tell their effects apart; move it by itself"
     )

@@ -47,8 +47,8 @@ def follows_controls(result: Result, data: Sequence[FlightData]) -> str:
     if not name:
         return ""
     return (
-        f"its process noise is no gusts: what the controls did before foretells {worst:.0%} of its innovations of {name}, where in rough "
-        f"air they foretell {FOLLOWS:.0%} at most; the model, a channel or the record of a control lacks something"
+        f"its process noise is no gusts: what the controls did before foretells {worst:.0%} of its innovations of {name}, where"
+        f" in rough air they foretell {FOLLOWS:.0%} at most; the model, a channel or the record of a control lacks something"
     )
 
 
