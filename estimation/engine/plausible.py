@@ -74,7 +74,7 @@ def _refuse_stated_unit(flight: Flight, signal: Signal) -> None:
     if _plain_unit(signal.unit) not in {_plain_unit(known.unit), *(("1",) if known.unit == "rad" else ())}:
         raise DataError(
             f"{flight.name}: the model states {signal.name} in {signal.unit}, and flights hold {signal.source} in {known.unit}:"
-            f' write the equations for {known.unit} and state unit = "{known.unit}", or convert in them (name = factor*{signal.source})'
+            f' write the equations for {known.unit} and state unit = "{known.unit}", or convert in them'
         )
 
 

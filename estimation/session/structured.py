@@ -13,6 +13,7 @@ from numpy.linalg import LinAlgError
 from daq.contract.errors import UserError
 from estimation.engine.data import FlightData
 from estimation.engine.prepared import compared
+from estimation.errors import EstimationError
 from estimation.estimators.estimator import Task
 from estimation.estimators.output_error import output_error
 from estimation.estimators.result import Result
@@ -39,6 +40,13 @@ class Wish(Enum):
     OFF = "off"
     TEST = "test"
     AUTO = "auto"
+
+    @classmethod
+    def of(cls, text: str) -> "Wish":
+        """The wish by its word; EstimationError naming what there is."""
+        if text not in {w.value for w in cls}:
+            raise EstimationError(f"structure {text!r}: choose from {', '.join(w.value for w in cls)}")
+        return cls(text)
 
 
 def structured(session: Session, task: Task, wish: Wish, fitted: Callable[[Model], Session]) -> Session:
