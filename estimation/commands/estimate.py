@@ -43,7 +43,8 @@ def _able(extra: Extra) -> str:
 @click.option("--aircraft", help="Built-in aircraft or an AIRCRAFT.toml  [default: the one the flights carry or name].")
 @click.option(
     "--simulation",
-    help="A simulation of your own as base: jsbsim:AIRCRAFT (name or folder), module:function or MODEL.toml.",
+    help="A simulation of your own as base: jsbsim:AIRCRAFT (name or folder), ardupilot:FILE.json, gazebo:FILE.sdf,"
+    " module:function or MODEL.toml.",
 )
 @click.option("--joint", is_flag=True, help="Also one estimate over all flights together.")
 @click.option("--device", default="cpu", show_default=True, help="Where ngn trains its networks: cpu, cuda or auto.")

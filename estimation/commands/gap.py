@@ -50,7 +50,8 @@ class _ManyHoldouts(click.Command):
 @click.option("--aircraft", help="Built-in aircraft or an AIRCRAFT.toml  [default: the one the flights carry or name].")
 @click.option(
     "--simulation",
-    help="A simulation of your own as base: jsbsim:AIRCRAFT (name or folder), module:function or MODEL.toml.",
+    help="A simulation of your own as base: jsbsim:AIRCRAFT (name or folder), ardupilot:FILE.json, gazebo:FILE.sdf,"
+    " module:function or MODEL.toml.",
 )
 @click.option(
     "--report",

@@ -38,7 +38,8 @@ EXAMPLE = "Example: sideslip match ld4.toml ld2.mcap --json match.json"
 )
 @click.option(
     "--simulation",
-    help="A simulation of your own as base: jsbsim:AIRCRAFT (name or folder), module:function or MODEL.toml.",
+    help="A simulation of your own as base: jsbsim:AIRCRAFT (name or folder), ardupilot:FILE.json, gazebo:FILE.sdf,"
+    " module:function or MODEL.toml.",
 )
 @click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write the fit as JSON.")
 @click.option(
