@@ -17,7 +17,9 @@ def value(tree, known):
 
 
 def coefficients(model, **state):
-    known = {v["name"]: 0.0 for v in model["variables"]} | {n: c["value"] for n, c in model["constants"].items()} | state
+    known = (
+        {v["name"]: 0.0 for v in model["variables"]} | {n: c["value"] for n, c in model["constants"].items()} | state
+    )
     for line in model["lines"]:
         known[line["name"]] = value(line["tree"], known)
     return {name: known[name] for name in model["outputs"]}

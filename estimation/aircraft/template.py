@@ -59,9 +59,9 @@ name = {name}
 
 # Deflection of each surface at full stick [rad], one number where it is the same both ways: for simulators, by `sideslip export`.
 [throws]
-# delta_e = 0.0
-# delta_a = 0.0           # half of what right and left differ by
-# delta_r = [0.0, 0.0]    # least and greatest, where they differ
+# delta_e = 0.0           # rad
+# delta_a = 0.0           # rad, half of what right and left differ by
+# delta_r = [-0.4, 0.3]   # rad, least and greatest where they differ
 
 # The rest is for `sideslip fly`, and `export` (static_thrust): what a simulated aircraft of this kind is made of.
 # [servos]

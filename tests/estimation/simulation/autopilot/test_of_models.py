@@ -2,8 +2,10 @@
 
 import json
 import runpy
+import sys
 from dataclasses import replace
 from pathlib import Path
+from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
@@ -135,6 +137,33 @@ class TestNeutral:
         assert content["constants"]["Cl_p"] == {"value": RandomAircraft(7)["Cl_p"], "unit": "1/rad"}
         assert content["sources"]["Cl_p"] == "engineering estimate"
         assert content["throws"]["delta_e"][1] == RandomAircraft(7).throws["delta_e"]
+
+    def test_an_fmu_steps_to_the_same(self, aircraft: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        """With the three names that it takes of PythonFMU, which is no dependency."""
+        assert export(aircraft, "--to", "neutral", "-o", tmp_path / "aircraft.json").return_value == 0
+        for name in ("neutral_fmu.py", "read_neutral.py"):
+            (tmp_path / name).write_text((EXAMPLES / name).read_text(encoding="utf-8"), encoding="utf-8")
+        registered: list[tuple[str, str]] = []
+        slave = type(
+            "Fmi2Slave", (), {"__init__": lambda self: None, "register_variable": lambda self, v: registered.append(v)}
+        )
+        causality = SimpleNamespace(input="input", output="output")
+        stand_in = ModuleType("pythonfmu")
+        vars(stand_in).update(Fmi2Causality=causality, Fmi2Slave=slave, Real=lambda name, causality: (name, causality))
+        monkeypatch.setitem(sys.modules, "pythonfmu", stand_in)
+        monkeypatch.setitem(sys.modules, "read_neutral", None)
+        del sys.modules["read_neutral"]
+        monkeypatch.syspath_prepend(str(tmp_path))
+        unit = runpy.run_path(str(tmp_path / "neutral_fmu.py"))["Aerodynamics"]()
+        unit.V, unit.alpha, unit.delta_a = 20.0, 0.05, 0.1
+        assert unit.do_step(0.0, 0.1)
+        content = json.loads((tmp_path / "aircraft.json").read_text())
+        read = runpy.run_path(str(EXAMPLES / "read_neutral.py"))["coefficients"](
+            content, V=20.0, alpha=0.05, delta_a=0.1, rho=1.0
+        )
+        assert {n: getattr(unit, n) for n in read} == read
+        assert ("Cl", "output") in registered
+        assert ("delta_a", "input") in registered
 
     def test_readers_are_short(self) -> None:
         for name, start in (("read_neutral.py", "TWO"), ("read_neutral.m", "m =")):
