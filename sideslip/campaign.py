@@ -55,6 +55,11 @@ def _names(_context: object, _parameter: object, text: str | None) -> tuple[str,
 @click.option("--seed", type=click.IntRange(min=0), help="Of every random draw  [default: 0].")
 @click.option("--time-limit", type=float, help="Seconds that one piece of work may take  [default: 300].")
 @click.option("--retry", type=click.Choice(["failed"]), help="Try again what failed before.")
+@click.option(
+    "--trust-code",
+    is_flag=True,
+    help="Run the Python that the PLAN names (module:NAME); read it first: it can do anything.",
+)
 @click.option("--dashboard", is_flag=True, help="Print the address of the engine's dashboard (needs bokeh).")
 @click.option("--no-report", is_flag=True, help="Tables only, no page.")
 @click.option(
@@ -73,14 +78,11 @@ def campaign(
     retry: str | None,
     dashboard: bool,
     no_report: bool,
+    trust_code: bool,
     json_path: Path | None,
     **options: Any,
 ) -> int:
     """Estimate many flights (files, patterns, folders, URLs; or a PLAN.toml); what lies in --out already is not done again."""
-    import os
-
-    for library in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
-        os.environ.setdefault(library, "1")  # matrices of a fit are small: threads only wait for one another
     from estimation.campaign.run import Campaign
     from estimation.campaign.sources import entries_of
     from estimation.campaign.store import Store
@@ -89,7 +91,7 @@ def campaign(
     from sideslip.simulated import simulator
 
     begin = time.monotonic()
-    plan, folder = _plan(flights, {k: v for k, v in options.items() if v is not None})
+    plan, folder = _plan(flights, {k: v for k, v in options.items() if v is not None}, trust_code)
     with Store(out, time.monotonic) as store:
         work = work_list(plan, entries_of(plan, folder, simulator(), send=bool(scheduler)), folder)
 
@@ -106,13 +108,15 @@ def campaign(
     return 1 if outcome.failed else 0
 
 
-def _plan(flights: tuple[str, ...], options: dict[str, Any]) -> "tuple[Plan, Path]":
+def _plan(flights: tuple[str, ...], options: dict[str, Any], trust_code: bool) -> "tuple[Plan, Path]":
     """The plan, and the folder its paths begin at. Options go before what a file says."""
-    from estimation.campaign.plan import plan_from, read_plan
+    from estimation.campaign.plan import named_programs, plan_from, read_plan
 
     if len(flights) == 1 and flights[0].endswith(".toml"):
         path = Path(flights[0])
-        data = read_plan(path).model_dump(exclude_unset=True)
+        data = read_plan(path, trust_code=trust_code).model_dump(exclude_unset=True)
+        for program in named_programs(data):
+            click.echo(f"{path} names {program}: a program, which runs because of --trust-code", err=True)
         here = Path.cwd()
         for key in (
             "model",

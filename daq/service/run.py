@@ -208,7 +208,8 @@ class _Stop:
 @contextmanager
 def _signals() -> Iterator[_Stop]:
     stop = _Stop()
-    before = {s: signal.signal(s, stop.set) for s in (signal.SIGTERM, signal.SIGINT)}
+    before: dict[signal.Signals, Any] = {s: signal.signal(s, stop.set) for s in (signal.SIGTERM, signal.SIGINT)}
+    before[signal.SIGHUP] = signal.signal(signal.SIGHUP, signal.SIG_IGN)  # its terminal goes: the recording does not
     try:
         yield stop
     finally:

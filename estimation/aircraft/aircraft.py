@@ -105,6 +105,11 @@ class Aircraft:
         """Names and values that the equations of a model may use: m S b c Ixx Iyy Izz Ixz g; NaN where not known."""
         return {**{name: float(getattr(self, field_)) for name, (field_, _) in _KEYS.items()}, "g": GRAVITY}
 
+    @property
+    def unknown(self) -> bool:
+        """Whether neither geometry nor mass is known, as of `unknown_aircraft`."""
+        return all(math.isnan(v) for n, v in self.constants().items() if n != "g")
+
     def need(self, names: Iterable[str], what: str) -> None:
         """Raise AircraftError for the first of `names` (of equations) that is not known. what: who needs it."""
         constants = self.constants()

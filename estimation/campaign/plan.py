@@ -2,14 +2,15 @@
 
 import contextlib
 import datetime as dt
-import tomllib
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
+from daq.contract import limits
 from daq.contract.errors import UserError
+from daq.contract.input_files import read_toml
 from daq.contract.plain_words import meant
 from estimation.campaign.errors import CampaignError
 from estimation.estimators.estimator import Extra
@@ -92,7 +93,7 @@ class SimulateEntry(Conditions):
     values (tables are taken apart into them); `vary`: dotted keys, each drawn evenly between two ends."""
 
     scenario: str = Field(min_length=1)
-    count: int = Field(default=1, ge=1, le=1_000_000)
+    count: int = Field(default=1, ge=1, le=limits.FLIGHTS)
     seed: int = Field(default=0, ge=0)
     set: Mapping[str, Any] = Field(default_factory=dict)
     vary: Mapping[str, tuple[Finite, Finite]] = Field(default_factory=dict)
@@ -167,15 +168,28 @@ class Plan(_Table):
         return self
 
 
-def read_plan(path: Path) -> Plan:
-    """The plan in a TOML file; CampaignError names file and key."""
-    try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise CampaignError(f"plan {path}: cannot be read ({error.strerror}); give a file or flights") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise CampaignError(f"plan {path}: not a TOML file: {error}; correct it there") from error
+def read_plan(path: Path, *, trust_code: bool = False) -> Plan:
+    """The plan in a TOML file; CampaignError names file and key.
+
+    trust_code: whether programs that it names may run. Without, a plan that names one is refused before anything is imported.
+    """
+    data = read_toml(path, "plan", CampaignError)
+    programs = named_programs(data)
+    if programs and not trust_code:
+        raise CampaignError(
+            f"plan {path}: {', '.join(programs)} is a program that the plan would run; read it as you would read any program,"
+            " then add --trust-code"
+        )
     return plan_from(data, str(path))
+
+
+def named_programs(data: Mapping[str, Any]) -> tuple[str, ...]:
+    """What a plan names as `module:NAME`: a model or methods of somebody's own, which are Python and run."""
+    methods = data.get("methods", ())
+    named = [data.get("model", ""), *(methods if isinstance(methods, list | tuple) else [methods])]
+    return tuple(
+        dict.fromkeys(n[:80] for n in named if isinstance(n, str) and ":" in n and not n.endswith((".toml", ".xml")))
+    )
 
 
 def plan_from(data: Mapping[str, Any], where: str) -> Plan:

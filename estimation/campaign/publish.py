@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from daq.contract.durable import make_directories, whole
 from daq.contract.outputs import write_json
 from estimation.campaign.keys import key_of, versions
 from estimation.campaign.plan import Plan
@@ -87,10 +88,9 @@ def write_table(rows: Sequence[Row], columns: dict[str, str], path: Path) -> Non
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_suffix(".tmp")
-    pq.write_table(pa.Table.from_pylist(list(rows), arrow_schema(columns)), partial, compression="zstd")
-    partial.replace(path)
+    make_directories(path.parent)
+    with whole(path) as new:
+        pq.write_table(pa.Table.from_pylist(list(rows), arrow_schema(columns)), new, compression="zstd")
 
 
 def write_texts(texts: Mapping[str, str], folder: Path, ending: str) -> None:

@@ -4,7 +4,7 @@ Everything left out is said in a note that names the column, and can be kept (`k
 """
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,15 +21,19 @@ KEEP = "--keep-held keeps them"
 @dataclass(frozen=True)
 class Conditioned:
     """flight: without wild values. found: column -> its repeated values; empty where they are kept. notes: on wild values and
-    on what stands still with everything else."""
+    on what stands still with everything else. between: column -> (N,) samples that an import drew on straight lines between two
+    of a slower sensor."""
 
     flight: Flight
     found: Mapping[str, Repeats]
     notes: tuple[Note, ...]
+    between: Mapping[str, NDArray[np.bool_]] = field(default_factory=dict)
 
     def fresh(self, column: str) -> NDArray[np.bool_]:
-        """(N,) samples at which a column shows a measurement, and no repeat of a slow sensor."""
+        """(N,) samples at which a column shows a measurement: no repeat of a slow sensor, nothing drawn between two samples."""
         told = np.isfinite(self.flight[column])
+        if column in self.between:
+            told = told & ~self.between[column]
         return told & ~self.found[column].held if column in self.found else told
 
     def stuck(self, column: str) -> NDArray[np.bool_]:
@@ -44,6 +48,10 @@ class Conditioned:
             text = f"{column} not measured at {missing} samples: not compared there"
             notes.append(Note(NoteKind.NOT_MEASURED, text, ((column, column),)))
         notes += self.of_slow(column, "repeats are not compared")
+        if column in self.between:
+            rate = self.flight.native_rate(column) or 0.0
+            text = f"{column} was logged at {rate:.3g} Hz: compared at its own samples, not at those drawn between them"
+            notes.append(Note(NoteKind.HELD, text, ((column, column),)))
         notes += self.of_stuck(column, f"not compared there; {KEEP}")
         values[~self.fresh(column) | self.stuck(column)] = np.nan
         return values, notes
@@ -87,7 +95,34 @@ def conditioned(flight: Flight, columns: Iterable[str], *, keep_held: bool = Fal
     if changed:
         flight = flight.with_columns(**changed)
     found = {} if keep_held else {name: repeats(flight, name) for name in names}
-    return Conditioned(flight, found, tuple(notes))
+    drawn = {} if keep_held else {name: b for name in names if (b := drawn_between(flight, name)) is not None}
+    return Conditioned(flight, found, tuple(notes), drawn)
+
+
+NOT_SLOWER = 0.9
+"""Of the flight's rate: a column logged at more than this is as fast as the samples."""
+
+
+def drawn_between(flight: Flight, column: str) -> NDArray[np.bool_] | None:
+    """(N,) samples of a column that its import drew between those that were logged; None where it was logged as fast as the
+    samples, or the flight does not say at which rate.
+
+    One sample stands for each that was logged, in each of its intervals the one at which the straight lines meet: there the
+    second difference is largest. So a log has the information it has, on whatever grid.
+    """
+    rate = flight.native_rate(column)
+    if rate is None or column in flight.reconstructed or rate >= NOT_SLOWER / flight.sample_interval:
+        return None
+    values = flight[column]
+    bend = np.zeros(len(flight))
+    bend[1:-1] = np.abs(np.diff(values, 2))
+    bend[~np.isfinite(bend)] = 0.0
+    interval = np.floor((flight.time - flight.time[0]) * rate + 1e-6).astype(np.int64)
+    order = np.lexsort((-bend, interval))
+    first = np.concatenate([[True], np.diff(interval[order]) > 0])
+    drawn = np.ones(len(flight), bool)
+    drawn[order[first]] = False
+    return drawn
 
 
 def repaired(flight: Flight, columns: Iterable[str], *, keep_held: bool = False) -> Conditioned:
@@ -109,7 +144,7 @@ def repaired(flight: Flight, columns: Iterable[str], *, keep_held: bool = False)
         changed[name] = values
         notes += told.of_slow(name, "taken on straight lines between new values")
         notes += told.of_stuck(name, f"left out there; {KEEP}")
-    return Conditioned(told.flight.with_columns(**changed), told.found, tuple(notes))
+    return Conditioned(told.flight.with_columns(**changed), told.found, tuple(notes), told.between)
 
 
 def _wild_note(flight: Flight, name: str, off: NDArray[np.bool_]) -> Note:

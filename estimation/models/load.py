@@ -64,15 +64,16 @@ def check_model(which: str) -> None:
         load_model(which)
 
 
-def asks_for_aircraft(which: str) -> bool:
+def asks_for_aircraft(which: str | Path | type | Model) -> bool:
     """Whether a model takes constants or derivatives from an aircraft: a built-in one, or a class that is given it."""
-    if which in BUILDERS:
-        return True
-    if which.endswith(".toml") or ":" not in which:
-        return False
     from estimation.models.own import takes_aircraft
 
-    return takes_aircraft(_import_class(which))
+    if isinstance(which, type):
+        return takes_aircraft(which)
+    text = "" if isinstance(which, Model) else str(which)
+    if text in BUILDERS:
+        return True
+    return ":" in text and not text.endswith(".toml") and takes_aircraft(_import_class(text))
 
 
 def read_model(path: str | Path) -> Model:

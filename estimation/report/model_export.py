@@ -2,12 +2,12 @@
 
 import csv
 import io
-import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from daq.contract.input_files import read_json
 from daq.contract.outputs import write_json, write_text
 from estimation.errors import EstimationError
 from estimation.models import Model, read_model
@@ -62,7 +62,7 @@ def read_rows(path: Path) -> tuple[str, list[ModelRow]]:
         model = read_model(path)
         return model.name, model_rows(model)
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = read_json(path, "estimate", EstimationError)
         return str(content["model"]), estimate_rows(content, path)
     except OSError as error:
         raise EstimationError(f"{path}: cannot be read ({error.strerror}); name a model or an estimate") from error

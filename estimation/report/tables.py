@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from daq.contract.durable import whole_text, write_text
 from daq.contract.plain_words import visible
 from estimation.report.names import tex
 
@@ -31,11 +32,11 @@ class Table:
     def write(self, folder: Path) -> None:
         """<name>.csv and <name>.tex in `folder`."""
         folder.mkdir(parents=True, exist_ok=True)
-        with (folder / f"{self.name}.csv").open("w", newline="", encoding="utf-8") as file:
+        with whole_text(folder / f"{self.name}.csv") as file:
             writer = csv.writer(file)
             writer.writerow(self._flat_head())
             writer.writerows([[_no_formula(visible(cell)) for cell in row] for row in self.rows])
-        (folder / f"{self.name}.tex").write_text(self.latex(), encoding="utf-8")
+        write_text(folder / f"{self.name}.tex", self.latex())
 
     def _flat_head(self) -> list[str]:
         above = [label for label, span in self.groups for _ in range(span)] or [""] * len(self.head)

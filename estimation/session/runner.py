@@ -7,17 +7,20 @@ from numpy.linalg import LinAlgError
 
 from daq.contract.errors import UserError
 from estimation.aircraft import Aircraft
-from estimation.errors import DataError, EstimationError
+from estimation.errors import AircraftError, DataError, EstimationError
 from estimation.estimators.estimator import NO_EXTRAS, Estimator, Extras, Task
 from estimation.estimators.registry import check_extras, find, names
 from estimation.estimators.result import Result
 from estimation.models.base import Model, ParameterRole
+from estimation.session.airspeed_error import with_airspeed_error
 from estimation.session.flights import unique_names
 from estimation.session.scatter import scatter
 from estimation.session.session import FlightEstimates, Session
 from estimation.session.verdict import verdict
 from groundstation.flight import Flight
+from groundstation.flight.contradictions import contradictions
 from groundstation.flight.quality.plausibility import suspicions
+from groundstation.flight.quality.rates import too_slow
 from groundstation.flight.quality.same_record import one_record_twice
 
 NUMERICAL = (LinAlgError, ArithmeticError)
@@ -48,6 +51,9 @@ def estimate(
         raise EstimationError(f"no method given; choose from {', '.join(names())}")
     chosen = [find(m) for m in methods]
     _check(extras, model, chosen)
+    for e in chosen:
+        if e.needs_aircraft:
+            _refuse_unknown(aircraft, e)
     flights = unique_names(flights)
     if joint and (same := one_record_twice(flights)) is not None:
         first, second = (flights[k].name for k in same)
@@ -55,13 +61,14 @@ def estimate(
             f"{second} is of the same record as {first}, which would count twice jointly: give every flight once"
         )
     task = Task(model, flights, aircraft, extras, device, tell=progress or (lambda text: None))
-    found = {e.name: _each(e, task) for e in chosen}
+    found = {e.name: _with_airspeed_errors(_each(e, task), [[f] for f in flights]) for e in chosen}
     for flight, outcomes in zip(flights, zip(*found.values(), strict=True), strict=True):
         _refuse_useless(flight, outcomes)
     together: dict[str, Outcome] = {}
     for e in chosen if joint else ():
         task.tell(f"joint over {len(flights)} flights: {e.title}")
-        together[e.name] = _tried(e, replace(task, model=joint_model(model), number=len(flights)))
+        joined = _tried(e, replace(task, model=joint_model(model), number=len(flights)))
+        together[e.name] = _with_airspeed_errors([joined], [flights])[0]
     done = []
     for i, flight in enumerate(flights):
         results, failures = _split({m: outcomes[i] for m, outcomes in found.items()})
@@ -70,6 +77,12 @@ def estimate(
     results, failures = _split(together)
     session = Session(aircraft, model, tuple(found), tuple(done), results, mean, joint_failures=failures)
     return _judged(session)
+
+
+def _with_airspeed_errors(outcomes: Sequence[Outcome], flights: Sequence[Sequence[Flight]]) -> list[Outcome]:
+    """Outcomes with what the airspeeds of their flights may be off in the bounds."""
+    pairs = zip(outcomes, flights, strict=True)
+    return [with_airspeed_error(o, of) if isinstance(o, Result) else o for o, of in pairs]
 
 
 def _judged(session: Session) -> Session:
@@ -96,9 +109,16 @@ def _reconstructed_angles(model: Model, flight: Flight) -> tuple[str, ...]:
 
 
 def _odd_columns(model: Model, flight: Flight) -> tuple[str, ...]:
-    """What the record of a flight itself shows of columns of the model that are of another unit or sign."""
+    """What the record of a flight itself shows of columns of the model that are of another unit or sign, and the contradictions
+    in it that move derivatives."""
     used = {"time", *(s.source for s in (*model.inputs, *model.outputs, *model.states))}
-    return tuple(s.text for s in suspicions(flight.time, flight.columns) if used & set(s.columns))
+    odd = tuple(s.text for s in suspicions(flight.time, flight.columns) if used & set(s.columns))
+    slow = too_slow(flight, used)
+    return (
+        *odd,
+        *([slow] if slow else []),
+        *(f"{c.text} (moves {c.moves})" for c in contradictions(flight) if c.stops),
+    )
 
 
 def _tried(estimator: Estimator, task: Task) -> Outcome:
@@ -168,6 +188,15 @@ def _check(extras: Extras, model: Model, chosen: Sequence[Estimator]) -> None:
     for name in extras.profile:
         if model.parameter(name).fixed:
             raise EstimationError(f"model {model.name}: {name} is fixed, so it has no profile; free it first")
+
+
+def _refuse_unknown(aircraft: Aircraft, estimator: Estimator) -> None:
+    """AircraftError for a method that takes geometry and mass itself, where nothing at all is known of the aircraft."""
+    if aircraft.unknown:
+        raise AircraftError(
+            f"method {estimator.name} takes geometry and mass of the aircraft, and none is known of aircraft"
+            f" {aircraft.name!r}; say which with --aircraft NAME or FILE"
+        )
 
 
 def joint_model(model: Model) -> Model:

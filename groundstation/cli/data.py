@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from daq.contract import outputs
+from daq.contract.durable import write_text
 from daq.contract.errors import UserError
 from daq.contract.outputs import tried_file, tried_folder
 
@@ -26,14 +27,22 @@ def write_json(report: Path | None, content: Any) -> None:
 
 
 def _say(flight: "Flight", output: Path, report: Path | None) -> None:
+    from groundstation.flight.contradictions import contradictions
+
     rate = 1 / flight.sample_interval
-    measured = sum(flight.measured(c) for c in flight.columns)
+    channels = flight.channels
+    measured = sum(
+        flight.measured(c) and channels.get(c, {}).get("kind", "measured") == "measured" for c in flight.known_columns
+    )
+    contradicted = contradictions(flight)
     click.echo(
         f"{output}: {len(flight)} samples, {flight.time[-1] - flight.time[0]:.1f} s at {rate:.1f} Hz, "
         f"{len(flight.segments)} segment{'s' if len(flight.segments) > 1 else ''}, {measured} columns measured"
     )
     for note in flight.notes:
         click.echo(f"  note: {note}")
+    for one in contradicted:
+        click.echo(f"  contradiction: {one.text}{f' (moves {one.moves})' if one.moves else ''}")
     content = {
         "flight": str(output),
         "samples": len(flight),
@@ -42,6 +51,8 @@ def _say(flight: "Flight", output: Path, report: Path | None) -> None:
         "segments": len(flight.segments),
         "columns": [c for c in flight.columns if flight.measured(c)],
         "notes": [note.text for note in flight.notes],
+        "channels": channels,
+        "contradictions": [one.to_json() for one in contradicted],
         "provenance": {
             "source": flight.provenance.source,
             "sha256": flight.provenance.sha256,
@@ -198,7 +209,7 @@ def bench(
     fits = fit_bench(raw, chosen, base, today=day.date() if day else None)
     output.mkdir(parents=True, exist_ok=True)
     for name, text in fitted_set(base, fits).texts.items():
-        (output / name).write_text(text, encoding="utf-8")
+        write_text(output / name, text)
     for fit in fits:
         click.echo(fit.text)
     click.echo(f"{output}: {len(fits)} of {len(base.instruments)} calibration files fitted, the others taken over")

@@ -1,7 +1,7 @@
 """Which files `sideslip import` reads, by the ending of their names; those of installed packages come on top."""
 
 TABLES = (".csv", ".txt", ".tsv", ".asc", ".dat", ".parquet", ".mat")
-LOGS = {".ulg": "px4", ".ulog": "px4", ".bin": "ardupilot", ".tlog": "mavlink"}
+LOGS = {".ulg": "px4", ".ulog": "px4", ".bin": "ardupilot", ".log": "ardupilot", ".tlog": "mavlink"}
 """Logs of autopilots -> the built-in map of their channels."""
 
 FOREIGN = frozenset({".csv", ".parquet", ".mat", ".ulg", ".ulog", ".tlog"})

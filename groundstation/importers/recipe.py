@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from groundstation.importers.functions import name_of
 from groundstation.importers.run import read_logs
 from groundstation.importers.servos import parameter_of
 
@@ -32,8 +33,12 @@ class ServoOutput:
     def line(self) -> str:
         """For a person."""
         moved = f"{self.name}: {self.low:g} to {self.high:g}, most often {self.usual:g}"
-        said = ", ".join(f"{ending} {value:g}" for ending, value in self.stated.items())
+        said = ", ".join(_told(ending, value) for ending, value in self.stated.items())
         return f"{moved}; its parameters say {said}" if said else moved
+
+
+def _told(ending: str, value: float) -> str:
+    return f"{ending} {value:g} ({name_of(value)})" if ending == "FUNCTION" else f"{ending} {value:g}"
 
 
 ENDINGS = ("FUNCTION", "MIN", "TRIM", "MAX", "REVERSED")

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.flight.contradictions import Contradiction
 from groundstation.importers.errors import ImportDataError
 
 Array = NDArray[np.float64]
@@ -47,6 +48,9 @@ class Log:
     detail: Mapping[str, str] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
     parameters: Mapping[str, float] = field(default_factory=dict)
+    kinds: Mapping[str, str] = field(default_factory=dict)
+    contradictions: tuple[Contradiction, ...] = ()
+    origin: float = 0.0
 
     def extended(self, series: Mapping[str, Series], units: Mapping[str, str]) -> "Log":
         """The same with further series."""
@@ -94,11 +98,22 @@ def grid(series: Mapping[str, Series], rate_hz: float) -> Array:
     return start + np.arange(int(np.floor((stop - start) * rate_hz + 1e-9)) + 1) / rate_hz
 
 
+PAUSE = 5.0
+"""A step longer than this [s] is a pause in recording, no late delivery."""
+BURSTY = 2.0
+"""A series whose samples, over its whole length, come so many times slower than from one to the next comes in bursts."""
+
+
 def native_rate(series: Series) -> float:
-    """Median rate of a series [Hz]; 0 for fewer than two samples."""
-    steps = np.diff(series.time)
+    """Median rate of a series [Hz], or how many samples come in a second where they come in bursts; 0 for fewer than two."""
+    steps = np.diff(series.time[np.isfinite(series.time)])
     steps = steps[steps > 1e-9]  # stamps are of a microsecond at best: what is closer is the same instant
-    return float(1 / np.median(steps)) if steps.size else 0.0
+    if not steps.size:
+        return 0.0
+    typical = float(1 / np.median(steps))
+    running = steps[steps <= PAUSE]
+    mean = running.size / float(running.sum()) if running.size else typical
+    return mean if typical > BURSTY * mean else typical
 
 
 def resample(series: Series, time: Array, *, hold: bool = False) -> Array:
@@ -113,7 +128,7 @@ def resample(series: Series, time: Array, *, hold: bool = False) -> Array:
     y = y[first]
     if t.size < 2:
         return np.full_like(time, np.nan)
-    interval = float(np.median(np.diff(t)))
+    interval = 1.0 / native_rate(Series(t, y))
     step = float(np.median(np.diff(time))) if time.size > 1 else interval
     before = np.clip(np.searchsorted(t, time, side="right") - 1, 0, t.size - 2)
     edge = 1e-6 * interval  # rounding of a grid that ends with the series

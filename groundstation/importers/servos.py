@@ -95,6 +95,32 @@ def with_servos(log: Log, servos: dict[str, Servo]) -> tuple[Log, tuple[str, ...
     return replace(log.extended(series, units), notes=(*log.notes, *notes)), absent
 
 
+def outputs_elsewhere(log: Log, servos: dict[str, Servo]) -> list[str]:
+    """Notes on servos whose output is absent or off throughout, while the same output of another instance moves: autopilots drive
+    several sets of outputs (MAIN and AUX, IO and FMU)."""
+    notes = []
+    for name, servo in servos.items():
+        made = log.series.get(PREFIX + name)
+        if made is not None and np.isfinite(made.values).any():
+            continue
+        topic, _, field = servo.column.partition(".")
+        pattern = re.compile(re.escape(topic.split("[")[0]) + r"(\[\d+\])?\." + re.escape(field))
+        moving = [n for n, s in log.series.items() if n != servo.column and pattern.fullmatch(n) and _moves(s.values)]
+        missing = "is off throughout" if made is not None else "is not in the file"
+        if moving:
+            notes.append(
+                f"servo {name}: {servo.column} {missing}, while {', '.join(moving)} moves: name it in the mapping"
+            )
+        elif made is not None:
+            notes.append(f"servo {name}: {servo.column} {missing}: no value of it is a position of this servo")
+    return notes
+
+
+def _moves(values: Array) -> bool:
+    known = values[np.isfinite(values)]
+    return known.size > 1 and float(np.ptp(known)) > 0.0
+
+
 def _trim(name: str, servo: Servo, log: Log) -> tuple[float, str | None]:
     """The output at which the surface stands at zero, and what is to be told of it."""
     parameter = parameter_of(servo.column, "TRIM")

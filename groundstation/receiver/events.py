@@ -203,6 +203,21 @@ class Doubted:
 
 
 @dataclass(frozen=True, slots=True)
+class Quarantined:
+    """Something of a sender that cannot be used, told the first time that it comes. system 0: of no aircraft in particular."""
+
+    system: int
+    what: str
+    why: str
+    received_ns: int
+
+    @property
+    def text(self) -> str:
+        """For a person."""
+        return f"{self.what} not used: {self.why}"
+
+
+@dataclass(frozen=True, slots=True)
 class Contested:
     """A second sender speaks for an aircraft that is being heard from another.
 
@@ -290,6 +305,7 @@ Event = (
     | ManoeuvreSent
     | Refused
     | Doubted
+    | Quarantined
     | Contested
     | Trouble
     | BackfillProgress

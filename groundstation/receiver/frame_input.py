@@ -127,7 +127,7 @@ class FrameInput:
         """Hand the telemetry log to the operating system."""
         if self._tlog is not None:
             with self._faults.watch(TELEMETRY_LOG):
-                self._tlog.flush()
+                self._tlog.look_after()
 
     @property
     def logs(self) -> list[TlogWriter]:

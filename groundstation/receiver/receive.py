@@ -26,6 +26,7 @@ from groundstation.receiver.kept.sessions import RECORDING, Sessions
 from groundstation.receiver.link_config import LinkConfig
 from groundstation.receiver.link_quality import RateMeter
 from groundstation.receiver.ports.link import open_port
+from groundstation.receiver.quarantine import Quarantine
 from groundstation.receiver.security import SIGNING_STATE, Gate, make_signer
 from groundstation.receiver.senders import Senders
 from groundstation.receiver.sending.backfill import BackfillClient, Mode
@@ -84,6 +85,7 @@ class Receiver:
         self._lock = threading.RLock()
         self.faults = Faults()
         self.doubts = d.Doubts()
+        self.quarantine = Quarantine()
         self._gate = Gate(make_signer(config, clock), self.faults)
         if self._gate.signer is not None and self._gate.signer.notice:
             self.faults.note(SIGNING_STATE, OSError(self._gate.signer.notice))
@@ -119,11 +121,15 @@ class Receiver:
             out: list[ev.Event] = []
             now, utc = self.clock.monotonic_ns(), self.clock.utc_ns()
             for sender, frame in self._frame_input.frames(now, utc):
-                self._take_frame(frame, sender, now, utc, out)
+                try:
+                    self._take_frame(frame, sender, now, utc, out)
+                except Exception as error:  # noqa: BLE001  the edge of reception: no frame ends a flight
+                    self.quarantine.put_error(frame.system, f"a frame of {frame.name}", error)
             out += [*self._gate.reports(now), *self._contests(now)]
             self._keep(out)
-            self._do_due(now, out)
-            return out + self.doubts.reports(now) + self.faults.changes(now)
+            with self.quarantine.guard(d.NOBODY, "what is due to be sent and told"):
+                self._do_due(now, out)
+            return out + self.doubts.reports(now) + self.quarantine.reports(now) + self.faults.changes(now)
 
     @property
     def port_faults(self) -> dict[str, str]:
@@ -226,12 +232,18 @@ class Receiver:
         """Hand events to the recorders of their sessions."""
         for event in out:
             if isinstance(event, ev.Restarted):
-                with self.faults.watch(RECORDING):
+                with self.quarantine.guard(event.session.system, "its new session"), self.faults.watch(RECORDING):
                     self._begin(event.session)
             elif isinstance(event, ev.ScanReceived | ev.EventMarked):
-                sessions = self._aircraft[event.session.system].sessions
-                if sessions is not None and not sessions.keep(event):
-                    self.doubts.note(event.session.system, d.EVENTS)
+                try:
+                    self._keep_one(event)
+                except Exception as error:  # noqa: BLE001  one scan that cannot be kept is not the next one's end
+                    self.quarantine.put_error(event.session.system, f"a {type(event).__name__} in the recording", error)
+
+    def _keep_one(self, event: ev.ScanReceived | ev.EventMarked) -> None:
+        sessions = self._aircraft[event.session.system].sessions
+        if sessions is not None and not sessions.keep(event):
+            self.doubts.note(event.session.system, d.EVENTS)
 
     def _begin(self, session: ev.Session) -> None:
         aircraft = self._aircraft[session.system]
@@ -317,6 +329,7 @@ class Receiver:
             if progress is not None:
                 out.append(progress)
         self._frame_input.flush()
+        self._look_after_disk()
         for what, count in (
             (d.BYTES, self._frame_input.refused_bytes),
             (d.DATAGRAMS, self._frame_input.datagrams_dropped),
@@ -325,6 +338,14 @@ class Receiver:
         with self.faults.watch(_DISK):
             journals = (r.journal for kept in self._kept() for r in kept.recorders.values())
             self._disk.sync([*self._frame_input.logs, *journals])
+
+    def _look_after_disk(self) -> None:
+        """Journals go on where the disk failed, and what it has lost is wanted again."""
+        for aircraft in self._aircraft.values():
+            if aircraft.sessions is not None:
+                aircraft.sessions.look_after()
+            if aircraft.backfill is not None:
+                aircraft.backfill.look_after()
 
     # ------------------------------------------------------------------------------------------ for the owner
 
@@ -396,7 +417,18 @@ class Receiver:
         with self._lock:
             trackers = [t for a in self._aircraft.values() for t in a.decoder.trackers.values()]
             made = counters(self.accounting(), self._frame_input.totals(), trackers, self._gate.rejected, self._written)
-            return made | self._unbelieved()
+            return made | self._unbelieved() | self._on_disk()
+
+    def _on_disk(self) -> dict[str, Any]:
+        """What the disk holds of what came down, for `ground --json`."""
+        books = [(a.sessions, b) for a in self._aircraft.values() for b in a.decoder.sessions]
+        states = [(kept.state(b) if kept is not None else None) for kept, b in books]
+        known = [state for state in states if state is not None]
+        return {
+            "scans_on_disk": sum(on_disk for on_disk, _ in known),
+            "scans_not_on_disk": sum(gone for _, gone in known),
+            "telemetry_bytes_refused": sum(log.refused for log in self._frame_input.logs),
+        }
 
     def _unbelieved(self) -> dict[str, Any]:
         """What came and was not used, for `ground --json`."""
@@ -407,6 +439,7 @@ class Receiver:
             "second_senders": [row for a in self._aircraft.values() for row in a.senders.table()],
             "scans_doubted": self.doubts.total(d.NUMBERS) + sum(a.decoder.waiting for a in self._aircraft.values()),
             "doubted": self.doubts.table(),
+            "quarantined": self.quarantine.table(),
         }
 
     def close(self) -> None:

@@ -50,7 +50,10 @@ def is_raw(file: Path) -> bool:
     """Whether a .mcap file holds scans as counts, told by its first bytes; a flight does not."""
     from daq.contract.scan import SCAN_TOPIC
 
-    return file.is_file() and SCAN_TOPIC.encode() in file.read_bytes()[:65536]
+    if not file.is_file():
+        return False
+    with file.open("rb") as opened:
+        return SCAN_TOPIC.encode() in opened.read(65536)
 
 
 def _raw(file: Path, target: Path, layout: Layout, calibration: Path | None) -> Path:

@@ -12,6 +12,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from daq.contract.input_files import read_bytes
 from daq.contract.recordings.mcap_records import Attachment, Metadata
 from daq.contract.recordings.messages import (
     EVENT_TOPIC,
@@ -165,10 +166,7 @@ def read_parts(path: Path) -> list[Segment]:
 
     Raises RecordingError when the file cannot be opened or is not an MCAP file at all.
     """
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise RecordingError(f"{path}: cannot be read ({error.strerror or error})") from error
+    data = read_bytes(path, "recording", RecordingError)
     if not data:
         raise RecordingError(f"{path}: the file is empty")
     parts = [_Part(path, 0)]

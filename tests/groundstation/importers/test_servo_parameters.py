@@ -98,7 +98,7 @@ def test_a_telemetry_log_states_them_in_param_value(tmp_path: Path) -> None:
     frames += [link.servo_output_raw_encode(1_000_000 * i, 0, 1500 + i, *[0] * 7) for i in range(3)]
     path = tmp_path / "x.tlog"
     path.write_bytes(b"".join((10**15 + i).to_bytes(8, "big") + f.pack(link) for i, f in enumerate(frames)))
-    assert dict(read_tlog(path).parameters) == {"SERVO1_TRIM": 1540.0, "SERVO1_MIN": 1100.0, "SERVO1_REVERSED": 1.0}
+    assert dict(read_tlog(path)[0].parameters) == {"SERVO1_TRIM": 1540.0, "SERVO1_MIN": 1100.0, "SERVO1_REVERSED": 1.0}
 
 
 def test_dataflash_parameters_are_read(tmp_path: Path) -> None:

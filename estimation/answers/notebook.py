@@ -60,7 +60,7 @@ class Figures(Mapping[str, "Picture"]):
 
 def plot_estimates(result: "Result", ax: Any) -> Any:
     """Every derivative that could be told relative to its size, with the corrected bound."""
-    (ax,) = _axes(ax, 1, (7.0, 3.2))
+    (ax,) = panels(ax, 1, (7.0, 3.2))
     told = {n: e for n, e in result.parameters.items() if e.identifiable and not n.endswith("_0")}
     size = {n: abs(e.reference) if e.reference else abs(e.estimate) for n, e in told.items()}
     at = range(len(told))
@@ -85,7 +85,7 @@ def plot_proof(proof: "Proof", ax: Any) -> Any:
 
 def plot_scores(result: "GapResult", ax: Any) -> Any:
     """The leading hypotheses with their scores, and the threshold that simulated nulls set."""
-    (ax,) = _axes(ax, 1, (7.0, 3.2))
+    (ax,) = panels(ax, 1, (7.0, 3.2))
     leading = sorted(result.scores, key=lambda n: -result.scores[n])[:LEADING]
     named = {s.effect for s in result.steps}
     colours = ["C0" if n in named else "0.6" for n in leading]
@@ -101,7 +101,7 @@ def plot_watched(found: "Watched", ax: Any) -> Any:
     """Score of the gap monitor over its threshold, where controls moved; lines where an alarm was told."""
     from estimation.watch.answer import draw_history
 
-    (ax,) = _axes(ax, 1, (7.0, 2.6))
+    (ax,) = panels(ax, 1, (7.0, 2.6))
     draw_history(found, ax)
     return ax
 
@@ -111,7 +111,7 @@ def _histories(units: Mapping[str, str], time: Any, measured: Any, curves: Mappi
     from estimation.report.drawing.figures import broken_at_gaps
     from estimation.report.names import face
 
-    axes = _axes(ax, len(units), (7.0, 1.1 * len(units) + 0.6))
+    axes = panels(ax, len(units))
     for i, (each, (name, si)) in enumerate(zip(axes, units.items(), strict=True)):
         factor, unit = face(name, si)
         each.plot(time, factor * measured[:, i], ".", color="0.6", markersize=2.0, label="measured")
@@ -123,14 +123,16 @@ def _histories(units: Mapping[str, str], time: Any, measured: Any, curves: Mappi
     return axes
 
 
-def _axes(ax: Any, count: int, size: tuple[float, float]) -> Any:
-    """(count,) axes: those given, or new ones. UserError where another number is given."""
+def panels(ax: Any, count: int, size: tuple[float, float] | None = None) -> Any:
+    """(count,) axes one above the other: those given, or new ones. UserError where another number is given. size: [inches]."""
     from daq.contract.errors import UserError
 
     if ax is None:
         from matplotlib import pyplot as plt
 
-        _, ax = plt.subplots(count, 1, sharex=True, squeeze=False, figsize=size, layout="constrained")
+        _, ax = plt.subplots(
+            count, 1, sharex=True, squeeze=False, figsize=size or (7.0, 1.1 * count + 0.6), layout="constrained"
+        )
     axes = np.atleast_1d(np.asarray(ax, dtype=object)).ravel()
     if axes.size != count:
         raise UserError(f"{axes.size} axes for {count} panels; give one for each, or none")
