@@ -20,6 +20,7 @@ if TYPE_CHECKING:
         import_log,
         match,
         open,
+        performance,
         reconstruct,
         simulate,
         watch,
@@ -38,7 +39,7 @@ _HOMES = {
 _RENAMED = {"frequency_response": "frequency"}
 __all__ = [
     "Flown", "check", "design", "estimate", "fly_scenario", "frequency", "frequency_response", "gap", "import_log", "main",
-    "match", "open", "reconstruct", "simulate", "software_version", "watch",
+    "match", "open", "performance", "reconstruct", "simulate", "software_version", "watch",
 ]  # fmt: skip
 
 
