@@ -20,6 +20,7 @@ if TYPE_CHECKING:
         import_log,
         match,
         open,
+        performance,
         reconstruct,
         simulate,
         watch,
@@ -40,7 +41,8 @@ _HOMES = {
 _RENAMED = {"frequency_response": "frequency"}
 __all__ = [
     "Flown", "calibrate", "check", "design", "estimate", "fly_scenario", "frequency", "frequency_response", "gap",
-    "import_log", "info", "main", "match", "open", "reconstruct", "recover", "simulate", "software_version", "verify", "watch",
+    "import_log", "info", "main", "match", "open", "performance", "reconstruct", "recover",
+    "simulate", "software_version", "verify", "watch",
 ]  # fmt: skip
 
 

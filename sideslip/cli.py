@@ -60,6 +60,9 @@ VERBS: dict[str, Verb] = {
     ),
     "estimate": Verb("estimation.commands.estimate", "estimate", "Aerodynamic parameters with bounds."),
     "match": Verb("estimation.commands.match", "match", "Proof of match on flights not used for the estimate."),
+    "performance": Verb(
+        "estimation.commands.performance", "performance", "Drag polar, glide, sink and power required, with bounds."
+    ),
     "frequency": Verb(
         "estimation.commands.frequency", "frequency", "Frequency responses with error, fits and figures."
     ),

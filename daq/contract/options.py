@@ -48,7 +48,10 @@ def model_option(
 
 def simulation_option() -> Option[Any]:
     """`--simulation KIND:WHICH`."""
-    text = "A simulation of your own as base: jsbsim:AIRCRAFT (name or folder), module:function or MODEL.toml."
+    text = (
+        "A simulation of your own as base: jsbsim:AIRCRAFT (name or folder), ardupilot:FILE.json, gazebo:FILE.sdf,"
+        " module:function or MODEL.toml."
+    )
     return click.option("--simulation", help=text)
 
 
