@@ -12,7 +12,7 @@ from daq.contract.errors import UserError
 from daq.contract.input_files import check_file, read_bytes
 from daq.contract.plain_words import one_line
 from groundstation.importers.columns import chosen_source, flight_kind
-from groundstation.importers.draft_names import meant, time_column, time_unit, unit_of
+from groundstation.importers.draft_names import fits, meant, time_column, time_unit, unit_in_name, unit_of
 from groundstation.importers.draft_surfaces import drafted_servos, surface_lines
 from groundstation.importers.endings import TABLES
 from groundstation.importers.errors import ImportDataError
@@ -132,6 +132,8 @@ def _of_table(path: Path) -> list[str]:
             unit, why, sure = str(known.columns[flight_column][0].unit), f"by its header; {why}", True
         elif stated:
             unit, why, sure = stated, f"by the row of units; {why}", True
+        elif (named := unit_in_name(name)) is not None and fits(named, flight_column):
+            unit, why, sure = named, f"the unit stands in its name; {why}", True
         others = f"; also {', '.join(map(one_line, found[flight_column][1:]))}" if len(found[flight_column]) > 1 else ""
         doubt = "" if sure else "CHECK: "
         lines.append(

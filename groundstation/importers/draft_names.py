@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.contract.channels import COLUMN_BY_NAME
-from groundstation.importers.units import UNITS
+from groundstation.importers.units import UNITS, find_unit
 
 Array = NDArray[np.float64]
 
@@ -47,8 +47,12 @@ _MEANT: tuple[tuple[str, str], ...] = (
 )
 """Flight column -> names that people give it, in lower case, without units and with one underscore between words."""
 _UNIT_IN_NAME = re.compile(
-    r"[ _]?[\[(]?(deg(/s|ps)?|rad(/s|ps)?|m_?s2|m/s\^?2?|knots|kts?|ft|psi|hpa|kpa|pa|degc|kg/?m3)[\])]?$", re.I
+    r"[ _]?[\[(]?(deg[/_]?s|degps|dps|deg|rad[/_]?s|rad|m[/_]?s\^?2|m[/_]s|mps|knots|kts?|kmh|ft|psi"
+    r"|hpa|kpa|pa|degc|kg[/_]?m3|g)[\])]?$",
+    re.IGNORECASE,
 )
+_SPELT = {"deg_s": "deg/s", "degs": "deg/s", "degps": "deg/s", "rad_s": "rad/s", "rads": "rad/s", "m_s2": "m/s2", "ms2": "m/s2",
+          "m_s": "m/s", "kmh": "km/h", "kg_m3": "kg/m3", "kgm3": "kg/m3"}  # fmt: skip
 _TIME = re.compile(r"(?i)(irig_?)?(time|t|timestamp|stamp|clock|sec(onds)?)(_?(s|ms|us|ns|utc|sec))?")
 
 _GRAVITY = {"m/s2": 9.80665, "g": 1.0, "ft/s2": 32.174, "mg": 1000.0, "cm/s2": 980.665}
@@ -71,6 +75,21 @@ class Guess:
 def plain(name: str) -> str:
     """A name as the table of names knows them."""
     return re.sub(r"[^a-z0-9]+", "_", _UNIT_IN_NAME.sub("", name).lower()).strip("_")
+
+
+def unit_in_name(name: str) -> str | None:
+    """The unit at the end of a name, as `deg/s` of `roll_rate_deg_s`."""
+    match = _UNIT_IN_NAME.search(name)
+    if match is None or match.start() == 0:
+        return None
+    word = match[1].lower()
+    return word if find_unit(_SPELT.get(word, word)) is not None and word not in _SPELT else _SPELT.get(word)
+
+
+def fits(unit: str, column: str) -> bool:
+    """Whether a unit is one of the quantity of a flight column."""
+    found = find_unit(unit)
+    return found is not None and found.si == COLUMN_BY_NAME[column].unit
 
 
 def meant(names: Sequence[str]) -> dict[str, list[str]]:

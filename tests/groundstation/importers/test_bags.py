@@ -165,7 +165,8 @@ def test_json_and_a_map(tmp_path: Path) -> None:
             )
         writer.finish()
     mapping.write_text(
-        'format = 1\n[columns]\nphi = { column = "/state.roll", unit = "deg" }\np = { column = "/state.gyro[0]", unit = "rad/s" }\n'
+        'format = 1\n[columns]\nphi = { column = "/state.roll", unit = "deg" }\n'
+        'p = { column = "/state.gyro[0]", unit = "rad/s" }\n'
     )
     flight = import_data(path, mapping, accept_implausible=True)
     np.testing.assert_allclose(flight["phi"], np.radians(10.0 * np.sin(flight.time - flight.time[0])), atol=1e-3)
