@@ -47,7 +47,7 @@ _MEANT: tuple[tuple[str, str], ...] = (
 )
 """Flight column -> names that people give it, in lower case, without units and with one underscore between words."""
 _UNIT_IN_NAME = re.compile(
-    r"[ _]?[\[(]?(deg[/_]?s|degps|dps|deg|rad[/_]?s|rad|m[/_]?s\^?2|m[/_]s|mps|knots|kts?|kmh|ft|psi"
+    r"[ _\[(]+(deg[/_]?s|degps|dps|deg|rad[/_]?s|rad|m[/_]?s\^?2|m[/_]s|mps|knots|kts?|kmh|ft|psi"
     r"|hpa|kpa|pa|degc|kg[/_]?m3|g)[\])]?$",
     re.IGNORECASE,
 )

@@ -49,7 +49,8 @@ def test_a_table_is_drafted_with_units_by_its_values(tmp_path: Path) -> None:
     )
     columns = {
         "Time": 1000 * time, "roll": phi, "pitch": theta, "heading": psi % 360, "gyro_x": p, "gyro_y": q, "gyro_z": r,
-        "acc_x": np.sin(th), "acc_y": -np.sin(f) * np.cos(th), "acc_z": -np.cos(f) * np.cos(th), "static_pressure": 950.0 + 0 * time, "mystery": time,
+        "acc_x": np.sin(th), "acc_y": -np.sin(f) * np.cos(th), "acc_z": -np.cos(f) * np.cos(th),
+        "static_pressure": 950.0 + 0 * time, "mystery": time,
     }  # fmt: skip
     path, draft = tmp_path / "log.csv", tmp_path / "map.toml"
     np.savetxt(path, np.column_stack(list(columns.values())), delimiter=",", header=",".join(columns), comments="")
@@ -61,7 +62,8 @@ def test_a_table_is_drafted_with_units_by_its_values(tmp_path: Path) -> None:
     assert chosen.time.unit == "ms"
     units = {n: s[0].unit for n, s in chosen.columns.items()}
     assert units == {
-        "phi": "deg", "theta": "deg", "psi": "deg", "p": "rad/s", "q": "rad/s", "r": "rad/s", "ax": "g", "ay": "g", "az": "g", "p_static": "hPa",
+        "phi": "deg", "theta": "deg", "psi": "deg", "p": "rad/s", "q": "rad/s", "r": "rad/s", "ax": "g", "ay": "g", "az": "g",
+            "p_static": "hPa",
     }  # fmt: skip
     assert "# mystery: UNKNOWN" in text
     assert "# V = UNKNOWN" in text
@@ -71,7 +73,7 @@ def test_a_table_is_drafted_with_units_by_its_values(tmp_path: Path) -> None:
 
 
 def flown(time: np.ndarray, rng: np.random.Generator) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-    """Pulses [us] of three servos, and the rates that they make through a lag: trailing edge down (rudder: to port) turns down."""
+    """Pulses [us] of three servos, and the rates that they make through a lag."""
     pulses, rates = {}, {}
     for name, rate in (("aileron", "p"), ("elevator", "q"), ("rudder", "r")):
         steps = np.repeat(rng.choice([-1.0, 0.0, 1.0], time.size // 40 + 1), 40)[: time.size]
@@ -95,7 +97,8 @@ def dataflash(path: Path) -> None:
     out += described(64, 35, "PARM", "QNff", "TimeUS,Name,Value,Default")
     out += described(65, 19, "RCOU", "QHHHH", "TimeUS,C1,C2,C3,C4")
     out += described(66, 35, "IMU", "Qffffff", "TimeUS,GyrX,GyrY,GyrZ,AccX,AccY,AccZ")
-    stated = {"SERVO1_FUNCTION": 4, "SERVO2_FUNCTION": 19, "SERVO3_FUNCTION": 70, "SERVO4_FUNCTION": 21, "SERVO1_TRIM": 1500, "SERVO2_TRIM": 1500,
+    stated = {"SERVO1_FUNCTION": 4, "SERVO2_FUNCTION": 19, "SERVO3_FUNCTION": 70, "SERVO4_FUNCTION": 21,
+              "SERVO1_TRIM": 1500, "SERVO2_TRIM": 1500,
               "SERVO4_TRIM": 1500, "SERVO1_MIN": 1080, "SERVO1_MAX": 1920, "SERVO2_MIN": 1100, "SERVO2_MAX": 1900}  # fmt: skip
     for name, value in stated.items():
         out += struct.pack("<BBBQ16sff", 0xA3, 0x95, 64, 0, name.encode(), value, 0.0)
