@@ -9,7 +9,7 @@ import numpy as np
 
 from daq.contract.channels import COLUMN_BY_NAME
 from daq.contract.errors import UserError
-from daq.contract.input_files import check_file, read_bytes
+from daq.contract.input_files import check_file, parse_toml, read_bytes
 from daq.contract.plain_words import one_line
 from groundstation.importers.columns import chosen_source, flight_kind
 from groundstation.importers.draft_names import fits, meant, time_column, time_unit, unit_in_name, unit_of
@@ -166,17 +166,13 @@ def _table(path: Path) -> "Table":
 
 def _tried(path: Path, text: str) -> Iterator[str]:
     """What an import with the draft finds, as comments."""
-    import tempfile
-
     yield "# An import with this draft says:"
-    with tempfile.TemporaryDirectory() as folder:
-        draft = Path(folder) / "draft.toml"
-        draft.write_text(text, encoding="utf-8")
-        try:
-            flight = import_data(path, draft, accept_implausible=True)
-        except UserError as error:
-            yield f"# {one_line(str(error).replace(str(draft), 'this draft'))}"
-            return
+    try:
+        chosen = Map.model_validate(parse_toml(text, "draft", ImportDataError))
+        flight = import_data(path, chosen, accept_implausible=True)
+    except UserError as error:
+        yield f"# {one_line(str(error))}"
+        return
     from groundstation.flight.contradictions import contradictions
 
     yield from (f"# note: {one_line(n.text)}" for n in flight.notes)
