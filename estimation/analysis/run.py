@@ -115,7 +115,7 @@ def _estimated(
         tried: list[str] = []
         for i, model in enumerate(models):
             tell(f"estimate of {model}", 0.35 + 0.3 * i / len(models))
-            answer = estimate(flights, model, methods, aircraft=aircraft, joint=len(flights) > 1)
+            answer = estimate(flights, model, methods, aircraft=aircraft, joint=len(flights) > 1, structure="auto")
             best = recommended(answer.to_json())
             if best.get("method", "none") != "none":
                 return _kept(answer, stages.folder, tried)
