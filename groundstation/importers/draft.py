@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from daq.contract.channels import COLUMN_BY_NAME
+from daq.contract.durable import write_text
 from daq.contract.errors import UserError
 from daq.contract.input_files import check_file
 from daq.contract.plain_words import one_line
@@ -144,7 +145,7 @@ def _tried(path: Path, text: str) -> Iterator[str]:
     yield "# An import with this draft says:"
     with tempfile.TemporaryDirectory() as folder:
         draft = Path(folder) / "draft.toml"
-        draft.write_text(text, encoding="utf-8")
+        write_text(draft, text)
         try:
             flight = import_data(path, draft, accept_implausible=True)
         except UserError as error:
