@@ -255,8 +255,11 @@ def _bridges(columns: Sequence[tuple[str, Array]], pieces: list[tuple[int, int]]
 
 
 def _rows(told: Conditioned, column: str, a: int, b: int) -> NDArray[np.int64]:
-    """Samples a..b-1 of a column without the repeats of a slow sensor; all of them where too few would be left."""
+    """Samples a..b-1 of a column without the repeats of a slow sensor, and without those that an import drew between its own
+    samples; all of them where too few would be left."""
     repeated = told.found[column].held[a:b] if column in told.found else np.zeros(b - a, bool)
+    if column in told.between:
+        repeated = repeated | told.between[column][a:b]
     kept = np.flatnonzero(~repeated) + a
     return kept if kept.size >= SHORTEST_SEGMENT else np.arange(a, b)
 

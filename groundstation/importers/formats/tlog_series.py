@@ -215,7 +215,9 @@ def _time(r: Received, component: int, order: _Order, clock: _Clock) -> Array:
         return np.where(np.isfinite(own), own, by_receiver)
     place = order(r)
     after = np.clip(np.searchsorted(clock.place, place), 1, clock.own.size - 1)
-    dense = np.abs(clock.own[after] - clock.own[after - 1]) < DENSE
+    delay = clock.stamp - clock.own
+    spread = float(np.subtract(*np.percentile(delay, [95, 5])))  # a burst is late by up to its length
+    dense = np.abs(clock.own[after] - clock.own[after - 1]) < max(DENSE, spread)
     by_order = np.interp(place, clock.place, clock.own)
     between = dense & (place >= clock.place[0]) & (place <= clock.place[-1])
     return np.where(np.isfinite(own), own, np.where(between, by_order, by_receiver))
