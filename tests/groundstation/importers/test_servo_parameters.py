@@ -12,7 +12,7 @@ from groundstation.importers.errors import ImportDataError
 from groundstation.importers.formats.dataflash import read_dataflash
 from groundstation.importers.formats.tlog import read_tlog
 from groundstation.importers.run import import_data
-from sideslip.importing import import_
+from sideslip.cli import cli
 
 PARAMETERS = [("SERVO1_TRIM", 1500.0), ("SERVO1_TRIM", 1540.0), ("SERVO1_MIN", 1100.0), ("SERVO1_REVERSED", 1.0)]
 MAP = """format = 1
@@ -87,7 +87,7 @@ def test_an_output_of_px4_has_no_parameter(tmp_path: Path) -> None:
 
 def test_the_recipe_prints_what_the_parameters_say(tmp_path: Path) -> None:
     log, mapping = flown(tmp_path, "")
-    done = CliRunner().invoke(import_, [str(log), "--map", str(mapping), "--recipe"])
+    done = CliRunner().invoke(cli, ["import", str(log), "--map", str(mapping), "--recipe"])
     assert done.exit_code == 0, done.output
     assert "servo output RCOU.C1: 1100 to 1900, most often 1500; its parameters say MIN 1100, TRIM 1540" in done.output
 

@@ -1,63 +1,62 @@
 """The verb `info`: what is in a file of any of our kinds."""
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import click
 
 from daq.contract.errors import UserError
-from daq.contract.outputs import tried_file, write_json
+from daq.contract.options import json_option
+from daq.contract.outputs import write_json
 
 _READ_HERE = (".tlog", ".csv", ".parquet")
 
 
 @click.command(epilog="Example: sideslip info recordings/cdfp_ld1_raw.mcap --json info.json")
 @click.argument("file", type=click.Path(path_type=Path))
-@click.option(
-    "--json", "json_path", type=click.Path(path_type=Path), callback=tried_file, help="Write the same as JSON."
-)
-@click.pass_context
-def info(ctx: click.Context, file: Path, json_path: Path | None) -> int:
+@json_option("Write the same as JSON.")
+def info(file: Path, json_path: Path | None) -> int:
     """What is in FILE: a raw recording, the directory of its segments, a flight, or a log of an autopilot."""
+    content = content_of(file)
+    if json_path is not None:
+        write_json(content, json_path)
+    for line in lines_of(file, content):
+        click.echo(line)
+    return 0
+
+
+def content_of(file: Path) -> dict[str, Any]:
+    """What is in a file, as `info --json` has it. Raises UserError for what cannot be read, or is a table to be imported."""
     from groundstation.importers.about import is_foreign_log, log_info
     from groundstation.importers.endings import FOREIGN
 
-    if file.suffix != ".tlog" and is_foreign_log(file):
-        _say_log(log_info(file), json_path)
-        return 0
+    if file.suffix == ".tlog":
+        return _tlog_info(file)
+    if is_foreign_log(file):
+        return log_info(file)
     if file.suffix.lower() in FOREIGN - {*_READ_HERE} and file.is_file():
         raise UserError(
             f"{file}: a log of another program; convert it to a flight with 'sideslip import {file} -o FLIGHT.mcap'"
         )
-    if file.suffix not in _READ_HERE:
-        from daq.commands import info as recording_info
+    if file.suffix in _READ_HERE:
+        return _flight_info(file)
+    from daq.contract.recordings.accounting import info_mcap
 
-        ctx.invoke(recording_info, recording=file, json_path=json_path)
-        return 0
-    if file.suffix == ".tlog":
-        from groundstation.receiver.tlog import TlogError, info_tlog
+    return info_mcap(file)
 
-        try:
-            found = info_tlog(file)
-        except TlogError as error:
-            if not file.is_file() or not file.stat().st_size:
-                raise
-            _say_log(_log_or(error, file), json_path)
-            return 0
-        if not found["scans"]:  # not one of ours: an autopilot's
-            _say_log(_log_or(found, file), json_path)
-            return 0
-    else:
-        found = _flight_info(file)
-    if json_path is not None:
-        write_json(found, json_path)
-    click.echo(
-        f"{file}: {found['kind']}, {found['source']}, {found['scans']} scans in {found['duration_s']:.2f} s, "
-        f"{found['rate_hz']:.2f} Hz"
-    )
-    for channel in found["channels"]:
-        click.echo(f"  {channel['name']:<24} {channel['unit'] or '-':<6} {channel['samples']:>8} samples")
-    return 0
+
+def _tlog_info(file: Path) -> dict[str, Any]:
+    """Of our own downlink; where it holds no scan of ours, of an autopilot's."""
+    from groundstation.receiver.tlog import TlogError, info_tlog
+
+    try:
+        found = info_tlog(file)
+    except TlogError as error:
+        if not file.is_file() or not file.stat().st_size:
+            raise
+        return _log_or(error, file)
+    return found if found["scans"] else _log_or(found, file)
 
 
 def _log_or(other: "dict[str, Any] | Exception", file: Path) -> dict[str, Any]:
@@ -73,22 +72,34 @@ def _log_or(other: "dict[str, Any] | Exception", file: Path) -> dict[str, Any]:
         return other
 
 
-def _say_log(found: dict[str, Any], json_path: Path | None) -> None:
-    if json_path is not None:
-        write_json(found, json_path)
-    boots = found.get("boots", [])
-    many = f", {len(boots)} boots" if len(boots) > 1 else ""
-    click.echo(
-        f"{found['file']}: {found['kind']} log, {found['duration_s']:.2f} s{many}; 'sideslip import' makes a flight of it"
+def lines_of(file: Path, content: dict[str, Any]) -> Iterator[str]:
+    """The same for a person."""
+    if "boots" in content:
+        yield from _log_lines(content)
+        return
+    if "sound" in content:
+        from daq.commands import info_lines
+
+        yield from info_lines(file, content)
+        return
+    yield (
+        f"{file}: {content['kind']}, {content['source']}, {content['scans']} scans in {content['duration_s']:.2f} s, "
+        f"{content['rate_hz']:.2f} Hz"
     )
-    for note in found.get("notes", []):
-        click.echo(f"  note: {note}")
+    for channel in content["channels"]:
+        yield f"  {channel['name']:<24} {channel['unit'] or '-':<6} {channel['samples']:>8} samples"
+
+
+def _log_lines(found: dict[str, Any]) -> Iterator[str]:
+    boots = found["boots"]
+    many = f", {len(boots)} boots" if len(boots) > 1 else ""
+    yield f"{found['file']}: {found['kind']} log, {found['duration_s']:.2f} s{many}; 'sideslip import' makes a flight of it"
+    yield from (f"  note: {note}" for note in found.get("notes", []))
     topics: dict[str, int] = {}
     for channel in found["channels"]:
         topic = channel["name"].rpartition(".")[0] or channel["name"]
         topics[topic] = max(topics.get(topic, 0), channel["samples"])
-    for topic, samples in topics.items():
-        click.echo(f"  {topic:<32} {samples:>8} samples")
+    yield from (f"  {topic:<32} {samples:>8} samples" for topic, samples in topics.items())
 
 
 def _flight_info(file: Path) -> dict[str, Any]:
