@@ -53,6 +53,7 @@ VERBS: dict[str, Verb] = {
     "import": Verb(
         "groundstation.cli.data", "import_", "CSV, Parquet, MATLAB, ULog, dataflash or MAVLink log to a flight."
     ),
+    "analyse": Verb("sideslip.analysing", "analyse", "From logs to an answer in one go: one page, one verdict."),
     "export": Verb("sideslip.export", "export", "Flights, recordings and models for other programs."),
     "check": Verb("estimation.commands.check", "check", "Data compatibility and data quality."),
     "reconstruct": Verb(

@@ -10,6 +10,8 @@ from daq.contract.errors import UserError
 from daq.contract.options import json_option
 from daq.contract.outputs import write_json
 
+MOST_SAID = 40
+"""Modes, and events with messages, that are printed; the JSON has all."""
 _READ_HERE = (".tlog", ".csv", ".parquet")
 
 
@@ -95,6 +97,13 @@ def _log_lines(found: dict[str, Any]) -> Iterator[str]:
     many = f", {len(boots)} boots" if len(boots) > 1 else ""
     yield f"{found['file']}: {found['kind']} log, {found['duration_s']:.2f} s{many}; 'sideslip import' makes a flight of it"
     yield from (f"  note: {note}" for note in found.get("notes", []))
+    yield from (
+        f"  mode {m['mode']:<16} {m['from']:10.2f} to {m['to']:.2f} s" for m in found.get("modes", [])[:MOST_SAID]
+    )
+    marks = sorted([*found.get("events", []), *found.get("messages", [])], key=lambda m: m["time"])
+    yield from (f"  {mark['time']:10.2f} s  {mark['text']}" for mark in marks[:MOST_SAID])
+    if found.get("parameters"):
+        yield f"  {len(found['parameters'])} parameters (--json lists them)"
     topics: dict[str, int] = {}
     for channel in found["channels"]:
         topic = channel["name"].rpartition(".")[0] or channel["name"]

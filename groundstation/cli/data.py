@@ -162,6 +162,12 @@ def calibrate(
     is_flag=True,
     help="Write no flight: say which models and methods the log is good for, and what one more sensor would add.",
 )
+@click.option(
+    "--draft-map",
+    "drafted",
+    is_flag=True,
+    help="Write no flight, but a mapping file to OUTPUT: columns, units, signs and servos proposed, each with its evidence.",
+)
 @_SPLIT
 @_JSON
 @click.pass_obj
@@ -174,6 +180,7 @@ def import_(
     rate: float | None,
     accept_implausible: bool,
     advised: bool,
+    drafted: bool,
     split: bool,
     report: Path | None,
 ) -> None:
@@ -191,6 +198,11 @@ def import_(
         assert services is not None  # the command line has them
         _advise(services, data, mapping, rate, report)
         return
+    if drafted:
+        if output is None or output.suffix.lower() != ".toml":
+            raise click.UsageError("--draft-map writes a mapping: give -o MAP.toml, and no --recipe")
+        _write_draft(data, output)
+        return
     if output is None:
         raise click.UsageError("Missing option '-o' / '--output'")
     flight = import_data(data, mapping, rate_hz=rate, accept_implausible=accept_implausible)
@@ -202,6 +214,17 @@ def import_(
             said = f"a CSV cannot carry its aircraft: give --aircraft {aircraft} to each verb, or import to .mcap or .parquet"
             flight = flight.with_notes(said)
     _write(flight, output, split, report)
+
+
+def _write_draft(data: tuple[Path, ...], output: Path) -> None:
+    """Write a drafted mapping and say what in it is not known."""
+    from daq.contract.durable import write_text
+    from groundstation.importers.draft import draft_map
+
+    text = draft_map(data)
+    write_text(output, text)
+    unknown = [line for line in text.splitlines() if "UNKNOWN" in line or "CHECK" in line][1:]
+    click.echo(f"{output}: a drafted mapping; {len(unknown)} lines in it need a person (UNKNOWN, CHECK)")
 
 
 def _advise(

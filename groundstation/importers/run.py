@@ -15,6 +15,7 @@ from groundstation.flight import Flight, Provenance
 from groundstation.flight.contradictions import CONTRADICTIONS
 from groundstation.flight.credible_columns import credible_values
 from groundstation.flight.flight import CHANNELS
+from groundstation.flight.marks import PARAMETERS
 from groundstation.flight.notes import Note, NoteKind
 from groundstation.flight.quality.plausibility import suspicions
 from groundstation.importers.columns import flight_columns, spoken
@@ -122,6 +123,8 @@ def _record(path: Path, log: Log, chosen: Map, rate_hz: float | None, accept_imp
             "native_hz": {m.name: m.rate for m in found.made.values() if m.rate is not None},
             **({CONTRADICTIONS: [c.to_json() for c in log.contradictions]} if log.contradictions else {}),
             **log.detail,
+            **log.marks.to_json(),
+            **({PARAMETERS: dict(log.parameters)} if log.parameters else {}),
         },
     )
     segment = _segment(log, chosen, rate)

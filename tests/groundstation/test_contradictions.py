@@ -5,6 +5,7 @@ import pytest
 
 from groundstation.flight import Flight, Provenance, read_flight
 from groundstation.flight.contradictions import CONTRADICTIONS, Contradiction, contradictions, contradictions_of
+from groundstation.flight.contradictions.fits import GRAVITY
 from tests.groundstation.turning import RHO, Columns, turning_flight
 
 
@@ -108,3 +109,23 @@ def test_what_an_import_saw_travels_with_the_flight(tmp_path) -> None:  # type: 
     again = read_flight(flight.save(tmp_path / "turns.mcap"))
     told = contradictions(again)
     assert [(c.between, c.ratio, c.stops) for c in told] == [(("ARSP[0]", "ARSP[1]"), 0.8, True)]
+
+
+def swinging(scale: float) -> Columns:
+    """A motion of 1.1 Hz to the side on a slow turn; fixes of 5 Hz, filtered and late, on straight lines between."""
+    rng = np.random.default_rng(8)
+    t = np.arange(0.0, 40.0, 0.02)
+    w, slow = 2 * np.pi * 1.1, 2 * np.pi * 0.13
+    ay = 3.0 * np.sin(w * t) + 0.5 * np.sin(slow * t)
+    ve = scale * (3.0 / w * (1 - np.cos(w * t)) + 0.5 / slow * (1 - np.cos(slow * t)))
+    fix = np.arange(0.0, 40.0, 0.2)
+    late = np.interp(t, fix, np.interp(fix, t, np.convolve(ve, np.ones(12) / 12, "full")[: t.size]))
+    still = {n: np.zeros(t.size) for n in ("ax", "phi", "theta", "psi", "vd")}
+    noise = 0.02 * rng.standard_normal((2, t.size))
+    return {"time": t, **still, "az": np.full(t.size, -GRAVITY), "ay": ay + noise[0], "vn": 20.0 + noise[1], "ve": late}
+
+
+def test_a_receiver_that_cannot_follow_a_dutch_roll_is_no_contradiction() -> None:
+    force = ("vn", "ve", "vd", "ax", "ay", "az")
+    assert force not in found_in(swinging(1.0))
+    assert found_in(swinging(0.75))[force].ratio == pytest.approx(0.75, abs=0.04)
