@@ -39,18 +39,21 @@ def estimate(
     truth: "str | Path | Mapping[str, float] | None" = None,
     profile: "Names" = "",
     bootstrap: int = 0,
+    structure: str = "test",
     seed: int = 0,
     progress: Callable[[str], None] | None = None,
 ) -> "Estimates":
     """Aerodynamic parameters with bounds. Arguments are the options of the verb; names are comma-separated or a list.
 
     simulation: one of your own as base; then model is a built-in name or a model file found on a simulation. truth: true
-    derivatives by name, or the JSON file of them. progress: told each piece of work as it begins. Raises a UserError of one
+    derivatives by name, or the JSON file of them. structure: off, test or auto, for what the model may
+    lack. progress: told each piece of work as it begins. Raises a UserError of one
     sentence for what cannot be found, or flights that cannot feed the model.
     """
     from estimation.estimators.estimator import Extras
     from estimation.resolve import resolve
     from estimation.session import runner
+    from estimation.session.structured import Wish
     from estimation.session.truth import read_truth
     from estimation.simulation.base_model import Free
 
@@ -63,7 +66,7 @@ def estimate(
     extras = Extras(comma_separated(profile), bootstrap, seed, raw_inputs, stepwise, keep_held)
     session = runner.estimate(
         problem.model, problem.flights, problem.aircraft, problem.methods, joint=joint, device=device, progress=progress,
-        extras=extras,
+        extras=extras, structure=Wish.of(structure),
     )  # fmt: skip
     return Estimates(replace(session, truth=true), problem.notes)
 

@@ -67,10 +67,12 @@ class Conditions(_Table):
     @classmethod
     def _stretches(cls, text: str) -> str:
         from estimation.session.flights import spans_of
+        from groundstation.flight.expression import parse_condition
+        from groundstation.flight.stretches import is_times
 
         if text:
             with _as_value_error():
-                spans_of(text)
+                _ = spans_of(text) if is_times(text) else parse_condition(text)
         return text
 
     @property

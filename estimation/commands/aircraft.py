@@ -44,7 +44,7 @@ def check(file: str, json_path: Path | None) -> int:
     Exit status 1 where it says something impossible, or is not enough for any model.
     """
     from estimation.aircraft import load_aircraft
-    from estimation.commands.aircraft_review import review
+    from estimation.session.aircraft_review import review
 
     found = load_aircraft(file)
     notes = review(found)

@@ -103,6 +103,13 @@ def _able(extra: Extra) -> str:
     help=f"Spread by N refits ({_able(Extra.BOOTSTRAP)}): of simulated repetitions, or networks on resampled "
     "stretches (64 where not given).",
 )
+@click.option(
+    "--structure",
+    type=click.Choice(["off", "test", "auto"]),
+    default="test",
+    show_default=True,
+    help="Test each fit for what its model lacks (derivatives, nonlinear terms, lags, scales); auto adds it and fits again.",
+)
 @seed_option("Of the bootstrap, and of the networks.", 0)
 @click.option(
     "--brief",

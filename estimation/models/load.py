@@ -12,7 +12,7 @@ from estimation.aircraft import Aircraft, built_in_aircraft, load_aircraft
 from estimation.errors import ModelError
 from estimation.models.base import Model
 from estimation.models.expressions import names_in
-from estimation.models.library import BUILDERS
+from estimation.models.library import BUILDERS, WHOLE, stated_terms
 from estimation.own_code import MISTAKES, named, said
 
 
@@ -30,7 +30,9 @@ def load_model(which: str | Path | type | Model, aircraft: Aircraft | str | None
     text = str(which)
     if text in BUILDERS:
         craft = _named(aircraft, f"model {text}")
-        return _with_known_constants(BUILDERS[text](craft), craft, f"model {text}")
+        built = BUILDERS[text](craft)
+        whole = stated_terms(built, craft) if text in WHOLE else built
+        return _with_known_constants(whole, craft, f"model {text}")
     if text.endswith(".toml"):
         return read_model(text)
     if ":" in text:

@@ -151,12 +151,13 @@ def _checked(work: Work, flight: Flight, about: Row) -> Iterator[Row]:
 def _estimated(work: Work, method: str, flight: Flight, craft: Aircraft, about: Row) -> Iterator[Row]:
     from estimation.session import runner
     from estimation.session.sanity_checks import DoubtKind
+    from estimation.session.structured import Wish
 
     begin = time.thread_time()
     try:
         model = model_of(work.subjects[0], craft)
         about = {**about, "model": model.name}
-        session = runner.estimate(model, [flight], craft, [method], extras=_extras(work, method))
+        session = runner.estimate(model, [flight], craft, [method], extras=_extras(work, method), structure=Wish.OFF)
     except UserError as error:
         yield _run_row(work, method, FAILED, str(error), **about)
         return

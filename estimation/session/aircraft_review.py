@@ -21,17 +21,21 @@ GYRATION = {"Ixx": ("span", 0.10, 0.60), "Iyy": ("chord", 0.3, 6.0), "Izz": ("sp
 """Radius of gyration over half the span, or over the chord: twice as far out as any aircraft of Raymer, table 16.1
 (0.22-0.34 and 0.34-0.52 of the half span), pitch wider still since chords say little about lengths."""
 
+FAR_OFF = (0.3, 2.0)
+"""The same, beyond which no choice of chord explains it: span or area is in another unit."""
+
 FILLED = (0.6, 1.02)
 """Area over span times mean aerodynamic chord: 1 for a rectangle, 0.75 for a triangle; above 1 is impossible."""
 
 
 @dataclass(frozen=True, slots=True)
 class Note:
-    """One line of the review."""
+    """One line of the review. about: constants of equations that it doubts."""
 
     check: str
     verdict: Verdict
     text: str
+    about: tuple[str, ...] = ()
 
     def to_json(self) -> dict[str, str]:
         """As `check --json` has its findings."""
@@ -47,25 +51,29 @@ def _geometry(a: Aircraft) -> Iterator[Note]:
     filled = a.area / (a.span * a.chord)
     if math.isfinite(filled) and not FILLED[0] <= filled <= FILLED[1]:
         told = f"area is {filled:.2f} of span times chord; a wing has {FILLED[0]} to 1"
-        yield Note("geometry", "warn", f"{told}: another unit, or not the mean aerodynamic chord?")
+        about = ("S", "b", "c") if not FAR_OFF[0] <= filled <= FAR_OFF[1] else ("c",)
+        yield Note("geometry", "warn", f"{told}: another unit, or not the mean aerodynamic chord?", about)
     loading = a.mass / a.area
     if math.isfinite(loading) and not 0.5 <= loading <= 1000.0:
         yield Note(
-            "mass", "warn", f"{loading:.3g} kg/m2 of wing; aircraft have 1 to 800: is one of them in other units?"
+            "mass",
+            "warn",
+            f"{loading:.3g} kg/m2 of wing; aircraft have 1 to 800: is one of them in other units?",
+            ("m", "S"),
         )
 
 
 def _inertia(a: Aircraft) -> Iterator[Note]:
     for i, j, k in (("Ixx", "Iyy", "Izz"), ("Iyy", "Izz", "Ixx"), ("Izz", "Ixx", "Iyy")):
         if getattr(a, i) + getattr(a, j) < getattr(a, k):
-            yield Note("inertia", "fail", f"{i} + {j} is less than {k}, which no body can have")
+            yield Note("inertia", "fail", f"{i} + {j} is less than {k}, which no body can have", (i, j, k))
     for name, (length, low, high) in GYRATION.items():
         reach = getattr(a, length) * (0.5 if length == "span" else 1.0)
         ratio = math.sqrt(getattr(a, name) / a.mass) / reach
         if math.isfinite(ratio) and not low <= ratio <= high:
             of = "half span" if length == "span" else length
             told = f"{name}: radius of gyration is {ratio:.2g} of the {of}, usual are {low} to {high}"
-            yield Note("inertia", "warn", told)
+            yield Note("inertia", "warn", told, (name,))
 
 
 def _signs(a: Aircraft) -> Iterator[Note]:
