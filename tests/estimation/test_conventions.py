@@ -26,7 +26,17 @@ def session() -> Session:
 
 def test_the_printed_answer_and_the_page_state_conventions_and_constants(session: Session) -> None:
     text = "\n".join(session_lines(session))
-    for words in ("per rad", "p b/2V", "rolls left", "y right", "S 0.787 m2", "b 1.5 m", "m 3.5 kg", "Ixz 0.008", "0.44 m aft"):
+    for words in (
+        "per rad",
+        "p b/2V",
+        "rolls left",
+        "y right",
+        "S 0.787 m2",
+        "b 1.5 m",
+        "m 3.5 kg",
+        "Ixz 0.008",
+        "0.44 m aft",
+    ):
         assert words in text
     assert "wind tunnel" in text
     table = conventions_table(session)

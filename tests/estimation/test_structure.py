@@ -25,7 +25,9 @@ def craft_and_file(**file: float) -> tuple[Aeroplane, Aircraft]:
     rng = np.random.default_rng(SEED)
     craft = replace(Aeroplane.drawn(rng), derivatives=Aeroplane.drawn(np.random.default_rng(SEED + 1)).derivatives)
     Ixx, Iyy, Izz, Ixz = craft.inertia
-    return craft, replace(Aircraft("drawn", craft.span, craft.area, craft.chord, craft.mass, Ixx, Iyy, Izz, Ixz), **file)
+    return craft, replace(
+        Aircraft("drawn", craft.span, craft.area, craft.chord, craft.mass, Ixx, Iyy, Izz, Ixz), **file
+    )
 
 
 def flown(situation: Situation, flights: int = 1) -> tuple[list[Flight], Aircraft, Mapping[str, float]]:
