@@ -20,6 +20,7 @@ if TYPE_CHECKING:
         import_log,
         match,
         open,
+        performance,
         reconstruct,
         simulate,
         watch,
@@ -28,8 +29,10 @@ if TYPE_CHECKING:
     from sideslip.chain import Flown, fly_scenario
     from sideslip.cli import software_version
     from sideslip.entry import main
+    from sideslip.records import calibrate, info, recover, verify
 
 _HOMES = {
+    **dict.fromkeys(("calibrate", "info", "recover", "verify"), "sideslip.records"),
     "Flown": "sideslip.chain",
     "fly_scenario": "sideslip.chain",
     "main": "sideslip.entry",
@@ -37,8 +40,9 @@ _HOMES = {
 }
 _RENAMED = {"frequency_response": "frequency"}
 __all__ = [
-    "Flown", "check", "design", "estimate", "fly_scenario", "frequency", "frequency_response", "gap", "import_log", "main",
-    "match", "open", "reconstruct", "simulate", "software_version", "watch",
+    "Flown", "calibrate", "check", "design", "estimate", "fly_scenario", "frequency", "frequency_response", "gap",
+    "import_log", "info", "main", "match", "open", "performance", "reconstruct", "recover",
+    "simulate", "software_version", "verify", "watch",
 ]  # fmt: skip
 
 

@@ -16,7 +16,17 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, ParamSpec, TypeVar
 
-from estimation.answers import checks, designs, estimates, gaps, matches, reconstruction, responses, watching
+from estimation.answers import (
+    checks,
+    designs,
+    estimates,
+    gaps,
+    matches,
+    performances,
+    reconstruction,
+    responses,
+    watching,
+)
 from estimation.answers.answer import Answer
 from estimation.answers.checks import Check
 from estimation.answers.designs import DesignAnswer
@@ -24,6 +34,7 @@ from estimation.answers.estimates import Estimates
 from estimation.answers.gaps import GapAnswer
 from estimation.answers.matches import Match
 from estimation.answers.notebook import Figures
+from estimation.answers.performances import Performance
 from estimation.answers.reconstruction import Reconstruction
 from estimation.answers.responses import Response
 from estimation.answers.watching import Watching
@@ -33,8 +44,9 @@ if TYPE_CHECKING:
     from groundstation.flight import Flight
 
 __all__ = [
-    "Answer", "Check", "DesignAnswer", "Estimates", "Figures", "GapAnswer", "Match", "Reconstruction", "Response", "Watching",
-    "check", "design", "estimate", "frequency", "gap", "import_log", "match", "open", "reconstruct", "simulate", "watch",
+    "Answer", "Check", "DesignAnswer", "Estimates", "Figures", "GapAnswer", "Match", "Performance", "Reconstruction", "Response",
+    "Watching", "check", "design", "estimate", "frequency", "gap", "import_log", "match", "open", "performance",
+    "reconstruct", "simulate", "watch",
 ]  # fmt: skip
 
 P = ParamSpec("P")
@@ -74,6 +86,7 @@ match = _opening(matches.match)
 gap = _opening(gaps.gap)
 watch = _opening(watching.watch)
 frequency = _opening(responses.frequency)
+performance = _opening(performances.performance)
 reconstruct = _opening(reconstruction.reconstruct)
 design = designs.design
 

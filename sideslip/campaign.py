@@ -6,7 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from daq.contract.outputs import tried_file, tried_folder, write_json
+from daq.contract.options import aircraft_option, json_option, model_option, seed_option
+from daq.contract.outputs import tried_folder, write_json
+from daq.contract.plain_words import comma_separated
 
 if TYPE_CHECKING:
     from estimation.campaign.plan import Plan
@@ -16,7 +18,7 @@ SHOWN = 20  # sentences on failed flights, and on groups, that are printed; the 
 
 
 def _names(_context: object, _parameter: object, text: str | None) -> tuple[str, ...] | None:
-    return None if text is None else tuple(dict.fromkeys(n.strip() for n in text.split(",") if n.strip()))
+    return None if text is None else comma_separated(text)
 
 
 @click.command(
@@ -32,10 +34,8 @@ def _names(_context: object, _parameter: object, text: str | None) -> tuple[str,
 )
 @click.option("--serial", is_flag=True, help="In this process, without the engine.")
 @click.option("--method", "methods", callback=_names, help="Comma-separated, as of estimate  [default: ml].")
-@click.option("--model", help="As of estimate  [default: lateral].")
-@click.option(
-    "--aircraft", help="Built-in aircraft or an AIRCRAFT.toml  [default: the one each flight carries or names]."
-)
+@model_option("As of estimate  [default: lateral].", None)
+@aircraft_option(default="the one each flight carries or names")
 @click.option(
     "--group", "groups", callback=_names, help="Of aircraft,configuration,day,manoeuvre  [default: the first two]."
 )
@@ -52,7 +52,7 @@ def _names(_context: object, _parameter: object, text: str | None) -> tuple[str,
 @click.option("--match", is_flag=True, default=None, help="Also predict each flight with the others of its group.")
 @click.option("--bootstrap", type=click.IntRange(min=0), help="Replicates a flight.")
 @click.option("--each-segment", is_flag=True, default=None, help="Each segment of a flight is a manoeuvre of its own.")
-@click.option("--seed", type=click.IntRange(min=0), help="Of every random draw  [default: 0].")
+@seed_option("Of every random draw  [default: 0].", None, 0)
 @click.option("--time-limit", type=float, help="Seconds that one piece of work may take  [default: 300].")
 @click.option("--retry", type=click.Choice(["failed"]), help="Try again what failed before.")
 @click.option(
@@ -62,13 +62,7 @@ def _names(_context: object, _parameter: object, text: str | None) -> tuple[str,
 )
 @click.option("--dashboard", is_flag=True, help="Print the address of the engine's dashboard (needs bokeh).")
 @click.option("--no-report", is_flag=True, help="Tables only, no page.")
-@click.option(
-    "--json",
-    "json_path",
-    type=click.Path(path_type=Path),
-    callback=tried_file,
-    help="Write counts and failures as JSON.",
-)
+@json_option("Write counts and failures as JSON.")
 def campaign(
     flights: tuple[str, ...],
     out: Path,

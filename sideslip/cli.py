@@ -23,6 +23,7 @@ from daq.contract.durable import DISK_ERRNOS
 from daq.contract.errors import UserError
 from daq.contract.plain_words import VisibleStream, one_line
 from daq.contract.standard_streams import SafeStream
+from sideslip.services import SERVICES
 
 if TYPE_CHECKING:
     from daq.contract.interrupts import Interrupts
@@ -42,16 +43,17 @@ VERBS: dict[str, Verb] = {
     "fly": Verb("sideslip.fly", "fly", "One simulated flight through the real logger, radio link and ground station."),
     "record": Verb("daq.commands", "record", "The onboard logger, on hardware."),
     "preflight": Verb("daq.commands", "preflight", "The logger's go/no-go table."),
-    "info": Verb("sideslip.info", "info", "What is in a recording, flight or telemetry log."),
+    "info": Verb("sideslip.contents", "info", "What is in a recording, flight or telemetry log."),
     "verify": Verb("daq.commands", "verify", "Integrity and scan accounting of a recording."),
     "recover": Verb("daq.commands", "recover", "Salvage a damaged recording."),
-    "ground": Verb("sideslip.ground", "ground", "Receive, decode, calibrate, view live, record, hand over."),
+    "ground": Verb("groundstation.cli.live", "ground", "Receive, decode, calibrate, view live, record, hand over."),
     "view": Verb("groundstation.cli.live", "view", "Any recording or flight in rerun."),
     "calibrate": Verb("groundstation.cli.data", "calibrate", "Counts to SI: a raw recording to a flight."),
     "bench": Verb("groundstation.cli.data", "bench", "Fit calibration curves from bench recordings."),
     "import": Verb(
-        "sideslip.importing", "import_", "CSV, Parquet, MATLAB, ULog, dataflash or MAVLink log to a flight."
+        "groundstation.cli.data", "import_", "CSV, Parquet, MATLAB, ULog, dataflash or MAVLink log to a flight."
     ),
+    "analyse": Verb("sideslip.analysing", "analyse", "From logs to an answer in one go: one page, one verdict."),
     "export": Verb("sideslip.export", "export", "Flights, recordings and models for other programs."),
     "check": Verb("estimation.commands.check", "check", "Data compatibility and data quality."),
     "reconstruct": Verb(
@@ -59,6 +61,9 @@ VERBS: dict[str, Verb] = {
     ),
     "estimate": Verb("estimation.commands.estimate", "estimate", "Aerodynamic parameters with bounds."),
     "match": Verb("estimation.commands.match", "match", "Proof of match on flights not used for the estimate."),
+    "performance": Verb(
+        "estimation.commands.performance", "performance", "Drag polar, glide, sink and power required, with bounds."
+    ),
     "frequency": Verb(
         "estimation.commands.frequency", "frequency", "Frequency responses with error, fits and figures."
     ),
@@ -164,7 +169,7 @@ def software_version() -> str:
         return "unknown"
 
 
-@click.command(cls=VerbTable, context_settings={"help_option_names": ["-h", "--help"]})
+@click.command(cls=VerbTable, context_settings={"help_option_names": ["-h", "--help"], "obj": SERVICES})
 @click.version_option(software_version(), prog_name="sideslip")
 def cli() -> None:
     """Airborne data acquisition and aircraft identification."""

@@ -25,6 +25,8 @@ except ImportError:  # Windows: leftovers are told by the process that is gone
 
 ENDING = ".sideslip-new"
 """Of what is being written; no glob for recordings or tables matches it."""
+NO_TEXT = "backslashreplace"
+"""What becomes of a file name that is no text within one: `\\udcff`, which in JSON stands for the very name."""
 _LONGEST_STEM = 120  # bytes of the final name within the hidden one: 255 are allowed in all
 _ABANDONED_S = 3600.0  # an unlocked file of a process number that lives: the number was given again
 
@@ -102,7 +104,7 @@ def whole(path: Path) -> Iterator[Path]:
 
 def write_text(path: Path, text: str) -> None:
     """Write a text file, as `whole` says."""
-    write_bytes(path, text.encode("utf-8"))
+    write_bytes(path, text.encode("utf-8", NO_TEXT))
 
 
 def write_bytes(path: Path, data: bytes) -> None:
@@ -114,7 +116,7 @@ def write_bytes(path: Path, data: bytes) -> None:
 @contextmanager
 def whole_text(path: Path, newline: str | None = "") -> Iterator[IO[str]]:
     """An open text file, UTF-8, that takes the name `path` at the end, as `whole` says. newline: "" for CSV."""
-    with whole(path) as new, new.open("w", encoding="utf-8", newline=newline) as file:
+    with whole(path) as new, new.open("w", encoding="utf-8", errors=NO_TEXT, newline=newline) as file:
         yield file
 
 

@@ -11,13 +11,16 @@ from daq.contract.outputs import tried_file, tried_folder, tried_picture
 Decorated = TypeVar("Decorated", bound=Callable[..., Any] | click.Command)
 Option = Callable[[Decorated], Decorated]
 
-STRETCHES = "Use only these stretches, each with initial states of its own: 2:12,15:25 [s]."
+STRETCHES = (
+    "Use only these stretches, each with initial states of its own: 2:12,15:25 [s], mode:MANUAL, "
+    "'V > 12 and abs(phi) < 0.5'."
+)
 _PATH = click.Path(path_type=Path)
 
 
-def json_option(text: str = "Write the answer as JSON.") -> Option[Any]:
-    """`--json PATH` as `json_path`."""
-    return click.option("--json", "json_path", type=_PATH, callback=tried_file, help=text)
+def json_option(text: str = "Write the answer as JSON.", name: str = "json_path") -> Option[Any]:
+    """`--json PATH`; name: of the verb's argument."""
+    return click.option("--json", name, type=_PATH, callback=tried_file, help=text)
 
 
 def report_option(text: str = "Write an HTML page with tables and figures.") -> Option[Any]:
@@ -39,20 +42,28 @@ def aircraft_option(
 
 def model_option(
     text: str = "lateral, lateral-simple, longitudinal, six-dof, a MODEL.toml, or module:Class.",
+    default: str | None = "lateral",
+    kind: click.ParamType | None = None,
 ) -> Option[Any]:
-    """`--model NAME|FILE|CLASS`."""
-    return click.option("--model", default="lateral", show_default=True, help=text)
+    """`--model NAME|FILE|CLASS`; kind: where it is not any text."""
+    return click.option("--model", type=kind, default=default, show_default=True, help=text)
 
 
 def simulation_option() -> Option[Any]:
     """`--simulation KIND:WHICH`."""
-    text = "A simulation of your own as base: jsbsim:AIRCRAFT (name or folder), module:function or MODEL.toml."
+    text = (
+        "A simulation of your own as base: jsbsim:AIRCRAFT (name or folder), ardupilot:FILE.json, gazebo:FILE.sdf,"
+        " module:function or MODEL.toml."
+    )
     return click.option("--simulation", help=text)
 
 
-def seed_option(text: str = "Of every random draw: same seed, same answer.", default: int = 1) -> Option[Any]:
-    """`--seed N`."""
-    return click.option("--seed", default=default, show_default=True, help=text)
+def seed_option(
+    text: str = "Of every random draw: same seed, same answer.", default: int | None = 1, least: int | None = None
+) -> Option[Any]:
+    """`--seed N`; least: the smallest that is taken."""
+    kind = click.INT if least is None else click.IntRange(min=least)
+    return click.option("--seed", type=kind, default=default, show_default=True, help=text)
 
 
 def segments_option(text: str = STRETCHES) -> Option[Any]:

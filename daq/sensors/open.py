@@ -6,50 +6,53 @@ Everything behind it sees `daq.sensors.bus.I2cBus` and `daq.sensors.bus.SerialPo
 import errno
 import fcntl
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from daq.clock import Clock
-from daq.contract.errors import UserError
-from daq.sensors.bus import I2cBus, SerialPort
 from daq.sensors.config import SensorsConfig
 
 if TYPE_CHECKING:
+    import serial
     from smbus2 import SMBus
 
 I2C_TIMEOUT = 0x0702  # linux/i2c-dev.h, unit 10 ms
 I2C_RETRIES = 0x0701
 REOPEN_AFTER_NS = 1_000_000_000
+BY_ID = "a name under /dev/serial/by-id stays the same on every plug"
 LOOK_AFTER_NS = 200_000_000  # between two looks at whether a bus that fails is still there
-
-
-class HardwareError(UserError):
-    """A bus or port that cannot be opened."""
 
 
 @dataclass(frozen=True, slots=True)
 class Hardware:
     """What the sampler is given. Any of them is None when nothing fitted needs it."""
 
-    bus: I2cBus | None
-    gnss: SerialPort | None
-    autopilot: SerialPort | None
-    pulse: Callable[[], int | None] | None
+    bus: "ReopeningBus | None"
+    gnss: "ReopeningPort | None"
+    autopilot: "ReopeningPort | None"
+    pulse: "SysfsPulse | None"
+
+    @property
+    def devices(self) -> tuple["ReopeningBus | ReopeningPort", ...]:
+        """What was asked for of the bus and the ports."""
+        return tuple(d for d in (self.bus, self.gnss, self.autopilot) if d is not None)
+
+    @property
+    def absent(self) -> tuple[str, ...]:
+        """A sentence on every bus, port and pulse that was not there when it was opened."""
+        pulse = () if self.pulse is None else (self.pulse.absent,)
+        return tuple(why for why in (*(d.absent for d in self.devices), *pulse) if why)
 
     def close(self) -> None:
         """Release everything."""
-        for device in (self.bus, self.gnss, self.autopilot):
-            if device is not None:
-                device.close()
+        for device in self.devices:
+            device.close()
 
 
 def open_hardware(config: SensorsConfig, clock: Clock) -> Hardware:
-    """Open the bus and ports that the configuration needs.
-
-    Raises HardwareError naming the device and what to do.
-    """
+    """Open the bus and ports that the configuration needs; what is absent is tried again, once a second, and joins later."""
     capture_serial = config.capture is not None and config.capture.driver == "mavlink_servo"
     chips = [g for g in config.fitted if g not in ("attitude", "gnss") and not (g == "capture" and capture_serial)]
     bus = open_bus(config, clock) if chips else None
@@ -63,14 +66,8 @@ def open_hardware(config: SensorsConfig, clock: Clock) -> Hardware:
 
 
 def open_bus(config: SensorsConfig, clock: Clock) -> "ReopeningBus":
-    """The I2C adapter of the configuration. Raises HardwareError naming the device and what to do."""
-    device = config.bus.device
-    try:
-        return ReopeningBus(device, config.bus.timeout_ms, clock)
-    except OSError as error:
-        raise HardwareError(
-            f"{device}: {_advice(error, 'enable I2C (raspi-config, or dtparam=i2c_arm=on)')}"
-        ) from error
+    """The I2C adapter of the configuration, which may come later."""
+    return ReopeningBus(config.bus.device, config.bus.timeout_ms, clock)
 
 
 def _advice(error: OSError, when_missing: str) -> str:
@@ -89,7 +86,7 @@ class ReopeningBus:
     As long as anybody holds a file of an adapter that is gone, the kernel keeps its number, and its USB hub sees nothing
     new. So after an error the name is looked at: where it leads elsewhere, or nowhere, the file is closed and the name is
     tried again once a second. `device` should be a name that udev keeps. Time-outs are shortened so that a held bus costs
-    one scan little. Raises OSError.
+    one scan little. Raises OSError. absent: why it was not there at the start, or empty.
     """
 
     def __init__(self, device: str, timeout_ms: int, clock: Clock) -> None:
@@ -97,7 +94,13 @@ class ReopeningBus:
         self._timeout = timeout_ms // 10
         self._clock = clock
         self._retry_ns = self._look_ns = 0
-        self._bus: SMBus | None = self._open()
+        self._bus: SMBus | None = None
+        self.absent = ""
+        try:
+            self._bus = self._open()
+        except OSError as error:
+            self._retry_ns = clock.monotonic_ns() + REOPEN_AFTER_NS
+            self.absent = f"{device}: {_advice(error, 'enable I2C (raspi-config, or dtparam=i2c_arm=on)')}"
 
     def read_byte_data(self, i2c_addr: int, register: int, /) -> int:
         try:
@@ -177,9 +180,8 @@ class ReopeningBus:
 
 
 class ReopeningPort:
-    """A serial port that comes back after its plug was pulled: after an error it is opened again, once a second.
-
-    Raises HardwareError when it cannot be opened the first time, OSError later.
+    """A serial port that comes, and comes back after its plug was pulled: opened again once a second. Raises OSError while it is
+    away. absent: why it was not there at the start, or empty.
     """
 
     def __init__(self, device: str, baud: int, clock: Clock) -> None:
@@ -189,12 +191,15 @@ class ReopeningPort:
         self._device = device
         self._clock = clock
         self._retry_ns = 0
+        self._port: serial.Serial | None = None
+        self.absent = ""
         try:
-            self._port: serial.Serial | None = self._open()
+            self._port = self._open()
         except OSError as error:
+            self._retry_ns = clock.monotonic_ns() + REOPEN_AFTER_NS
             busy = error.errno in (errno.EBUSY, errno.EAGAIN) or "lock" in str(error)
-            advice = "busy; stop the other program that uses it" if busy else f"cannot be opened ({error})"
-            raise HardwareError(f"serial port {device}: {advice}") from error
+            advice = "busy; stop the other program that uses it" if busy else f"cannot be opened ({error}); {BY_ID}"
+            self.absent = f"serial port {device}: {advice}"
 
     @property
     def in_waiting(self) -> int:
@@ -226,7 +231,7 @@ class ReopeningPort:
             self._port.close()
             self._port = None
 
-    def _usable(self) -> "SerialPort":
+    def _usable(self) -> "serial.Serial":
         if self._port is None:
             now = self._clock.monotonic_ns()
             if now < self._retry_ns:
@@ -251,15 +256,18 @@ class SysfsPulse:
         self._path = path
         self._clock = clock
         self._count = -1
+        self.absent = ""
         try:
             path.read_text()
         except OSError as error:
-            raise HardwareError(
-                f"{path}: no pulse-per-second source ({error.strerror}); load the pps-gpio overlay or remove sensors.gnss.pps"
-            ) from error
+            what = f"no pulse-per-second source ({error.strerror})"
+            self.absent = f"{path}: {what}; load the pps-gpio overlay or remove sensors.gnss.pps"
 
     def __call__(self) -> int | None:
-        stamp, _, count = self._path.read_text().strip().partition("#")
+        try:
+            stamp, _, count = self._path.read_text().strip().partition("#")
+        except OSError:  # no source, or not yet
+            return None
         if not count or int(count) == self._count:
             return None
         self._count = int(count)

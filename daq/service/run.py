@@ -28,6 +28,7 @@ from daq.service.radio_probe import listen
 from daq.service.realtime import GarbageDiscipline, prepare_process
 from daq.telemetry.link import open_port
 from daq.transport.ports import BytePort
+from daq.transport.reconnecting_port import ReconnectingPort
 
 _LOG = logging.getLogger("sideslip.service")
 _STATUS_EVERY = 10  # watchdog messages
@@ -94,6 +95,9 @@ def record_on_hardware(path: Path, *, override: str | None, skip_preflight: bool
     with _opened(config, clock) as (hardware, radio, devices):
         table = None if skip_preflight else _preflight(config, clock, hardware, radio, devices)
         opening = _opening(table, override)
+        opening += [
+            Opening(LogLevel.WARNING, "hardware", f"{w}; it joins when it comes") for w in absent(hardware, radio)
+        ]
         why = without_sequencer(config, table)
         if why is not None:
             config = config.model_copy(update={"sequencer": None})
@@ -253,6 +257,12 @@ def _devices(config: LoggerConfig, clock: RealClock, hardware: Hardware, opened:
         heartbeat = FileHeartbeat(config.sequencer.heartbeat)
         opened.callback(heartbeat.close)
     return Devices(hardware.bus, heartbeat, clock, autopilot)
+
+
+def absent(hardware: Hardware, radio: BytePort | None) -> list[str]:
+    """A sentence on everything that was not there at the start."""
+    away = radio.why_away if isinstance(radio, ReconnectingPort) else ""
+    return [*hardware.absent, *([f"radio: {away}"] if away else [])]
 
 
 def _open_radio(config: LoggerConfig) -> BytePort | None:

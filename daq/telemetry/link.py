@@ -21,8 +21,8 @@ from daq.transport.signing import Signer, load_key
 
 
 def open_port(text: str) -> BytePort:
-    """Open a port by its description; PortError says what is wrong with the description or the port."""
-    return open_lasting(text, _serial)
+    """Open a port by its description, at once or when it comes; PortError says what is wrong with the description."""
+    return open_lasting(text, _serial, wait=True)
 
 
 def _serial(device: str, baud: int) -> SerialPort:

@@ -141,6 +141,11 @@ class UdpPort:
         self._too_long = 0
 
     @property
+    def is_open(self) -> bool:
+        """Always: who is not heard may be heard again."""
+        return True
+
+    @property
     def address(self) -> tuple[str, int]:
         """Local host and port."""
         name = self._socket.getsockname()
@@ -298,6 +303,11 @@ class TcpServerPort:
         self._listener = socket.create_server((host, number))
         self._listener.setblocking(False)
         self._streams: list[_Stream] = []  # the first is asked first, and goes to the end
+
+    @property
+    def is_open(self) -> bool:
+        """Always: who is not heard may be heard again."""
+        return True
 
     @property
     def address(self) -> tuple[str, int]:

@@ -71,7 +71,8 @@ class Aircraft:
     """Geometry [m, m2], mass [kg, kg m2], sensor positions [m from the CG, body axes] and prior derivatives [1/rad].
 
     `Ixz` is the product of inertia as it stands in the equations of motion (positive for a nose-down principal axis). What the
-    file does not say is NaN; `need` refuses it where it is used. servos, engine, simulation: for a simulated aircraft only.
+    file does not say is NaN; `need` refuses it where it is used. throws: surface -> its least and greatest deflection [rad].
+    servos, engine, simulation: for a simulated aircraft only.
     text: the file it was read from, empty for one made in a program.
     """
 
@@ -93,6 +94,7 @@ class Aircraft:
     servos: Servos | None = None
     engine: Engine | None = None
     simulation: SimulatedFlight | None = None
+    throws: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     text: str = field(default="", compare=False, repr=False)
 
     def prior(self, name: str) -> PriorDerivative | None:

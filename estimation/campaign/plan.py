@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import BaseModel, ConfigDict, Field, PlainValidator, ValidationError, field_validator, model_validator
 
 from daq.contract import limits
 from daq.contract.errors import UserError
@@ -26,6 +26,16 @@ Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 class _Table(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+def _path(value: object) -> str:
+    """A path as the system has it, which need not be text: pydantic takes texts only."""
+    if not isinstance(value, str) or not value:
+        raise ValueError("should be a path, a pattern or an address")
+    return value
+
+
+SomePath = Annotated[str, PlainValidator(_path)]
 
 
 class Conditions(_Table):
@@ -57,10 +67,12 @@ class Conditions(_Table):
     @classmethod
     def _stretches(cls, text: str) -> str:
         from estimation.session.flights import spans_of
+        from groundstation.flight.expression import parse_condition
+        from groundstation.flight.stretches import is_times
 
         if text:
             with _as_value_error():
-                spans_of(text)
+                _ = spans_of(text) if is_times(text) else parse_condition(text)
         return text
 
     @property
@@ -85,7 +97,7 @@ def _day(text: str) -> str:
 class FlightEntry(Conditions):
     """One [[flight]]: a path, relative to the plan, a pattern, a folder, or a URL that fsspec reads."""
 
-    path: str = Field(min_length=1)
+    path: SomePath
 
 
 class SimulateEntry(Conditions):
@@ -122,7 +134,7 @@ class SimulateEntry(Conditions):
 class Plan(_Table):
     """What a campaign does. bootstrap: replicates a flight, 0 for none; time_limit [s]: of one piece of work."""
 
-    flights: tuple[Annotated[str, Field(min_length=1)], ...] = ()
+    flights: tuple[SomePath, ...] = ()
     table: str = ""
     model: str = "lateral"
     aircraft: str = ""

@@ -17,6 +17,7 @@ from pydantic import ValidationError
 from daq.contract import limits
 from daq.contract.errors import UserError
 from daq.contract.input_files import matching, read_bytes
+from daq.contract.plain_words import visible
 from estimation.campaign.errors import CampaignError
 from estimation.campaign.keys import key_of
 from estimation.campaign.plan import FLIGHT_SUFFIXES, Conditions, FlightEntry, Plan, SimulateEntry, said_of
@@ -118,7 +119,7 @@ def _local(path: Path, conditions: Conditions, send: bool) -> Entry:
         return replace(entry, why=f"{path}: no such file")
     except OSError as error:
         return replace(entry, why=f"{path}: cannot be read ({error.strerror or error})")
-    return replace(entry, source=Source(path.stem, path.suffix, digest.hexdigest(), path=str(path), data=data))
+    return replace(entry, source=Source(visible(path.stem), path.suffix, digest.hexdigest(), path=str(path), data=data))
 
 
 def _urls(text: str) -> list[str]:
@@ -155,7 +156,7 @@ def _remote(url: str, conditions: Conditions) -> Entry:
         digest = hashlib.sha256(fetched(url)).hexdigest()
     except CampaignError as error:
         return Entry(url, conditions, None, str(error))
-    return Entry(url, conditions, Source(name.stem, name.suffix, digest, url=url))
+    return Entry(url, conditions, Source(visible(name.stem), name.suffix, digest, url=url))
 
 
 def fetched(url: str) -> bytes:

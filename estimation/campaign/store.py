@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Self
 
 from daq.contract.durable import clear_leftovers, make_directories, open_log, whole
 from estimation.campaign.errors import CampaignError
-from estimation.campaign.schema import RESULTS, VERSION, VERSION_KEY, arrow_schema
+from estimation.campaign.schema import RESULTS, VERSION, VERSION_KEY, arrow_schema, table_of
 from estimation.campaign.tasks import Row
 
 if TYPE_CHECKING:
@@ -110,11 +110,10 @@ class Store:
 
     def flush(self) -> None:
         """Write what is kept."""
-        import pyarrow as pa
 
         if not self._rows:
             return
-        table = pa.Table.from_pylist(self._rows, arrow_schema(RESULTS))
+        table = table_of(self._rows, RESULTS)
         write_part(table, self.folder / RESULTS_FOLDER, "part", set(table["key"].to_pylist()))
         self._rows = []
 

@@ -29,7 +29,7 @@ EXAMPLE = "Example: sideslip frequency sweep.mcap --input delta_a --output p --f
 @click.option("--band", help="Frequencies from,to [Hz]  [default: what windows and samples allow].")
 @click.option("--points", default=60, show_default=True, help="Frequencies, evenly in their logarithm.")
 @click.option("--windows", help="Comma-separated window lengths [s]  [default: five of them].")
-@segments_option("Use only these stretches: 2:12,15:25 [s].")
+@segments_option()
 @click.option("--class", "kind", default="", help="Class of a piloted aircraft for levels: I, II, III or IV.")
 @click.option("--category", default="B", show_default=True, help="Category of the flight phase for levels: A, B or C.")
 @aircraft_option("Whose mass decides whether levels apply")

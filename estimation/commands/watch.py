@@ -22,7 +22,7 @@ EXAMPLE = "Example: sideslip watch flight.mcap --model ld4.toml --json watch.jso
 @click.argument("flight", type=click.Path(path_type=Path), metavar="FLIGHT")
 @model_option("Model of the lateral derivatives: name or MODEL.toml.")
 @aircraft_option(default="the one the flight carries or names")
-@segments_option("Use only these stretches: 2:12,15:25 [s].")
+@segments_option()
 @click.option(
     "--rate",
     default=1.0,

@@ -3,7 +3,7 @@
 Everything left out is said in a note that names the column, and can be kept (`keep_held`).
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -49,8 +49,8 @@ class Conditioned:
             notes.append(Note(NoteKind.NOT_MEASURED, text, ((column, column),)))
         notes += self.of_slow(column, "repeats are not compared")
         if column in self.between:
-            rate = self.flight.native_rate(column) or 0.0
-            text = f"{column} was logged at {rate:.3g} Hz: compared at its own samples, not at those drawn between them"
+            count = int((np.isfinite(values) & ~self.between[column]).sum())
+            text = f"{column} was logged more slowly: compared at {count} samples of its own, not at those drawn between them"
             notes.append(Note(NoteKind.HELD, text, ((column, column),)))
         notes += self.of_stuck(column, f"not compared there; {KEEP}")
         values[~self.fresh(column) | self.stuck(column)] = np.nan
@@ -95,28 +95,39 @@ def conditioned(flight: Flight, columns: Iterable[str], *, keep_held: bool = Fal
     if changed:
         flight = flight.with_columns(**changed)
     found = {} if keep_held else {name: repeats(flight, name) for name in names}
-    drawn = {} if keep_held else {name: b for name in names if (b := drawn_between(flight, name)) is not None}
+    drawn = {} if keep_held else drawn_between(flight, names)
     return Conditioned(flight, found, tuple(notes), drawn)
 
 
+INTEGRATED = ("ax", "ay", "az", "p", "q", "r")
+"""What a reconstruction integrates between fixes."""
 NOT_SLOWER = 0.9
 """Of the flight's rate: a column logged at more than this is as fast as the samples."""
 
 
-def drawn_between(flight: Flight, column: str) -> NDArray[np.bool_] | None:
-    """(N,) samples of a column that its import drew between those that were logged; None where it was logged as fast as the
-    samples, or the flight does not say at which rate.
+def drawn_between(flight: Flight, columns: Iterable[str]) -> dict[str, NDArray[np.bool_]]:
+    """Column -> (N,) samples that its import drew between those that were logged, of columns logged more slowly than the flight
+    samples.
 
     One sample stands for each that was logged, in each of its intervals the one at which the straight lines meet: there the
-    second difference is largest. So a log has the information it has, on whatever grid.
+    second differences of all columns of that rate are largest. A column that was reconstructed has a value for each sample of the
+    gyros and accelerometers it was integrated from. So a log has the information it has, on whatever grid.
     """
-    rate = flight.native_rate(column)
-    if rate is None or column in flight.reconstructed or rate >= NOT_SLOWER / flight.sample_interval:
-        return None
-    values = flight[column]
+    together: dict[float, list[str]] = {}
+    for column in columns:
+        stated = [flight.native_rate(c) for c in (INTEGRATED if column in flight.reconstructed else (column,))]
+        rate = min((r for r in stated if r is not None), default=None)
+        if rate is not None and rate < NOT_SLOWER / flight.sample_interval:
+            together.setdefault(round(rate, 1), []).append(column)
+    return {name: mask for rate, names in together.items() for mask in (_drawn(flight, names, rate),) for name in names}
+
+
+def _drawn(flight: Flight, columns: Sequence[str], rate: float) -> NDArray[np.bool_]:
     bend = np.zeros(len(flight))
-    bend[1:-1] = np.abs(np.diff(values, 2))
-    bend[~np.isfinite(bend)] = 0.0
+    for column in columns:
+        if column not in flight.reconstructed:
+            second = np.nan_to_num(np.abs(np.diff(flight[column], 2)))
+            bend[1:-1] += second / max(float(second.mean()), 1e-300)
     interval = np.floor((flight.time - flight.time[0]) * rate + 1e-6).astype(np.int64)
     order = np.lexsort((-bend, interval))
     first = np.concatenate([[True], np.diff(interval[order]) > 0])

@@ -20,6 +20,8 @@ from estimation.estimators.coloured import (
     autocovariance,
     filtered_covariance,
     noise_spectrum,
+    without_empty,
+    without_empty_rows,
     without_nuisance,
 )
 from estimation.estimators.input_error import Disturbed, Evidence, common_error, disturbed, edge_size, evidence
@@ -149,8 +151,10 @@ def flight_score(
     pieces, inverse, nuisance_inverse = _pieces(problem, point, index, covariance, blocks)
     responses = disturbed(problem, unknowns, index)
     noise, edges = responses[0].noise, responses[0].edges
-    projected = without_nuisance(pieces, nuisance_inverse)
     white = white_responses(pieces, nuisance_inverse, responses, point)
+    white = [without_empty(p, w) for p, w in zip(pieces, white, strict=True)]
+    pieces = [without_empty_rows(p) for p in pieces]
+    projected = without_nuisance(pieces, nuisance_inverse)
     columns = np.sum([J.T @ w for J, w in zip(projected, white, strict=True)], axis=0)
     lags = input_lags(pieces, projected, [w[:, :noise] for w in white], inverse @ columns[:, :noise])
     spectrum = noise_spectrum(pieces, projected, inverse, nuisance_inverse, lags)
@@ -191,8 +195,10 @@ def noise_spectra(problem: OutputErrorProblem, unknowns: Array, point: Likelihoo
     for i, block in enumerate(blocks):
         pieces, inverse, nuisance_inverse = _pieces(problem, point, i, covariance, block)
         responses = disturbed(problem, unknowns, i)
-        projected = without_nuisance(pieces, nuisance_inverse)
         white = [w[:, : responses[0].noise] for w in white_responses(pieces, nuisance_inverse, responses, point)]
+        white = [without_empty(p, w) for p, w in zip(pieces, white, strict=True)]
+        pieces = [without_empty_rows(p) for p in pieces]
+        projected = without_nuisance(pieces, nuisance_inverse)
         change = inverse @ np.sum([J.T @ w for J, w in zip(projected, white, strict=True)], axis=0)
         lags = input_lags(pieces, projected, white, change)
         spectra.append(noise_spectrum(pieces, projected, inverse, nuisance_inverse, lags))

@@ -56,6 +56,8 @@ def attach(
     """
     simulation = simulation_of(spec)
     craft = aircraft_for(simulation, flights, given)
+    if simulation.referred is not None:
+        simulation = replace(simulation, oracle=simulation.referred(craft))
     if which in BUILDERS:
         told = along(simulation, load_model(which, craft), flights)
         model = base_model(simulation, which, craft, told, free)
@@ -103,11 +105,13 @@ def estimated_about_its_motion(attached: Attached) -> Attached:
 
 def aircraft_for(simulation: Simulation, flights: Sequence[Flight], given: str | Path | Aircraft | None) -> Aircraft:
     """Mass and inertia of the aircraft that is asked for, or that the flights name, else of the simulation; area, span and chord
-    of the simulation where it has them, for its coefficients are referred to these."""
+    of the simulation where it has them, for its coefficients are referred to these, unless it refers them to any aircraft."""
     own = simulation.aircraft
     if given is None and own is not None and not any(f.provenance.aircraft for f in flights):
         return own
     craft = aircraft_of(flights, given)
+    if simulation.referred is not None:
+        return craft
     if own is None or any(np.isnan(v) for v in (own.area, own.span, own.chord)):
         return craft
     return craft.with_values(area=own.area, span=own.span, chord=own.chord)

@@ -1,8 +1,6 @@
 """Command line of the ground station: `sideslip ground` and `sideslip view`."""
 
 import signal
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -11,9 +9,12 @@ from typing import TYPE_CHECKING
 
 import click
 
+from daq.contract.errors import UserError
+from daq.contract.options import aircraft_option, json_option, model_option
 from daq.contract.outputs import tried_file, tried_folder
 
 if TYPE_CHECKING:
+    from groundstation.cli.services import Services
     from groundstation.identification.aircraft import AircraftSource
     from groundstation.live.config import GroundConfig
     from groundstation.live.handover import Handover
@@ -37,12 +38,12 @@ _VIEW_HELP = "Show it in the browser, in rerun's own window, or not at all."
     type=click.Choice(["full", "light"]),
     help="Of the view: light for a browser that lags  [default: full].",
 )
-@click.option("--aircraft", help="Name or file, for live identification  [default: the one the recording names].")
+@aircraft_option("Name or file, for live identification", "the one the recording names")
 @click.option("--watch", "watched", is_flag=True, help="Say when the aircraft no longer flies as its file believes.")
-@click.option(
-    "--model",
-    type=click.Path(path_type=Path),
-    help="MODEL.toml that --watch holds against flight, in place of the aircraft's beliefs.",
+@model_option(
+    "MODEL.toml that --watch holds against flight, in place of the aircraft's beliefs.",
+    None,
+    click.Path(path_type=Path),
 )
 @click.option("--estimate", "with_estimate", is_flag=True, help="Estimate parameters from the finished flight.")
 @click.option(
@@ -51,17 +52,11 @@ _VIEW_HELP = "Show it in the browser, in rerun's own window, or not at all."
     callback=tried_folder,
     help="Folder of this session, instead of the configured.",
 )
-@click.option(
-    "--json",
-    "json_path",
-    type=click.Path(path_type=Path),
-    callback=tried_file,
-    help="Write the counters of the session as JSON.",
-)
+@json_option("Write the counters of the session as JSON.")
 @click.option("--duration", type=float, help="End after this many seconds.")
 @click.pass_obj
 def ground(
-    source: "AircraftSource | None",
+    services: "Services | None",
     config: Path | None,
     replay: Path | None,
     speed: str,
@@ -91,6 +86,7 @@ def ground(
         _views(settings, window, say) as views,
     ):
         player = Replay()
+        source = None if services is None else services.aircraft
         station = _station(settings, folder, views, player if replay is not None else None, replay, source, say)
         say(
             f"session {folder}; {'replaying ' + str(replay) if replay else 'listening on ' + ', '.join(settings.link.ports)}"
@@ -108,8 +104,8 @@ def ground(
             station.close()
         handed = _finish(station, settings, folder, say)
         whole = _conclude(station, handed, json_path, settings.identification.model, say)
-        if with_estimate:
-            _estimate(handed, settings, folder, say, show=views is not None)
+        if with_estimate and services is not None:
+            _estimate(handed, settings, folder, say, services, show=views is not None)
         if replay is not None and views is not None and duration is None and not interrupted:
             say("the replay is over; Ctrl-C ends the view")
             _hold(views)
@@ -325,22 +321,29 @@ def _finish(station: "Station", settings: "GroundConfig", folder: Path, say: Say
     return handed
 
 
-def _estimate(handed: list["Handover"], settings: "GroundConfig", folder: Path, say: Say, *, show: bool) -> None:
-    """Run `sideslip estimate` on the flights in a process of its own, so that nothing of it lives on the ground station.
-
-    show: open its report, for somebody who has been watching.
-    """
-    flights = [str(h.manoeuvres_path or h.path) for h in handed]
+def _estimate(
+    handed: list["Handover"],
+    settings: "GroundConfig",
+    folder: Path,
+    say: Say,
+    services: "Services",
+    *,
+    show: bool,
+) -> None:
+    """Estimate from the flights, after the station is closed. show: open the report, for somebody who has been watching."""
+    flights = [h.manoeuvres_path or h.path for h in handed]
     if not flights:
         say("nothing to estimate from: no flight was handed over")
         return
     report = folder / "report"
-    command = [sys.executable, "-m", "sideslip", "estimate", *flights, "--report", str(report)]
-    command += ["--model", settings.handover.model, "--method", settings.handover.methods]
-    done = subprocess.run(command, check=False)
-    if done.returncode not in (0, 1):
-        say(f"the estimate could not be made (status {done.returncode})")
-    elif show:
+    try:
+        lines = services.estimate(flights, settings.handover.model, settings.handover.methods, report)
+    except UserError as error:  # the session itself is sound, and its flights are written
+        say(f"the estimate could not be made: {error}")
+        return
+    for line in lines:
+        say(line)
+    if show:
         click.launch(str(report / "index.html"))
 
 

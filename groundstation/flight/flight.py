@@ -41,6 +41,8 @@ CHANNELS = "channels"
 """Key of a provenance's detail: where each column comes from, see `Flight.channels`."""
 CHANNEL_KINDS = ("measured", "computed", "assumed")
 """By a sensor, by a program of others, or by nobody at the place and time."""
+HELD, INTERVAL = "held", "interval_s"
+"""Keys of a channel's entry: it is a command, which holds until the next one; how far apart its records are [s]."""
 RECONSTRUCTED = "reconstructed"
 """Key of a provenance's detail: which columns were not measured but found from the others, from what, how sure."""
 
@@ -211,6 +213,13 @@ class Flight:
         stated = self.provenance.detail.get(CHANNELS)
         found = stated.items() if isinstance(stated, Mapping) else ()
         return {str(n): dict(c) for n, c in found if isinstance(c, Mapping) and c.get("kind") in CHANNEL_KINDS}
+
+    def held(self, column: str) -> float | None:
+        """Interval [s] at which a column that is a command was recorded: it holds in between, has no noise, and may have changed
+        up to so long before. None for what a sensor saw, or where the flight does not say."""
+        about = self.channels.get(column, {})
+        interval = about.get(INTERVAL)
+        return float(interval) if about.get(HELD) is True and isinstance(interval, float | int) else None
 
     @property
     def known_columns(self) -> tuple[str, ...]:

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from groundstation.flight.marks import together
 from groundstation.importers.endings import LOGS
 from groundstation.importers.formats.dataflash_text import is_text
 from groundstation.importers.run import read_logs
@@ -49,6 +50,8 @@ def log_info(path: Path) -> dict[str, Any]:
         "channels": [{"name": n, "unit": logs[0].units.get(n, ""), "samples": c} for n, c in counted.items()],
         "software": logs[0].detail.get("firmware", ""),
         "boots": [{"from": a, "to": b} for a, b in spans],
+        **together(log.marks for log in logs).to_json(),
+        "parameters": {n: v for log in logs for n, v in log.parameters.items()},
         "notes": [note for log in logs for note in log.notes],
     }
 

@@ -12,13 +12,14 @@ from daq.contract.channels import COLUMN_BY_NAME
 from daq.contract.plain_words import LONGEST_NAME, listed
 from groundstation.flight.atmosphere import SEA_LEVEL_DENSITY
 from groundstation.flight.contradictions.air import independent_density
+from groundstation.flight.expression import parse
+from groundstation.flight.flight import HELD, INTERVAL
 from groundstation.flight.notes import Note, NoteKind, unknown_columns
 from groundstation.importers.errors import ImportDataError
-from groundstation.importers.expression import parse
 from groundstation.importers.formats.tables import RECORD
 from groundstation.importers.mapping import Kind, Map, Source
-from groundstation.importers.origins import COMPUTED, NOT_FLOWN, kind_of, kind_of_all
-from groundstation.importers.series import Log, Series, native_rate, resample
+from groundstation.importers.origins import COMPUTED, NOT_FLOWN, is_command, kind_of, kind_of_all
+from groundstation.importers.series import DATED_BACK, Log, Series, lagged, native_rate, resample
 from groundstation.importers.units import conversion, find_unit, known_units
 
 Array = NDArray[np.float64]
@@ -29,12 +30,15 @@ _WRAPPED = ("phi", "psi")
 @dataclass(frozen=True, slots=True)
 class Made:
     """A flight column as made: source: the one chosen, with its unit; kind: whence its numbers are; rate: its own [Hz], None for
-    that of the table; name: under which it stands in the flight."""
+    that of the table; name: under which it stands in the flight; held: of a command, the interval of its records [s]; lag: of the
+    servo that follows it [s]."""
 
     source: Source
     kind: Kind
     rate: float | None
     name: str
+    held: float | None = None
+    lag: float = 0.0
 
     def to_json(self, rate: float) -> dict[str, object]:
         """As in `channels` of `import --json`. rate: of the time base [Hz]."""
@@ -43,6 +47,9 @@ class Made:
             "kind": self.kind,
             "rate_hz": self.rate if self.rate is not None else rate,
         }
+        if self.held is not None:
+            back = DATED_BACK * self.held if self.rate is not None else 0.0
+            about |= {HELD: True, INTERVAL: self.held, "dated_back_s": back, "servo_lag_s": self.lag}
         return about | ({"column": self.name} if self.name != "" else {})
 
 
@@ -66,15 +73,15 @@ def flight_columns(log: Log, chosen: Map, time: Array, resampled: bool) -> Colum
     absent: list[str] = []
     notes: list[Note | str] = []
     for name, sources in chosen.columns.items():
-        source = _first_there(log, sources)
+        source = chosen_source(log, sources)
         if source is None:
             absent.append(f"{name} ({' + '.join(t.column for t in sources[0].parts)})")
             continue
         source = source.model_copy(update={"unit": _unit(log, source, name)})
-        kind = _kind(log, source)
+        kind = flight_kind(log, source)
         under = f"{name}_computed" if kind == COMPUTED and name in NOT_FLOWN else name
         rate = min(native_rate(log.series[t.column]) for t in source.parts) if resampled else None
-        made[name] = Made(source, kind, rate, under)
+        made[name] = Made(source, kind, rate, under, *_held(log, source))
         values[under] = _value(log, source, name, time)
         if under != name:
             text = f"{name} by {source.formula} is computed, not measured: kept as {under}, and not used as {name}"
@@ -87,18 +94,27 @@ def flight_columns(log: Log, chosen: Map, time: Array, resampled: bool) -> Colum
     return Columns(values, made, tuple(notes))
 
 
-def _first_there(log: Log, sources: Iterable[Source]) -> Source | None:
+def chosen_source(log: Log, sources: Iterable[Source]) -> Source | None:
     """The first source of which the log has all; one that was measured before one that was computed."""
     there = [s for s in sources if all(t.column in log.series for t in s.parts)]
-    return next((s for s in there if _kind(log, s) != COMPUTED), there[0] if there else None)
+    return next((s for s in there if flight_kind(log, s) != COMPUTED), there[0] if there else None)
 
 
-def _kind(log: Log, source: Source) -> Kind:
+def flight_kind(log: Log, source: Source) -> Kind:
     """Whence a source is: of an expression that of its first column, which the others correct; of several, the worst."""
     if source.kind is not None:
         return source.kind
     parts = [t.column for t in source.parts]
     return kind_of(log, parts[0]) if source.expression is not None else kind_of_all(log, parts)
+
+
+def _held(log: Log, source: Source) -> tuple[float | None, float]:
+    """Interval [s] at which a command was recorded and the lag of its servo; None for what a sensor saw."""
+    parts = [log.series[t.column] for t in source.parts if is_command(log, t.column)]
+    if not (source.hold or len(parts) == len(source.parts)):
+        return None, 0.0
+    slowest = min(native_rate(log.series[t.column]) for t in source.parts)
+    return (1.0 / slowest if slowest > 0.0 else 0.0), max((p.lag for p in parts), default=0.0)
 
 
 def _made_true(values: dict[str, Array], made: dict[str, Made], notes: list[Note | str]) -> None:
@@ -181,8 +197,8 @@ def _value(log: Log, source: Source, name: str, time: Array) -> Array:
     def on_base(column: str) -> Array:
         series = log.series[column]
         if time is series.time:
-            return series.values
-        return resample(_unwrapped(series, name, scale), time, hold=source.hold)
+            return lagged(series.time, series.values, series.lag) if series.lag else series.values
+        return resample(_unwrapped(series, name, scale), time, hold=source.hold or is_command(log, column))
 
     if source.expression is not None:
         expression = parse(source.expression)

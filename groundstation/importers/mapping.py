@@ -19,8 +19,8 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 
 from daq.contract.channels import COLUMN_BY_NAME
 from daq.contract.input_files import read_toml
+from groundstation.flight.expression import ExpressionError, parse
 from groundstation.importers.errors import ImportDataError
-from groundstation.importers.expression import parse
 from groundstation.importers.servos import Servo
 from groundstation.importers.units import conversion
 
@@ -71,7 +71,7 @@ class Source(_Table):
         if self.expression is not None:
             try:
                 parse(self.expression)
-            except ImportDataError as error:
+            except ExpressionError as error:
                 raise ValueError(str(error)) from error
         return self
 

@@ -53,6 +53,18 @@ _SAYS_SO = re.compile(
 )
 """Names in tables that say themselves that a program made them."""
 
+_COMMANDS = re.compile(
+    r"(.*:)?(RCOU\d?|RCO2|RCO3|RCIN|AETR|SERVO_OUTPUT_RAW|RC_CHANNELS\w*|ACTUATOR\w*|actuator_(outputs|servos|controls|motors)\w*"
+    r"|input_rc|manual_control_setpoint|vehicle_(torque|thrust)_setpoint)(\[\d+\])?\..*"
+)
+"""Series of what was asked of servos and motors, by a person or a program."""
+
+
+def is_command(log: Log, series: str) -> bool:
+    """Whether a series is a command, which holds until the next one and has no noise."""
+    return log.series[series].command or _COMMANDS.fullmatch(series) is not None
+
+
 _WORST: tuple[Kind, ...] = (MEASURED, COMPUTED, ASSUMED)
 
 NOT_FLOWN = ("V", "V_cas", "alpha", "beta")

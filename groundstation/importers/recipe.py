@@ -11,10 +11,10 @@ from groundstation.importers.functions import name_of
 from groundstation.importers.run import read_logs
 from groundstation.importers.servos import parameter_of
 
-_OUTPUT = re.compile(
-    r"RCOU\.C\d+|actuator_outputs(\[\d+\])?\.output\[\d+\]|actuator_servos\.control\[\d+\]|SERVO_OUTPUT_RAW\.servo\d+_raw"
+OUTPUT = re.compile(
+    r"RCOU\.C\d+|actuator_outputs(\[\d+\])?\.output\[\d+\]|actuator_servos\.control\[\d+\]|SERVOOUTPUT_RAW\.servo\d+_raw"
 )
-"""ArduPilot's RCOU, PX4's actuator_outputs and actuator_servos, MAVLink's SERVO_OUTPUT_RAW."""
+"""ArduPilot's RCOU, PX4's actuator_outputs and actuator_servos, MAVLink's SERVOOUTPUT_RAW."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +51,7 @@ def servo_outputs(path: Path) -> list[ServoOutput]:
     for log, _ in read_logs(path):
         for name, series in log.series.items():
             known = series.values[np.isfinite(series.values)]
-            if _OUTPUT.fullmatch(name) and known.size and np.ptp(known) > 0.0:
+            if OUTPUT.fullmatch(name) and known.size and np.ptp(known) > 0.0:
                 low, high, usual = float(known.min()), float(known.max()), float(np.median(known))
                 found.append(ServoOutput(name, low, high, usual, _stated(name, log.parameters)))
     return found

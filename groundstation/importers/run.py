@@ -15,6 +15,7 @@ from groundstation.flight import Flight, Provenance
 from groundstation.flight.contradictions import CONTRADICTIONS
 from groundstation.flight.credible_columns import credible_values
 from groundstation.flight.flight import CHANNELS
+from groundstation.flight.marks import PARAMETERS
 from groundstation.flight.notes import Note, NoteKind
 from groundstation.flight.quality.plausibility import suspicions
 from groundstation.importers.columns import flight_columns, spoken
@@ -122,6 +123,8 @@ def _record(path: Path, log: Log, chosen: Map, rate_hz: float | None, accept_imp
             "native_hz": {m.name: m.rate for m in found.made.values() if m.rate is not None},
             **({CONTRADICTIONS: [c.to_json() for c in log.contradictions]} if log.contradictions else {}),
             **log.detail,
+            **log.marks.to_json(),
+            **({PARAMETERS: dict(log.parameters)} if log.parameters else {}),
         },
     )
     segment = _segment(log, chosen, rate)
@@ -164,9 +167,15 @@ def _read_tables(path: Path, given: Map | None) -> list[tuple[Log, Map]]:
 
     layout = given.file if given else FileFormat()
     if path.suffix.lower() == ".mat":
-        from groundstation.importers.formats.matlab import read_matlab
+        from groundstation.importers.formats.matlab import read_variables, tables_of
+        from groundstation.importers.formats.matlab_topics import topics_of
 
-        tables = read_matlab(path, layout)
+        variables, left_out = read_variables(path)
+        topics = topics_of(variables) if layout == FileFormat() and (given is None or given.time is None) else None
+        if topics is not None:
+            log, base = topics
+            return [(EVIDENCE.get(log.kind, _as_it_is)(log), given.over(base) if given else base)]
+        tables = tables_of(path, variables, left_out, layout)
     else:
         tables = [read_table(path, layout, given.time if given else None)]
     records = []
@@ -176,6 +185,10 @@ def _read_tables(path: Path, given: Map | None) -> list[tuple[Log, Map]]:
         log, chosen = with_quaternion(table_log(path, table, chosen.time), chosen)
         records.append((replace(log, notes=(*log.notes, *notes)), chosen))
     return records
+
+
+def _as_it_is(log: Log) -> Log:
+    return log
 
 
 def _ulog(path: Path) -> list[Log]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from daq.contract.scan import Scan
 
@@ -20,8 +21,7 @@ class Session:
         return f"aircraft{self.system}_{self.turn:02d}_{self.boot:02x}"
 
 
-@dataclass(frozen=True, slots=True)
-class ScanReceived:
+class ScanReceived(NamedTuple):
     """A scan came down the link. `late`: older than one that came before (reordered), or completed afterwards."""
 
     session: Session

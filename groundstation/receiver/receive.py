@@ -12,8 +12,9 @@ from pathlib import Path
 from typing import Any
 
 from daq.contract.link.scan_map import BLOCK
+from daq.contract.link.wire import SCAN_IDS
 from daq.contract.manoeuvre import Manoeuvre, ManoeuvreError
-from daq.transport.mavlink_codec import RADIO_STATUS_ID, Frame, FrameEncoder
+from daq.transport.mavlink_codec import RADIO_STATUS_ID, Frame, FrameEncoder, message_types
 from daq.transport.ports import BytePort
 from groundstation.receiver import doubts as d
 from groundstation.receiver import events as ev
@@ -45,6 +46,7 @@ _MAPS_AT_ONCE = 4
 MAX_AIRCRAFT, MAX_OF_ONE_SENDER = 16, 8
 """Served at once, where `systems` does not list them: each has files, a view and memory of its own."""
 _DISK = "disk"
+_KEPT = (ev.ScanReceived, ev.EventMarked)
 _FIXED_WING, _GCS, _NO_AUTOPILOT = 1, 6, 8
 
 
@@ -89,6 +91,7 @@ class Receiver:
         self._gate = Gate(make_signer(config, clock), self.faults)
         if self._gate.signer is not None and self._gate.signer.notice:
             self.faults.note(SIGNING_STATE, OSError(self._gate.signer.notice))
+        self._known_messages = frozenset(message_types())
         self._encoder = FrameEncoder(config.system_id, config.component_id, self._gate.signer)
         self._frame_input = FrameInput(self._ports, folder, self.faults)
         self._disk = Disk()
@@ -138,7 +141,7 @@ class Receiver:
             return dict(self.faults.present)
 
     def _take_frame(self, frame: Frame, sender: Sender, now: int, utc: int, out: list[ev.Event]) -> None:
-        if not frame.known or frame.system in (0, self.config.system_id):
+        if frame.msg_id not in self._known_messages or frame.system in (0, self.config.system_id):
             return
         if not self._gate.allows(frame):
             return
@@ -154,14 +157,17 @@ class Receiver:
             return
         known.port = port
         out += known.decoder.take(frame, now, utc)
-        self._take_answer(known, frame, now, out)
+        if frame.msg_id not in SCAN_IDS:
+            self._take_answer(known, frame, now, out)
 
     def _known(self, frame: Frame, sender: Sender) -> _Aircraft | None:
         """The aircraft a frame is of, made when it is first heard; None for a sender that is none, or one too many."""
+        known = self._aircraft.get(frame.system)
+        if known is not None:
+            return known
         if self.config.systems and frame.system not in self.config.systems:
             return None
-        known = self._aircraft.get(frame.system)
-        if known is None and _is_aircraft(frame):
+        if _is_aircraft(frame):
             if not self.config.systems and not self._room_for_one_more(sender):
                 self.doubts.note(d.NOBODY, d.AIRCRAFT)
                 return None
@@ -177,7 +183,7 @@ class Receiver:
     def _believed(self, aircraft: _Aircraft, frame: Frame, sender: Sender, now: int) -> bool:
         """Whether the sender may speak for the aircraft: with a key always, for its signature holds."""
         own = frame.msg_id >= _FIRST_OWN_ID
-        before = aircraft.senders.speaker(sender.port)
+        before = aircraft.senders.speaker(sender.port) if own else None
         if self._gate.signer is None:
             if not aircraft.senders.allows(sender, frame.component, own, now):
                 return False
@@ -234,7 +240,7 @@ class Receiver:
             if isinstance(event, ev.Restarted):
                 with self.quarantine.guard(event.session.system, "its new session"), self.faults.watch(RECORDING):
                     self._begin(event.session)
-            elif isinstance(event, ev.ScanReceived | ev.EventMarked):
+            elif isinstance(event, _KEPT):
                 try:
                     self._keep_one(event)
                 except Exception as error:  # noqa: BLE001  one scan that cannot be kept is not the next one's end

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from daq.contract.recordings.messages import LogLevel
 from groundstation.flight import Flight, read_flight
+from groundstation.flight.marks import marks_of
 from groundstation.viewer.blueprint import Layout
 from groundstation.viewer.live import ViewerError
 from groundstation.viewer.replay import write_rrd
@@ -125,6 +126,9 @@ def _events(flight: Flight) -> list[tuple[float, str, str]]:
         found.append((float(e["time"]), f"event ({e['origin']}): {e['text']}", "INFO"))
     for m in _listed(flight, "manoeuvres", ("start", "title")):
         found.append((float(m["start"]), f"manoeuvre: {m['title']}", "INFO"))
+    marks = marks_of(flight)
+    found += [(m.start, f"mode: {m.name}", "INFO") for m in marks.modes if abs(m.start) <= _LATEST_S]
+    found += [(m.time, f"message ({m.origin}): {m.text}", "INFO") for m in marks.messages if abs(m.time) <= _LATEST_S]
     return sorted(found)
 
 

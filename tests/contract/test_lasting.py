@@ -2,6 +2,7 @@
 
 import os
 import pty
+import re
 import threading
 import time
 import tty
@@ -172,6 +173,51 @@ def test_a_wrong_port_is_one_sentence(text: str, said: str) -> None:
     with pytest.raises(PortError, match=said) as refusal:
         open_port(text)
     assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("serial:{folder}/ttyRadio:57600", "No such file"),
+        ("udp:no-such-host.invalid:14550", "not known|Temporary failure|No address|no answer yet"),
+    ],
+)
+def test_an_aircraft_waits_for_what_is_not_there_yet(
+    text: str, why: str, tmp_path: Path, closing: list[BytePort]
+) -> None:
+    def absent(device: str, baud: int) -> SerialPort:
+        return SerialPort(Path(device).open("rb"))
+
+    port = open_lasting(text.format(folder=tmp_path), absent, wait=True)
+    closing.append(port)
+    with pytest.raises(OSError, match="away") as refusal:
+        port.write(b"\xfd")
+    assert re.search(why, str(refusal.value))
+
+
+def test_a_radio_that_is_plugged_in_late_joins(tmp_path: Path, closing: list[BytePort]) -> None:
+    name = tmp_path / "ttyLate"
+
+    def serial(device: str, baud: int) -> SerialPort:
+        return SerialPort(os.fdopen(os.open(device, os.O_RDWR | os.O_NOCTTY), "r+b", buffering=0))
+
+    port = open_lasting(f"serial:{name}:57600", serial, wait=True)
+    closing.append(port)
+    assert "away (" in away(port)
+    master, slave = pty.openpty()
+    tty.setraw(slave)
+    name.symlink_to(os.ttyname(slave))
+    soon(lambda: port.write(b"beat") == 4)
+    assert os.read(master, 10) == b"beat"
+    os.close(master)
+    os.close(slave)
+
+
+def test_waiting_does_not_hide_a_listener_that_another_program_has(closing: list[BytePort]) -> None:
+    server = TcpServerPort("127.0.0.1", 0)
+    closing.append(server)
+    with pytest.raises(PortError, match="is another program using it"):
+        open_lasting(f"tcpin:{server.address[1]}", lambda *_: pytest.fail("no serial port"), wait=True)
 
 
 def test_busy_listener_is_one_sentence(closing: list[BytePort]) -> None:

@@ -5,10 +5,13 @@ import errno
 import fcntl
 import os
 import pty
+import re
+import select
 import subprocess
 import sys
 import textwrap
 import threading
+import tty
 from pathlib import Path
 
 import pytest
@@ -18,7 +21,7 @@ from daq.acquisition.sampler import Sampler
 from daq.clock import RealClock, SimulatedClock
 from daq.sensors.bus import I2cBus, SerialPort
 from daq.sensors.config import BusConfig, GnssConfig, SensorsConfig, cdfp_sensors
-from daq.sensors.open import HardwareError, ReopeningBus, ReopeningPort, SysfsPulse, open_hardware
+from daq.sensors.open import REOPEN_AFTER_NS, ReopeningBus, ReopeningPort, SysfsPulse, open_hardware
 from daq.sensors.registry import DriverConfigError
 from tests.daq.fakes import FakeBus
 
@@ -95,16 +98,34 @@ def test_real_bus_class_fits_the_protocol_and_its_calls() -> None:
     assert scan.values == {}
 
 
-def test_missing_bus_device_is_one_sentence(tmp_path: Path) -> None:
-    config = cdfp_sensors().model_copy(update={"bus": BusConfig(device=str(tmp_path / "i2c-9"))})
-    with pytest.raises(HardwareError, match=r"i2c-9: no such device; enable I2C .* key sensors.bus.device"):
-        open_hardware(config, RealClock())
+def test_a_missing_bus_or_port_is_one_sentence_and_no_end(tmp_path: Path) -> None:
+    bus = cdfp_sensors().model_copy(update={"bus": BusConfig(device=str(tmp_path / "i2c-9"))})
+    hardware = open_hardware(bus, RealClock())
+    assert re.match(r".*i2c-9: no such device; enable I2C .* key sensors.bus.device", hardware.absent[0])
+    hardware.close()
+    hardware = open_hardware(SensorsConfig(gnss=GnssConfig(device=str(tmp_path / "ttyX"))), RealClock())
+    assert re.match(r"serial port .*ttyX: cannot be opened .*by-id", hardware.absent[0])
+    with pytest.raises(OSError, match="ttyX"):
+        hardware.devices[0].read(1)  # type: ignore[union-attr]
+    hardware.close()
 
 
-def test_missing_serial_port_is_one_sentence(tmp_path: Path) -> None:
-    config = SensorsConfig(gnss=GnssConfig(device=str(tmp_path / "ttyX")))
-    with pytest.raises(HardwareError, match=r"serial port .*ttyX: cannot be opened"):
-        open_hardware(config, RealClock())
+def test_a_port_that_comes_late_joins(tmp_path: Path) -> None:
+    clock = SimulatedClock()
+    port = ReopeningPort(str(tmp_path / "ttyLate"), 115200, clock)
+    near, far = pty.openpty()
+    tty.setraw(far)
+    (tmp_path / "ttyLate").symlink_to(os.ttyname(far))
+    with pytest.raises(OSError, match="is gone"):
+        port.read(1)  # not before a second has passed
+    clock.sleep_until(clock.monotonic_ns() + REOPEN_AFTER_NS)
+    assert port.read(1) == b""  # opened
+    os.write(near, b"fix")
+    assert select.select([far], [], [], 5.0)[0]
+    assert port.read(3) == b"fix"
+    port.close()
+    os.close(near)
+    os.close(far)
 
 
 def test_driver_without_its_port_or_unknown_is_refused() -> None:
@@ -122,8 +143,7 @@ def test_busy_port_is_named() -> None:
     name = os.ttyname(far)
     first = ReopeningPort(name, 115200, RealClock())
     try:
-        with pytest.raises(HardwareError, match="busy; stop the other program"):
-            ReopeningPort(name, 115200, RealClock())
+        assert "busy; stop the other program" in ReopeningPort(name, 115200, RealClock()).absent
     finally:
         first.close()
         os.close(near)
@@ -243,5 +263,6 @@ def test_pulse_stamps_are_carried_to_the_monotonic_clock(tmp_path: Path) -> None
     pulse = SysfsPulse(file, clock)
     assert pulse() == 7_000_000_000 - 300_000_000 + 2_500
     assert pulse() is None  # the same edge once only
-    with pytest.raises(HardwareError, match="no pulse-per-second source"):
-        SysfsPulse(tmp_path / "none", clock)
+    missing = SysfsPulse(tmp_path / "none", clock)
+    assert "no pulse-per-second source" in missing.absent
+    assert missing() is None

@@ -20,6 +20,10 @@ FIELD = (2.2e-5, 6.7e-5)
 """Strength of the magnetic field on Earth [T] (IGRF-13)."""
 FIELD_TOLERANCE = 0.15
 SIGMAS = 4.0
+RECEIVER_LATE = (0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5)
+"""[s] by which a receiver's velocity may be late: they filter, and are logged when they have come."""
+RECEIVER_SMOOTHS = 1.0
+"""[s] over which both sides are averaged: fixes of 5 Hz and a receiver's filter lose a fifth of a Dutch roll of 1 Hz."""
 _DEG = 180.0 / np.pi
 
 
@@ -50,10 +54,12 @@ def acceleration_and_velocity(time: Array, c: Columns) -> Iterator[Contradiction
     if not all(n in c for n in ("ax", "ay", "az", "phi", "theta", "psi", "vn", "ve", "vd")):
         return
     north, east, down = _earth_acceleration(c)
-    pairs = []
-    for v, a in ((c["vn"], north), (c["ve"], east), (c["vd"], down)):
-        pairs += [(summed(t, push), speed) for t, speed, push in windows(time, v, a)]
-    slope, agreement = line(pairs)
+    parts = [
+        (t, summed(t, push), speed)
+        for v, a in ((c["vn"], north), (c["ve"], east), (c["vd"], down))
+        for t, speed, push in windows(time, v, a)
+    ]
+    slope, agreement, pairs = max((_as_late(parts, late) for late in RECEIVER_LATE), key=lambda found: found[1])
     if agreement > AGREEMENT and abs(slope - 1.0) > SCALE_TOLERANCE and 1 / MOST_SCALE < slope < MOST_SCALE:
         text = (
             f"velocity by GNSS changes {slope:.3g} times as much as ax, ay, az with attitude and gravity make it: scale of "
@@ -62,6 +68,18 @@ def acceleration_and_velocity(time: Array, c: Columns) -> Iterator[Contradiction
         moves = f"force derivatives by {abs(slope - 1):.0%}, if the accelerometers are wrong"
         std = _slope_std(slope, agreement, pairs)
         yield Contradiction(("vn", "ve", "vd", "ax", "ay", "az"), text, slope, std=std, moves=moves, stops=True)
+
+
+def _as_late(parts: list[tuple[Array, Array, Array]], late: float) -> tuple[float, float, list[tuple[Array, Array]]]:
+    """Slope, agreement and the pairs of `line` for a receiver so many seconds late, both sides without what it cannot follow."""
+    pairs = []
+    for t, push, speed in parts:
+        width = max(1, round(RECEIVER_SMOOTHS / float(np.median(np.diff(t)))))
+        kernel = np.full(width, 1.0 / width)
+        if t.size > 2 * width:
+            moved = np.interp(t - late, t, push)
+            pairs.append((np.convolve(moved, kernel, "valid"), np.convolve(speed, kernel, "valid")))
+    return (*line(pairs), pairs)
 
 
 def heading_and_course(time: Array, c: Columns) -> Iterator[Contradiction]:

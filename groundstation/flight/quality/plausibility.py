@@ -54,6 +54,10 @@ class Suspicion:
         return f"{', '.join(self.columns)}: {self.what}"
 
 
+PULL_AGREES = 0.25
+"""Of the normal force that pitch rate, speed and attitude make, by which az may differ: angle of attack, and its change."""
+
+
 def suspicions(time: Array, columns: Columns) -> list[Suspicion]:
     """What is odd about columns (N,) whose values look like another unit or sign; empty when nothing is suspicious."""
     present = {n: v for n, v in columns.items() if n in COLUMN_BY_NAME and np.isfinite(v).sum() >= 2}
@@ -123,7 +127,7 @@ def _gravity(c: Columns) -> Iterator[Suspicion]:
     if not all(a in c for a in ("ax", "ay", "az")):
         return
     size = _median(np.sqrt(c["ax"] ** 2 + c["ay"] ** 2 + c["az"] ** 2))
-    if not 0.75 * GRAVITY < size < 1.3 * GRAVITY:
+    if not 0.75 * GRAVITY < size < 1.3 * GRAVITY and not _pulled(c):
         nearest = min(_GRAVITY_IN, key=lambda u: abs(np.log(max(size, 1e-9) / _GRAVITY_IN[u])))
         unit = nearest if 0.8 < size / _GRAVITY_IN[nearest] < 1.25 else None
         if unit is None and size < 0.3 * GRAVITY:
@@ -135,6 +139,19 @@ def _gravity(c: Columns) -> Iterator[Suspicion]:
         yield Suspicion(
             ("az",), "positive in the mean, but with z down level flight has -9.8 m/s2; turn it with sign = -1"
         )
+
+
+def _pulled(c: Columns) -> bool:
+    """Whether the aircraft turned its flight path as az says: a trim that pulls two g is no other unit."""
+    if not all(n in c for n in ("q", "V", "phi", "theta")):
+        return False
+    with np.errstate(invalid="ignore"):
+        made = -(GRAVITY * np.cos(c["theta"]) * np.cos(c["phi"]) + c["q"] * c["V"])
+        known = np.isfinite(made) & np.isfinite(c["az"])
+    if not known.any():
+        return False
+    ratio = float(np.median(c["az"][known])) / (float(np.median(made[known])) or np.nan)
+    return abs(ratio - 1.0) < PULL_AGREES
 
 
 def _angles(c: Columns) -> Iterator[Suspicion]:

@@ -16,7 +16,8 @@ import numpy as np
 
 from daq.contract.input_files import read_bytes
 from groundstation.importers.errors import ImportDataError
-from groundstation.importers.formats.dataflash_text import is_text, read_text_log
+from groundstation.importers.formats.dataflash_text import SAID, is_text, read_text_log
+from groundstation.importers.modes import dataflash_marks
 from groundstation.importers.series import Array, Log, Series
 
 _HEAD = b"\xa3\x95"
@@ -104,7 +105,9 @@ def read_dataflash(path: Path) -> Log:
         raise ImportDataError(f"{path}: no timed messages in this dataflash log")
     lost = "; its first bytes are lost, and messages described only there" if headless else ""
     notes = (f"{skipped} bytes of the log are damaged and left out{lost}",) if skipped or lost else ()
-    return with_velocities(Log("dataflash", series, notes=notes, parameters=_parameters(messages)))
+    end = max(float(s.time[-1]) for s in series.values())
+    marks = dataflash_marks(_said(messages), end)
+    return with_velocities(Log("dataflash", series, notes=notes, parameters=_parameters(messages), marks=marks))
 
 
 def with_velocities(log: Log) -> Log:
@@ -205,6 +208,19 @@ def _parameters(messages: dict[int, _Message]) -> dict[str, float]:
             label = row[names]
             if isinstance(label, bytes) and math.isfinite(value):
                 found[_text(label)] = value
+    return found
+
+
+def _said(messages: dict[int, _Message]) -> dict[str, list[tuple[float, dict[str, object]]]]:
+    """What the autopilot says beside its samples: message -> (time [s], fields)."""
+    found: dict[str, list[tuple[float, dict[str, object]]]] = {}
+    for message in messages.values():
+        if message.name in SAID and message.timed:
+            time = (message.column(0) * TIME_UNITS[message.fields[0]]).tolist()
+            rows = [
+                dict(zip(message.fields, r, strict=True)) for r in message.layout.iter_unpack(bytes(message.bodies))
+            ]
+            found.setdefault(message.name, []).extend(zip(time, rows, strict=True))
     return found
 
 

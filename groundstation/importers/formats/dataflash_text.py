@@ -12,11 +12,14 @@ from pathlib import Path
 import numpy as np
 
 from groundstation.importers.errors import ImportDataError
+from groundstation.importers.modes import dataflash_marks
 from groundstation.importers.series import Array, Log, Series
 
 _FIRST = re.compile(rb"\s*FMT\s*,\s*\d+\s*,")
 _TIME = {"TimeUS": 1e-6, "TimeMS": 1e-3}
 _TEXT_LETTERS = "nNZa"
+SAID = ("MODE", "MSG", "EV", "ERR", "ARM")
+"""Messages that are words, or events, and no samples."""
 MOST_INSTANCES = 256
 """Of one sensor: ArduPilot numbers them in one byte."""
 
@@ -67,7 +70,16 @@ def read_text_log(path: Path, data: bytes) -> Log:
     if not series:
         raise ImportDataError(f"{path}: no timed messages in this dataflash log")
     notes = (f"{damaged + unread} lines of the log are damaged and left out",) if damaged + unread else ()
-    return Log("dataflash", series, notes=notes, parameters=_parameters(kinds.get("PARM")))
+    end = max(float(s.time[-1]) for s in series.values())
+    marks = dataflash_marks({n: _said(kinds[n]) for n in SAID if n in kinds}, end)
+    return Log("dataflash", series, notes=notes, parameters=_parameters(kinds.get("PARM")), marks=marks)
+
+
+def _said(kind: _Kind) -> list[tuple[float, dict[str, object]]]:
+    """Time [s] and fields of messages that are words or events."""
+    unit = _TIME.get(kind.fields[0], 0.0) if kind.fields else 0.0
+    rows = [(_number(row[0]) * unit, dict(zip(kind.fields, row, strict=True))) for row in kind.rows]
+    return [(time, dict[str, object](row)) for time, row in rows if math.isfinite(time)]
 
 
 def _describe(rest: str, kinds: dict[str, _Kind]) -> bool:

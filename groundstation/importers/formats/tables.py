@@ -372,6 +372,8 @@ def header_map(table: Table, given: Container[str] = ()) -> tuple[Map, tuple[str
                     f"header {plain_name(name)!r}: {plain_name(unit)!r} is not a unit known here; taken as {si or 'it stands'}"
                 )
             columns[bare] = (Source(column=name, unit=unit if unit and known else si),)
+    if time is None and len(table.dates) == 1:
+        time = Time(column=next(iter(table.dates)))
     if time is not None and date is not None and time.column in table.words:
         time = time.model_copy(update={"date": date})
     return Map(format=1, time=time, segment=segment, columns=columns), tuple(notes)

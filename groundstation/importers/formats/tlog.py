@@ -58,7 +58,11 @@ def read_tlog(path: Path) -> list[Log]:
         detail = {"system": str(system), "component": str(boot.component)}
         said = (*(notes if number == 1 else ()), *told, *boot.notes)
         seen = boot.contradictions
-        logs.append(Log("tlog", boot.series, notes=said, detail=detail, parameters=stated, contradictions=seen))
+        logs.append(
+            Log(
+                "tlog", boot.series, notes=said, detail=detail, parameters=stated, contradictions=seen, marks=boot.marks
+            )
+        )
     return logs
 
 

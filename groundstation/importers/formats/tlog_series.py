@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundstation.flight.contradictions import Contradiction
+from groundstation.flight.marks import Mark, Marks, Mode, changes
+from groundstation.importers.modes import ARMED, armings, heartbeat_mode, words
 from groundstation.importers.series import Array, Series
 
 LONGEST_ARRAY = 32
@@ -78,6 +80,7 @@ class Boot:
     component: int
     notes: tuple[str, ...] = ()
     contradictions: tuple[Contradiction, ...] = field(default_factory=tuple)
+    marks: Marks = field(default_factory=Marks)
 
 
 @dataclass(frozen=True)
@@ -110,7 +113,8 @@ def by_boot(received: Sequence[Received]) -> list[Boot]:
         inside = [r.part((order(r) >= low) & (order(r) < high)) for r in received]
         late = part.offset - first.offset if part.own.size else 0.0
         series, notes = _series([r for r in inside if len(r.table)], component, order, part, late)
-        boots.append(Boot(series, component, notes, tuple(_clock_rates(part))))
+        marks = _marks(inside, component, order, part).moved(late)
+        boots.append(Boot(series, component, notes, tuple(_clock_rates(part)), marks))
     return [b for b in boots if b.series]
 
 
@@ -184,6 +188,25 @@ def _series(
     return series, notes
 
 
+def _marks(received: Sequence[Received], component: int, order: _Order, clock: _Clock) -> Marks:
+    """Modes by the heartbeats of the autopilot, its messages, and when its motors were armed."""
+    modes: tuple[Mode, ...] = ()
+    events: tuple[Mark, ...] = ()
+    messages: list[Mark] = []
+    for r in received:
+        if r.component != component or not len(r.table) or r.name not in ("HEARTBEAT", "STATUSTEXT"):
+            continue
+        time = _time(r, component, order, clock).tolist()
+        if r.name == "STATUSTEXT":
+            messages += [Mark(t, words(text)) for t, text in zip(time, r.table["text"].tolist(), strict=True) if text]
+            continue
+        fields = (r.table[n].tolist() for n in ("type", "autopilot", "custom_mode"))
+        names = [heartbeat_mode(*row) for row in zip(*fields, strict=True)]
+        modes = changes(time, names, max(time, default=0.0))
+        events = armings(time, (r.table["base_mode"] & ARMED > 0).tolist())
+    return Marks(modes, events, tuple(messages))
+
+
 def _instances(r: Received) -> Iterator[tuple[str, NDArray[np.bool_]]]:
     """Each sender of a message within the component, as it is called, and which messages are its own."""
     by = _INSTANCE.get(r.name)
@@ -215,7 +238,9 @@ def _time(r: Received, component: int, order: _Order, clock: _Clock) -> Array:
         return np.where(np.isfinite(own), own, by_receiver)
     place = order(r)
     after = np.clip(np.searchsorted(clock.place, place), 1, clock.own.size - 1)
-    dense = np.abs(clock.own[after] - clock.own[after - 1]) < DENSE
+    delay = clock.stamp - clock.own
+    spread = float(np.subtract(*np.percentile(delay, [95, 5])))  # a burst is late by up to its length
+    dense = np.abs(clock.own[after] - clock.own[after - 1]) < max(DENSE, spread)
     by_order = np.interp(place, clock.place, clock.own)
     between = dense & (place >= clock.place[0]) & (place <= clock.place[-1])
     return np.where(np.isfinite(own), own, np.where(between, by_order, by_receiver))

@@ -41,10 +41,14 @@ class Sessions:
 
     def keep(self, event: ev.Event) -> bool:
         """Hand an event to the recorder of its session; False when it refuses it, because there were too many."""
+        if isinstance(event, ev.ScanReceived):
+            try:
+                (self._open.get(event.session) or self.recorder(event.session)).scan(event)
+            except OSError as error:  # cleared by `look_after`, which says that the disk takes it again
+                self._faults.note(RECORDING, error)
+            return True
         with self._faults.watch(RECORDING):
-            if isinstance(event, ev.ScanReceived):
-                self.recorder(event.session).scan(event)
-            elif isinstance(event, ev.EventMarked):
+            if isinstance(event, ev.EventMarked):
                 return self.recorder(event.session).event(event)
             elif isinstance(event, ev.LinkStatistics) and event.session in self._open:
                 self._open[event.session].link(event)
