@@ -18,6 +18,7 @@ from groundstation.flight.flight import CHANNELS
 from groundstation.flight.marks import PARAMETERS
 from groundstation.flight.notes import Note, NoteKind
 from groundstation.flight.quality.plausibility import suspicions
+from groundstation.importers.boots import by_boot
 from groundstation.importers.columns import flight_columns, spoken
 from groundstation.importers.endings import BAGS, LOGS, TABLES
 from groundstation.importers.errors import ImportDataError
@@ -145,7 +146,8 @@ def read_logs(path: Path, given: Map | None = None) -> list[tuple[Log, Map]]:
     name = LOGS[suffix]
     base = built_in_map(name)
     chosen = given.over(base) if given else base
-    return [(EVIDENCE[log.kind](log), chosen) for log in readers[name](path)]
+    logs = [boot for log in readers[name](path) for boot in by_boot(log)]
+    return [(EVIDENCE[log.kind](log), chosen) for log in logs]
 
 
 def _read_with_package(path: Path, given: Map | None) -> tuple[Log, Map]:
