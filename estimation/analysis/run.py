@@ -252,7 +252,12 @@ def _next(
         )
     steps += [c.hint for c in training if c.hint]
     best = recommended(estimate)
-    steps += [str(text) for text in best.get("lacks", ())]
+    lacks = ", ".join(str(term) for term in best.get("lacks", ()))
+    steps += (
+        [f"settle what the model may lack ({lacks}): what is said of each stands on the page of the derivatives"]
+        if lacks
+        else []
+    )
     if estimate and best.get("method", "none") == "none":
         steps += [str(d.get("text", "")) for f in estimate.get("flights", []) for d in f.get("doubts", [])]
     if not estimate and not without:
