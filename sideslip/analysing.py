@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from daq.contract.options import aircraft_option
 from daq.contract.outputs import tried_folder
 
 if TYPE_CHECKING:
@@ -21,7 +22,7 @@ READY = (".mcap",)
 
 @click.command(epilog=EXAMPLE)
 @click.argument("logs", nargs=-1, required=True, type=_PATH, metavar="LOG...")
-@click.option("--aircraft", help="Built-in aircraft or an AIRCRAFT.toml; without one: what can be said all the same.")
+@aircraft_option("Built-in aircraft or an AIRCRAFT.toml; without one: what can be said all the same", "")
 @click.option("--map", "mapping", type=_PATH, help="Mapping file, as of 'sideslip import'.")
 @click.option(
     "--holdout", multiple=True, type=_PATH, metavar="LOG", help="A log kept out of every fit; may be repeated."
