@@ -11,8 +11,8 @@ Names are imported on first use, so that a light verb or script stays light.
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from sideslip.analysing import analysis as analyse
     from sideslip.api import (
+        analyse,
         check,
         design,
         estimate,
@@ -33,17 +33,16 @@ if TYPE_CHECKING:
     from sideslip.records import calibrate, info, recover, verify
 
 _HOMES = {
-    "analyse": "sideslip.analysing",
     **dict.fromkeys(("calibrate", "info", "recover", "verify"), "sideslip.records"),
     "Flown": "sideslip.chain",
     "fly_scenario": "sideslip.chain",
     "main": "sideslip.entry",
     "software_version": "sideslip.cli",
 }
-_RENAMED = {"analyse": "analysis", "frequency_response": "frequency"}
+_RENAMED = {"frequency_response": "frequency"}
 __all__ = [
-    "Flown", "analyse", "calibrate", "check", "design", "estimate", "fly_scenario", "frequency", "frequency_response", "gap",
-    "import_log", "info", "main", "match", "open", "performance", "reconstruct", "recover",
+    "Flown", "analyse", "calibrate", "check", "design", "estimate", "fly_scenario", "frequency", "frequency_response",
+    "gap", "import_log", "info", "main", "match", "open", "performance", "reconstruct", "recover",
     "simulate", "software_version", "verify", "watch",
 ]  # fmt: skip
 
