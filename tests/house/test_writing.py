@@ -27,7 +27,6 @@ ALLOWED: dict[tuple[str, str], str] = {
     ("estimation/campaign/workers/work.py", "write_bytes"): "a temporary folder, removed at once",
     ("estimation/engine/compiled.py", "write_text"): "a temporary folder, removed at once",
     ("estimation/simulation/jsbsim/library.py", "write_text"): "a temporary folder, removed at once",
-    ("groundstation/importers/draft.py", "write_text"): "a temporary folder, removed at once",
     ("estimation/report/drawing/figures.py", "savefig"): "a picture in memory, and `save_figure`",
     ("estimation/campaign/publish.py", "write_table"): GIVEN,
     ("estimation/campaign/store.py", "write_table"): GIVEN,
