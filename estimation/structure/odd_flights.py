@@ -42,13 +42,17 @@ class OddFlight:
     probability: float
     parameter: str
     moves: float
+    beside: str = ""
 
     @property
     def text(self) -> str:
         """As it is printed."""
         size = f"{self.ratio:.3g} s" if self.what.startswith("lag") else f"{self.ratio:.3g} times the others'"
+        who = f"{self.flight} differs from the other flights"
+        if self.beside:
+            who = f"{self.flight} and {self.beside} differ from one another, and two flights cannot tell which is the odd one"
         return (
-            f"{self.flight} differs from the other flights (probability of chance {self.probability:.1g}), most likely in"
+            f"{who} (probability of chance {self.probability:.1g}), most likely in"
             f" {self.what}: {size}; it moves the joint {self.parameter} by {self.moves:.1f} bounds"
         )
 
@@ -109,7 +113,9 @@ def _of_flight(linear: Linearised, result: Result, index: int) -> tuple[float, O
         moved = np.where(np.isfinite(bounds) & (bounds > 0.0), moved / bounds, 0.0)
     most = int(np.argmax(moved))
     ratio = 1.0 / max(1.0 + size, 0.05) if best.what == WHOLE else best.null + size
-    odd = OddFlight(mine.name, best.what, ratio, probability, linear.shared[most], float(moved[most]))
+    names = [f.name for f in linear.flights]
+    beside = names[1 - index] if len(names) == 2 else ""
+    odd = OddFlight(mine.name, best.what, ratio, probability, linear.shared[most], float(moved[most]), beside)
     return surprise / max(rank, 1), odd
 
 
