@@ -1,8 +1,8 @@
 """Which flight of a joint fit differs from the others, in what, and how likely that is chance: leave-one-out.
 
-Each flight's score at the estimate of all the others scatters as its own noise and their uncertainty say. Where it does not, what
-would explain it in this flight alone is looked for: all forces by one factor (mass, or dynamic pressure), one coefficient, one
-derivative, or one of the things tested beside every fit.
+Each flight's score at the estimate of all the others scatters as its own noise and their uncertainty say. Where it does not,
+what would explain it in this flight alone is looked for: all forces by one factor (mass, or dynamic pressure), one
+coefficient, one derivative, or one of the things tested beside every fit.
 """
 
 from collections.abc import Iterator, Sequence
@@ -25,16 +25,16 @@ CHANCE = 1e-4
 INFLATED = 2.0
 """Of a flight's score covariance: an allowance for what flights of one aircraft differ by in speed, loading and air."""
 SIMPLE = 0.8
-"""Share of what one single derivative explains from which a simpler cause, all forces by one factor or a whole coefficient, is
-named."""
+"""Share of what one single derivative explains from which a simpler cause, all forces by one factor or a whole coefficient,
+is named."""
 WHOLE = "mass or dynamic pressure"
 
 
 @dataclass(frozen=True)
 class OddFlight:
-    """A flight that differs. ratio: of what it has to what the others have (mass over mass, derivative over derivative, scale;
-    seconds
-    for a lag, as it is); probability: of so much by chance; moves: bounds by which it moves the joint estimate at most."""
+    """A flight that differs. ratio: of what it has to what the others have (mass over mass, derivative over derivative,
+    scale; seconds for a lag, as it is); probability: of so much by chance; moves: bounds by which it moves the joint estimate
+    at most."""
 
     flight: str
     what: str
