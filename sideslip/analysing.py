@@ -4,8 +4,8 @@ from pathlib import Path
 
 import click
 
-from daq.contract.options import aircraft_option
-from daq.contract.outputs import tried_folder
+from daq.contract.options import aircraft_option, json_option
+from daq.contract.outputs import tried_folder, write_json
 
 EXAMPLE = "Example: sideslip analyse log.bin --map surfaces.toml --aircraft plane.toml -o analysis"
 _PATH = click.Path(path_type=Path)
@@ -18,6 +18,7 @@ _PATH = click.Path(path_type=Path)
 @click.option(
     "--holdout", multiple=True, type=_PATH, metavar="LOG", help="A log kept out of every fit; may be repeated."
 )
+@json_option()
 @click.option(
     "-o",
     "--output",
@@ -27,7 +28,12 @@ _PATH = click.Path(path_type=Path)
     help="Folder for index.html, answer.json and stages.",
 )
 def analyse(
-    logs: tuple[Path, ...], aircraft: str | None, mapping: Path | None, holdout: tuple[Path, ...], output: Path
+    logs: tuple[Path, ...],
+    aircraft: str | None,
+    mapping: Path | None,
+    holdout: tuple[Path, ...],
+    output: Path,
+    json_path: Path | None,
 ) -> int:
     """From LOGs to an answer: import, contradictions, stretches, air data, the richest model, estimate, gap and one page."""
     from estimation.commands.progress import Progress
@@ -37,6 +43,8 @@ def analyse(
         answer = analysis.analyse(logs, aircraft, mapping, holdout, output, progress)
     for line in answer.lines():
         click.echo(line)
+    if json_path is not None:
+        write_json(answer.to_json(), json_path)
     done = ", ".join(answer.repeated)
     click.echo(
         f"page: {output / 'index.html'}" + (f" (done in this run: {done})" if done else " (nothing had changed)")
