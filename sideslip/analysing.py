@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from daq.contract.options import json_option
+from daq.contract.options import aircraft_option, json_option
 from daq.contract.outputs import tried_folder, write_json
 
 EXAMPLE = "Example: sideslip analyse log.bin --map surfaces.toml --aircraft plane.toml -o analysis"
@@ -13,7 +13,7 @@ _PATH = click.Path(path_type=Path)
 
 @click.command(epilog=EXAMPLE)
 @click.argument("logs", nargs=-1, required=True, type=_PATH, metavar="LOG...")
-@click.option("--aircraft", help="Built-in aircraft or an AIRCRAFT.toml; without one: what can be said all the same.")
+@aircraft_option("Built-in aircraft or an AIRCRAFT.toml; without one: what can be said all the same", "")
 @click.option("--map", "mapping", type=_PATH, help="Mapping file, as of 'sideslip import'.")
 @click.option(
     "--holdout", multiple=True, type=_PATH, metavar="LOG", help="A log kept out of every fit; may be repeated."
