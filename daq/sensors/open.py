@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from daq.clock import Clock
-from daq.contract.errors import UserError
 from daq.sensors.bus import I2cBus, SerialPort
 from daq.sensors.config import SensorsConfig
 
@@ -22,21 +21,26 @@ if TYPE_CHECKING:
 I2C_TIMEOUT = 0x0702  # linux/i2c-dev.h, unit 10 ms
 I2C_RETRIES = 0x0701
 REOPEN_AFTER_NS = 1_000_000_000
+LASTING_NAMES = "/dev/serial/by-id"  # udev's names, which an adapter keeps whatever number it gets
 LOOK_AFTER_NS = 200_000_000  # between two looks at whether a bus that fails is still there
 
 
-class HardwareError(UserError):
-    """A bus or port that cannot be opened."""
+class HardwareAbsent(OSError):
+    """A bus or port that cannot be opened at present; the sentence names it and says what to do."""
 
 
 @dataclass(frozen=True, slots=True)
 class Hardware:
-    """What the sampler is given. Any of them is None when nothing fitted needs it."""
+    """What the sampler is given. Any of them is None when nothing fitted needs it.
+
+    absent: a sentence for each that was not there when it was asked for; it is tried again for as long as the logger runs.
+    """
 
     bus: I2cBus | None
     gnss: SerialPort | None
     autopilot: SerialPort | None
     pulse: Callable[[], int | None] | None
+    absent: tuple[str, ...] = ()
 
     def close(self) -> None:
         """Release everything."""
@@ -48,29 +52,20 @@ class Hardware:
 def open_hardware(config: SensorsConfig, clock: Clock) -> Hardware:
     """Open the bus and ports that the configuration needs.
 
-    Raises HardwareError naming the device and what to do.
+    What is not there yet, in whatever order things get their power, is no error: `Hardware.absent` says it, and it joins
+    when it comes.
     """
     capture_serial = config.capture is not None and config.capture.driver == "mavlink_servo"
     chips = [g for g in config.fitted if g not in ("attitude", "gnss") and not (g == "capture" and capture_serial)]
-    bus = open_bus(config, clock) if chips else None
-    gnss = autopilot = None
+    bus = ReopeningBus(config.bus.device, config.bus.timeout_ms, clock) if chips else None
+    gnss = autopilot = pulse = None
     if config.gnss is not None:
         gnss = ReopeningPort(config.gnss.device, config.gnss.baud, clock)
+        pulse = SysfsPulse(Path(config.gnss.pps), clock) if config.gnss.pps else None
     if capture_serial and config.capture is not None:
         autopilot = ReopeningPort(config.capture.device, config.capture.baud, clock)
-    pps = config.gnss.pps if config.gnss else None
-    return Hardware(bus, gnss, autopilot, SysfsPulse(Path(pps), clock) if pps else None)
-
-
-def open_bus(config: SensorsConfig, clock: Clock) -> "ReopeningBus":
-    """The I2C adapter of the configuration. Raises HardwareError naming the device and what to do."""
-    device = config.bus.device
-    try:
-        return ReopeningBus(device, config.bus.timeout_ms, clock)
-    except OSError as error:
-        raise HardwareError(
-            f"{device}: {_advice(error, 'enable I2C (raspi-config, or dtparam=i2c_arm=on)')}"
-        ) from error
+    opened = (bus, gnss, autopilot, pulse)
+    return Hardware(bus, gnss, autopilot, pulse, tuple(o.absence for o in opened if o is not None and o.absence))
 
 
 def _advice(error: OSError, when_missing: str) -> str:
@@ -97,7 +92,15 @@ class ReopeningBus:
         self._timeout = timeout_ms // 10
         self._clock = clock
         self._retry_ns = self._look_ns = 0
-        self._bus: SMBus | None = self._open()
+        self._bus: SMBus | None = None
+        self._why = ""  # of the last time it could not be opened
+        self.absence = ""
+        """Why it could not be opened at the start; empty when it could."""
+        try:
+            self._usable()
+            self._retry_ns = 0
+        except OSError as error:
+            self.absence = error.strerror or str(error)
 
     def read_byte_data(self, i2c_addr: int, register: int, /) -> int:
         try:
@@ -155,9 +158,14 @@ class ReopeningBus:
         if self._bus is None:
             now = self._clock.monotonic_ns()
             if now < self._retry_ns:
-                raise OSError(errno.ENODEV, f"{self._device} is gone")
+                raise HardwareAbsent(errno.ENODEV, self._why or f"{self._device} is gone")
             self._retry_ns = now + REOPEN_AFTER_NS
-            self._bus = self._open()
+            try:
+                self._bus = self._open()
+            except OSError as error:
+                advice = _advice(error, "enable I2C (raspi-config, or dtparam=i2c_arm=on)")
+                self._why = f"{self._device}: {advice}"
+                raise HardwareAbsent(errno.ENODEV, self._why) from error
         return self._bus
 
     def _look(self) -> None:
@@ -177,9 +185,9 @@ class ReopeningBus:
 
 
 class ReopeningPort:
-    """A serial port that comes back after its plug was pulled: after an error it is opened again, once a second.
+    """A serial port that comes when it is plugged in, and comes back after its plug was pulled: it is tried once a second.
 
-    Raises HardwareError when it cannot be opened the first time, OSError later.
+    Everything but making it raises OSError while it is away, with a sentence that names it.
     """
 
     def __init__(self, device: str, baud: int, clock: Clock) -> None:
@@ -189,12 +197,15 @@ class ReopeningPort:
         self._device = device
         self._clock = clock
         self._retry_ns = 0
+        self._port: serial.Serial | None = None
+        self._why = ""  # of the last time it could not be opened
+        self.absence = ""
+        """Why it could not be opened at the start; empty when it could."""
         try:
-            self._port: serial.Serial | None = self._open()
+            self._usable()
+            self._retry_ns = 0
         except OSError as error:
-            busy = error.errno in (errno.EBUSY, errno.EAGAIN) or "lock" in str(error)
-            advice = "busy; stop the other program that uses it" if busy else f"cannot be opened ({error})"
-            raise HardwareError(f"serial port {device}: {advice}") from error
+            self.absence = error.strerror or str(error)
 
     @property
     def in_waiting(self) -> int:
@@ -230,10 +241,23 @@ class ReopeningPort:
         if self._port is None:
             now = self._clock.monotonic_ns()
             if now < self._retry_ns:
-                raise OSError(errno.ENODEV, f"{self._device} is gone")
+                raise HardwareAbsent(errno.ENODEV, self._why or f"{self._device} is gone")
             self._retry_ns = now + REOPEN_AFTER_NS
-            self._port = self._open()
+            try:
+                self._port = self._open()
+            except OSError as error:
+                self._why = self._why_not(error)
+                raise HardwareAbsent(errno.ENODEV, self._why) from error
         return self._port
+
+    def _why_not(self, error: OSError) -> str:
+        if error.errno in (errno.EBUSY, errno.EAGAIN) or "lock" in str(error):
+            return f"serial port {self._device}: busy; stop the other program that uses it"
+        if error.errno == errno.EACCES:
+            return f"serial port {self._device}: no permission; add the user to the group dialout"
+        if error.errno == errno.ENOENT:
+            return f"serial port {self._device}: no such device; plug it in, or name it as it stands in {LASTING_NAMES}"
+        return f"serial port {self._device}: cannot be opened ({error.strerror or error})"
 
     def _drop(self) -> None:
         self._retry_ns = self._clock.monotonic_ns() + REOPEN_AFTER_NS
@@ -251,15 +275,19 @@ class SysfsPulse:
         self._path = path
         self._clock = clock
         self._count = -1
+        self.absence = ""
+        """Why there was no such source at the start; empty when there was."""
         try:
             path.read_text()
         except OSError as error:
-            raise HardwareError(
-                f"{path}: no pulse-per-second source ({error.strerror}); load the pps-gpio overlay or remove sensors.gnss.pps"
-            ) from error
+            cure = "load the pps-gpio overlay or remove sensors.gnss.pps"
+            self.absence = f"{path}: no pulse-per-second source ({error.strerror}); {cure}"
 
     def __call__(self) -> int | None:
-        stamp, _, count = self._path.read_text().strip().partition("#")
+        try:
+            stamp, _, count = self._path.read_text().strip().partition("#")
+        except OSError:  # not loaded yet, or the driver has gone
+            return None
         if not count or int(count) == self._count:
             return None
         self._count = int(count)

@@ -13,7 +13,7 @@ from typing import Any
 
 from daq.acquisition.sampler import Sampler
 from daq.actuation.devices import Devices
-from daq.actuation.pwm.heartbeat import FileHeartbeat
+from daq.actuation.pwm.heartbeat import FileHeartbeat, HeartbeatError
 from daq.assembly import Assembly, Edge, assemble
 from daq.clock import RealClock
 from daq.config import LoggerConfig, load_config
@@ -28,6 +28,7 @@ from daq.service.radio_probe import listen
 from daq.service.realtime import GarbageDiscipline, prepare_process
 from daq.telemetry.link import open_port
 from daq.transport.ports import BytePort
+from daq.transport.reconnecting_port import ReconnectingPort
 
 _LOG = logging.getLogger("sideslip.service")
 _STATUS_EVERY = 10  # watchdog messages
@@ -94,6 +95,9 @@ def record_on_hardware(path: Path, *, override: str | None, skip_preflight: bool
     with _opened(config, clock) as (hardware, radio, devices):
         table = None if skip_preflight else _preflight(config, clock, hardware, radio, devices)
         opening = _opening(table, override)
+        opening += [
+            Opening(LogLevel.WARNING, "hardware", f"not there yet: {words}") for words in _absent(hardware, radio)
+        ]
         why = without_sequencer(config, table)
         if why is not None:
             config = config.model_copy(update={"sequencer": None})
@@ -164,7 +168,13 @@ def _preflight(
     heard: Callable[[], RadioReport | None] | None = None
     if radio is not None:
         heard = lambda: listen(radio, clock)  # noqa: E731
-    return run_preflight(config, clock, sampler, RealStorage(), heard, devices)
+    return run_preflight(config, clock, sampler, RealStorage(), heard, devices, absent=lambda: _absent(hardware, radio))
+
+
+def _absent(hardware: Hardware, radio: BytePort | None) -> list[str]:
+    """A sentence for each bus or port that was not there at the start; each is tried again for as long as the logger runs."""
+    away = radio.absence if isinstance(radio, ReconnectingPort) else ""
+    return [*hardware.absent, *([f"radio: {away}"] if away else [])]
 
 
 def _opening(table: Preflight | None, override: str | None) -> list[Opening]:
@@ -246,13 +256,18 @@ def _devices(config: LoggerConfig, clock: RealClock, hardware: Hardware, opened:
     """What the sequencer drives, opened; nothing without one."""
     heartbeat = autopilot = None
     if config.sequencer is not None and config.sequencer.through == "ardupilot":
-        autopilot = open_port(config.sequencer.autopilot.port)
+        autopilot = open_port(config.sequencer.autopilot.port, patient=True)
         opened.callback(autopilot.close)
     elif config.sequencer is not None:
-        heartbeat = FileHeartbeat(config.sequencer.heartbeat)
-        opened.callback(heartbeat.close)
+        try:
+            heartbeat = FileHeartbeat(config.sequencer.heartbeat)
+            opened.callback(heartbeat.close)
+        except HeartbeatError as error:  # the trial says no-go, and the flight is recorded without a sequencer
+            _LOG.error("%s", error)
     return Devices(hardware.bus, heartbeat, clock, autopilot)
 
 
 def _open_radio(config: LoggerConfig) -> BytePort | None:
-    return open_port(config.downlink.port) if config.downlink is not None and config.downlink.port else None
+    if config.downlink is None or not config.downlink.port:
+        return None
+    return open_port(config.downlink.port, patient=True)

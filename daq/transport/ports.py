@@ -34,6 +34,7 @@ _MEMINFO = struct.Struct("9I")
 _CLIENT_BACKLOG = 1 << 20
 _CONNECT_S = 3.0
 _WOULD_BLOCK = (errno.EAGAIN, errno.EWOULDBLOCK, errno.EINTR)
+_NO_NETWORK = (errno.ENETUNREACH, errno.EHOSTUNREACH, errno.ENETDOWN)
 _PEER_GONE = (errno.ECONNREFUSED, errno.ENETUNREACH, errno.EHOSTUNREACH, errno.ENETDOWN)
 
 
@@ -113,6 +114,8 @@ def _advice(spec: PortSpec, error: OSError) -> str:
         return f"{spec.address} is no address of this computer; write one that is, or leave the host out"
     if error.errno == errno.EACCES:
         return "take a port above 1023"
+    if error.errno in _NO_NETWORK:
+        return "is the network up, and the address right?"
     if spec.kind == "tcp":
         return "nobody answers there; check host and port"
     return "is another program using it?"
@@ -123,7 +126,7 @@ class UdpPort:
 
     def __init__(self, *, local: tuple[str, int] | None = None, remote: tuple[str, int] | None = None) -> None:
         host = (local or remote or (_LOOPBACK, 0))[0]
-        family = socket.getaddrinfo(host, None, type=socket.SOCK_DGRAM)[0][0]
+        family, *_, numbers = socket.getaddrinfo(host, None, type=socket.SOCK_DGRAM)[0]
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
         try:
             self._socket.setblocking(False)
@@ -131,7 +134,7 @@ class UdpPort:
             if local is not None:
                 self._socket.bind(local)
             if remote is not None:
-                self._socket.connect(remote)
+                self._socket.connect((numbers[0], remote[1], *numbers[2:]))  # the answer: a name is asked for once
         except OSError:
             self._socket.close()
             raise
@@ -139,6 +142,11 @@ class UdpPort:
         self._peers: dict[Any, None] = {}
         self._held: tuple[str, bytes] | None = None  # taken from the system, not given to the reader yet
         self._too_long = 0
+
+    @property
+    def is_open(self) -> bool:
+        """Always: datagrams need nobody at the other end."""
+        return True
 
     @property
     def address(self) -> tuple[str, int]:
@@ -298,6 +306,11 @@ class TcpServerPort:
         self._listener = socket.create_server((host, number))
         self._listener.setblocking(False)
         self._streams: list[_Stream] = []  # the first is asked first, and goes to the end
+
+    @property
+    def is_open(self) -> bool:
+        """Always: a listener waits for whoever comes."""
+        return True
 
     @property
     def address(self) -> tuple[str, int]:

@@ -8,9 +8,10 @@ import errno
 import threading
 import time
 from collections.abc import Callable
+from ipaddress import ip_address
 from typing import Protocol
 
-from daq.transport.ports import BytePort, PortError, SerialPort, TcpClientPort, open_socket_port, parse_port
+from daq.transport.ports import BytePort, PortError, PortSpec, SerialPort, TcpClientPort, open_socket_port, parse_port
 
 FIRST_RETRY_NS = 500_000_000
 LONGEST_RETRY_NS = 8_000_000_000
@@ -40,7 +41,7 @@ class ReconnectingPort:
     """A port that is opened again, with growing pauses, whenever it is lost.
 
     open_again: makes a new port or raises OSError or PortError; called in a thread. port: the port as first opened; None
-    when there is nobody there yet, and `why`.
+    when there is nobody there yet, and `why`. at_once: then the first try is not put off.
     """
 
     def __init__(
@@ -49,6 +50,7 @@ class ReconnectingPort:
         port: ClosingPort | None,
         *,
         why: str = "",
+        at_once: bool = False,
         now_ns: Callable[[], int] = time.monotonic_ns,
     ) -> None:
         self._open_again = open_again
@@ -56,13 +58,23 @@ class ReconnectingPort:
         self._port = port
         self._why = why
         self._pause_ns = FIRST_RETRY_NS
-        self._next_ns = now_ns() + FIRST_RETRY_NS
+        self._next_ns = now_ns() + (0 if at_once else FIRST_RETRY_NS)
         self._attempt: _Attempt | None = None
 
     @property
     def is_open(self) -> bool:
         """Whether the other end is there at present."""
         return self._port is not None
+
+    @property
+    def absence(self) -> str:
+        """Why the other end is not there; empty while it is."""
+        return "" if self._port is not None else self._why
+
+    @property
+    def dropped(self) -> int:
+        """Datagrams that were not taken, where the port counts them."""
+        return int(getattr(self._port, "dropped", 0))
 
     def read(self, limit: int = _READ_BYTES) -> bytes:
         """Bytes that have arrived; OSError while the port is away."""
@@ -108,7 +120,8 @@ class ReconnectingPort:
         if self._attempt is not None:
             if self._attempt.thread.is_alive():
                 return
-            self._port, self._attempt = self._attempt.port, None
+            self._port, self._why = self._attempt.port, self._attempt.why or self._why
+            self._attempt = None
         elif self._now_ns() >= self._next_ns:
             self._next_ns = self._now_ns() + self._pause_ns
             self._pause_ns = min(LONGEST_RETRY_NS, 2 * self._pause_ns)
@@ -130,6 +143,7 @@ class _Attempt:
 
     def __init__(self, open_again: Callable[[], ClosingPort]) -> None:
         self.port: ClosingPort | None = None
+        self.why = ""
         self._open_again = open_again
         self._lock = threading.Lock()
         self._abandoned = False
@@ -147,7 +161,8 @@ class _Attempt:
     def _run(self) -> None:
         try:
             port = self._open_again()
-        except (OSError, PortError):
+        except (OSError, PortError) as error:
+            self.why = str(error)
             return
         with self._lock:
             if self._abandoned:
@@ -156,18 +171,21 @@ class _Attempt:
                 self.port = port
 
 
-def open_lasting(text: str, open_serial: Callable[[str, int], SerialPort]) -> BytePort:
+def open_lasting(text: str, open_serial: Callable[[str, int], SerialPort], *, patient: bool = False) -> BytePort:
     """Open a port by its description. PortError says what is wrong with the description or the port.
 
-    A TCP peer that is not there yet is no error: it is tried again. open_serial: opens a device at a baud rate, for the
-    contract itself knows no hardware library; raises OSError or ValueError.
+    A TCP peer that is not there yet is no error: it is tried again. patient: nothing that is not there yet is an error, be it
+    a device, a network, an address or a name that nobody resolves; only a description that cannot be understood is.
+    open_serial: opens a device at a baud rate, for the contract itself knows no hardware library; raises OSError or ValueError.
     """
     spec = parse_port(text)
+
+    def again() -> ClosingPort:
+        return open_serial(spec.address, spec.number) if spec.kind == "serial" else open_socket_port(spec)
+
+    if patient:
+        return _patient(spec, text, again)
     if spec.kind == "serial":
-
-        def again() -> SerialPort:
-            return open_serial(spec.address, spec.number)
-
         try:
             return ReconnectingPort(again, again())
         except (OSError, ValueError) as error:
@@ -185,3 +203,25 @@ def open_lasting(text: str, open_serial: Callable[[str, int], SerialPort]) -> By
             if error.errno in _NOBODY_THERE or isinstance(error, TimeoutError):
                 return ReconnectingPort(connect, None, why=error.strerror or "no answer")
     return open_socket_port(spec)
+
+
+def _patient(spec: PortSpec, text: str, again: Callable[[], ClosingPort]) -> BytePort:
+    """A port opened at once where that cannot take long, else in a thread: a name server may let one wait for ten seconds."""
+    if spec.kind != "serial" and (spec.kind == "tcp" or not _is_address(spec.address)):
+        return ReconnectingPort(again, None, why=f"{text} has not answered yet", at_once=True)
+    try:
+        port = again()
+    except ValueError as error:
+        raise PortError(f"{text} cannot be used ({error}); correct the baud rate") from error
+    except (OSError, PortError) as error:
+        return ReconnectingPort(again, None, why=f"{text}: {error}")
+    return ReconnectingPort(again, port) if spec.kind == "serial" else port
+
+
+def _is_address(host: str) -> bool:
+    """Whether a host is written in numbers, so that nobody has to be asked for them."""
+    try:
+        ip_address(host.partition("%")[0])
+    except ValueError:
+        return False
+    return True

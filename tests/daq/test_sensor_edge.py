@@ -5,6 +5,7 @@ import errno
 import fcntl
 import os
 import pty
+import re
 import subprocess
 import sys
 import textwrap
@@ -18,7 +19,7 @@ from daq.acquisition.sampler import Sampler
 from daq.clock import RealClock, SimulatedClock
 from daq.sensors.bus import I2cBus, SerialPort
 from daq.sensors.config import BusConfig, GnssConfig, SensorsConfig, cdfp_sensors
-from daq.sensors.open import HardwareError, ReopeningBus, ReopeningPort, SysfsPulse, open_hardware
+from daq.sensors.open import ReopeningBus, ReopeningPort, SysfsPulse, open_hardware
 from daq.sensors.registry import DriverConfigError
 from tests.daq.fakes import FakeBus
 
@@ -95,16 +96,42 @@ def test_real_bus_class_fits_the_protocol_and_its_calls() -> None:
     assert scan.values == {}
 
 
-def test_missing_bus_device_is_one_sentence(tmp_path: Path) -> None:
-    config = cdfp_sensors().model_copy(update={"bus": BusConfig(device=str(tmp_path / "i2c-9"))})
-    with pytest.raises(HardwareError, match=r"i2c-9: no such device; enable I2C .* key sensors.bus.device"):
-        open_hardware(config, RealClock())
+def test_missing_bus_is_named_and_tried_again(adapters: Path) -> None:
+    (adapters / "sensors").unlink()
+    clock = SimulatedClock()
+    config = cdfp_sensors().model_copy(update={"bus": BusConfig(device=str(adapters / "sensors")), "gnss": None})
+    hardware = open_hardware(config, clock)
+    (words,) = hardware.absent
+    assert re.search(r"sensors: no such device; enable I2C .* key sensors.bus.device", words)
+    assert hardware.bus is not None
+    with pytest.raises(OSError, match="no such device"):
+        hardware.bus.read_byte_data(0x68, 0)
+    (adapters / "sensors").symlink_to("i2c-7")
+    clock.sleep_until(1_500_000_000)
+    assert hardware.bus.read_byte_data(0x68, 0) == 7
+    hardware.close()
 
 
-def test_missing_serial_port_is_one_sentence(tmp_path: Path) -> None:
-    config = SensorsConfig(gnss=GnssConfig(device=str(tmp_path / "ttyX")))
-    with pytest.raises(HardwareError, match=r"serial port .*ttyX: cannot be opened"):
-        open_hardware(config, RealClock())
+def test_missing_receiver_is_named_and_its_late_fixes_join(tmp_path: Path) -> None:
+    clock = SimulatedClock()
+    link = tmp_path / "ttyX"
+    hardware = open_hardware(SensorsConfig(gnss=GnssConfig(device=str(link), pps=str(tmp_path / "pps"))), clock)
+    assert [w for w in hardware.absent if "ttyX: no such device; plug it in" in w and "/dev/serial/by-id" in w]
+    assert [w for w in hardware.absent if "no pulse-per-second source" in w]
+    assert hardware.gnss is not None
+    assert hardware.pulse is not None
+    assert hardware.pulse() is None
+    with pytest.raises(OSError, match="ttyX: no such device"):
+        hardware.gnss.read(1)
+    near, far = pty.openpty()
+    link.symlink_to(os.ttyname(far))
+    clock.sleep_until(2_000_000_000)
+    assert hardware.gnss.in_waiting == 0
+    os.write(near, b"fix")
+    assert received(hardware.gnss, 3) == b"fix"
+    hardware.close()
+    os.close(near)
+    os.close(far)
 
 
 def test_driver_without_its_port_or_unknown_is_refused() -> None:
@@ -122,15 +149,15 @@ def test_busy_port_is_named() -> None:
     name = os.ttyname(far)
     first = ReopeningPort(name, 115200, RealClock())
     try:
-        with pytest.raises(HardwareError, match="busy; stop the other program"):
-            ReopeningPort(name, 115200, RealClock())
+        second = ReopeningPort(name, 115200, SimulatedClock())
+        assert "busy; stop the other program" in second.absence
     finally:
         first.close()
         os.close(near)
         os.close(far)
 
 
-def received(port: ReopeningPort, count: int) -> bytes:
+def received(port: SerialPort, count: int) -> bytes:
     """`count` bytes; the kernel carries them from one end of a pseudo-terminal to the other in its own time."""
     pause = threading.Event()
     for _ in range(1000):
@@ -212,10 +239,10 @@ def test_bus_that_was_pulled_is_let_go_and_found_under_another_number(
     with pytest.raises(OSError, match="Input/output"):
         bus.read_byte_data(0x68, 0)
     assert Adapter.closed == ("i2c-5",)  # at once: the kernel's hub waits for it
-    with pytest.raises(FileNotFoundError):
+    with pytest.raises(OSError, match="no such device"):
         bus.read_byte_data(0x68, 0)
     (adapters / "sensors").symlink_to("i2c-7")
-    with pytest.raises(OSError, match="is gone"):
+    with pytest.raises(OSError, match="no such device"):
         bus.read_byte_data(0x68, 0)  # not tried more often than once a second
     clock.sleep_until(1_500_000_000)
     assert bus.read_byte_data(0x68, 0) == 7
@@ -243,5 +270,6 @@ def test_pulse_stamps_are_carried_to_the_monotonic_clock(tmp_path: Path) -> None
     pulse = SysfsPulse(file, clock)
     assert pulse() == 7_000_000_000 - 300_000_000 + 2_500
     assert pulse() is None  # the same edge once only
-    with pytest.raises(HardwareError, match="no pulse-per-second source"):
-        SysfsPulse(tmp_path / "none", clock)
+    absent = SysfsPulse(tmp_path / "none", clock)
+    assert "no pulse-per-second source" in absent.absence
+    assert absent() is None
