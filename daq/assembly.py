@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 
+from daq.acquisition.air_truth import AirTruth
 from daq.acquisition.sampler import Sampler
 from daq.actuation.actuation import Actuation, output_of
 from daq.actuation.devices import AutopilotPort, Devices
@@ -166,6 +167,7 @@ def assemble(
         housekeeping=housekeeping,
         opening=opening,
     )
+    logger.judge(AirTruth(config.sensors, auto_zero=config.preflight.auto_zero))
     if actuation is not None:
         logger.actuate(actuation)
     link = None

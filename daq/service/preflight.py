@@ -7,7 +7,6 @@ listened to. A no-go refuses the recording unless a person overrides it, and the
 import contextlib
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from enum import StrEnum
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -20,28 +19,13 @@ from daq.config import LoggerConfig
 from daq.contract.scan import Scan, SensorState
 from daq.logger import SensorSource
 from daq.recorder.storage import Storage, in_memory
+from daq.service.checks import Check, Verdict
+from daq.service.rest_checks import rest_checks
 
+_LEVEL_SCANS = 10  # half a second at 20 Hz
 _PROBE_BYTES = 64 * 1024
 _PROBE_WRITES = 8
 _BYTES_PER_SCAN = 480  # of an uncompressed recording, with its share of the index
-
-
-class Verdict(StrEnum):
-    """What a check says."""
-
-    GO = "go"
-    CAUTION = "caution"
-    NO_GO = "no-go"
-
-
-@dataclass(frozen=True, slots=True)
-class Check:
-    """One line of the table. of_sequencer: it concerns what moves the controls."""
-
-    name: str
-    verdict: Verdict
-    text: str
-    of_sequencer: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,6 +88,7 @@ def run_preflight(
     summary = sampler.health()
     checks = [
         *_sensor_checks(summary, scans),
+        *rest_checks(config, scans),
         _timing_check(config, lateness_us),
         _clock_check(config, clock, scans[-1]),
         *(_card_checks(config, clock, storage)),
@@ -136,8 +121,12 @@ def _sensor_checks(summary: HealthSummary, scans: list[Scan]) -> Iterable[Check]
 
 
 def _sensor_check(health: GroupHealth, scans: list[Scan]) -> Check:
-    """A sensor passes when it is well at the end and was in nearly all of the second half of the scans."""
-    states = [s.groups[health.group].state for s in scans[len(scans) // 2 :] if health.group in s.groups]
+    """A sensor passes when it is well at the end and was in nearly all of the second half of the scans.
+
+    The attitude filter needs seconds to find its level, whatever the sensors do: of it the last scans count.
+    """
+    since = len(scans) - _LEVEL_SCANS if health.group == "attitude" else len(scans) // 2
+    states = [s.groups[health.group].state for s in scans[max(0, since) :] if health.group in s.groups]
     well = sum(1 for s in states if s is SensorState.OK)
     steady = bool(states) and well >= 0.9 * len(states)
     bad = Verdict.NO_GO if health.required else Verdict.CAUTION
@@ -245,7 +234,8 @@ def _calibration_check(config: LoggerConfig) -> Check:
 def _radio_check(config: LoggerConfig, radio: Callable[[], RadioReport | None] | None) -> Check:
     bad = Verdict.NO_GO if config.preflight.require_radio else Verdict.CAUTION
     if radio is None:
-        return Check("radio", bad, "no downlink configured")
+        wanted = config.preflight.require_radio
+        return Check("radio", bad if wanted else Verdict.GO, "no downlink configured")
     report = radio()
     if report is None:
         return Check("radio", bad, "nothing heard from the radio; is it powered, and is the ground station on?")
