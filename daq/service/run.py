@@ -26,6 +26,7 @@ from daq.service.notify import Notifier
 from daq.service.preflight import Preflight, RadioReport, run_preflight
 from daq.service.radio_probe import listen
 from daq.service.realtime import GarbageDiscipline, prepare_process
+from daq.telemetry.config import DownlinkConfig
 from daq.telemetry.link import open_port
 from daq.transport.ports import BytePort
 from daq.transport.reconnecting_port import ReconnectingPort
@@ -167,7 +168,8 @@ def _preflight(
     )
     heard: Callable[[], RadioReport | None] | None = None
     if radio is not None:
-        heard = lambda: listen(radio, clock)  # noqa: E731
+        ours = config.downlink or DownlinkConfig()
+        heard = lambda: listen(radio, clock, system_id=ours.system_id, component_id=ours.component_id)  # noqa: E731
     return run_preflight(config, clock, sampler, RealStorage(), heard, devices, absent=lambda: _absent(hardware, radio))
 
 

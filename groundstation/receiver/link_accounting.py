@@ -65,6 +65,10 @@ class SequenceTracker:
         self.lost = self._settled + self.lost - lost_at_jump
         self._missing.clear()
 
+    def forget(self) -> None:
+        """Whatever number comes next is no gap."""
+        self._next = None
+
     def _measure_rate(self, now_ns: int) -> None:
         total = self.received + self.lost
         if self._anchor is None:

@@ -44,18 +44,18 @@ class Senders:
         self.contested = 0
 
     def allows(self, sender: Sender, component: int, own: bool, now_ns: int) -> bool:
-        """Whether a frame may be used. own: it is one of the logger's own messages."""
-        roles = [(component, sender.port), *([(_LOGGER, sender.port)] if own else [])]
-        for role in roles:
-            speaker = self._speakers.get(role)
-            if speaker is not None and speaker.sender != sender and now_ns - speaker.heard_ns < SILENCE_NS:
-                self.contested += 1
-                self._note(sender, speaker.sender, used=False)
-                return False
-        if own and (_LOGGER, sender.port) not in self._speakers:
+        """Whether a frame may be used. own: it is one of the logger's own messages, which an autopilot never sends: one that
+        has the logger's component, too, and was heard first, has no say in them.
+        """
+        role = (_LOGGER if own else component, sender.port)
+        speaker = self._speakers.get(role)
+        if speaker is not None and speaker.sender != sender and now_ns - speaker.heard_ns < SILENCE_NS:
+            self.contested += 1
+            self._note(sender, speaker.sender, used=False)
+            return False
+        if own and role not in self._speakers:
             self._note_second_port(sender, now_ns)
-        for role in roles:
-            self._speakers[role] = _Speaker(sender, now_ns)
+        self._speakers[role] = _Speaker(sender, now_ns)
         return True
 
     def speaks(self, sender: Sender, now_ns: int) -> None:

@@ -40,7 +40,10 @@ def test_frames_agree_with_known_messages() -> None:
 
 def test_setup_messages_ask_for_the_rate() -> None:
     assert bytes.fromhex("b5620608060064000100010 07a12".replace(" ", "")) in setup_m8(10.0)
-    (valset,) = setup_m9(10.0)
+    valset = b"".join(setup_m9(10.0))
+    assert bytes.fromhex("0900912001") in valset  # CFG-MSGOUT-UBX_NAV_PVT_USB = 1
+    assert bytes.fromhex("0200781000") in valset  # CFG-USBOUTPROT-NMEA = 0
+    assert len(setup_m9(10.0)) == 4, "a receiver without USB refuses the message with the keys of USB alone"
     assert bytes.fromhex("01002130 6400".replace(" ", "")) in valset  # CFG-RATE-MEAS = 100 ms
     assert bytes.fromhex("07009120 01".replace(" ", "")) in valset  # CFG-MSGOUT-UBX_NAV_PVT_UART1 = 1
 
