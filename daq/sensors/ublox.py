@@ -69,7 +69,7 @@ class Ublox(Driver):
         silent = self._last_byte_ns + _SILENT <= self._now()
         if not silent and self._nmea:
             raise SelfTestError(
-                f"the GPS receiver on {self._config.device} sends NMEA but no NAV-PVT: its port is not configured;"
+                f"no NAV-PVT from the GPS receiver on {self._config.device} in 2 s, only NMEA: its port is not configured;"
                 " check generation, or save NAV-PVT for this port in u-center"
             )
         raise SelfTestError(
