@@ -34,6 +34,9 @@ class _Rival:
     told_ns: int | None = None
 
 
+_MOST_USUAL = 64
+
+
 class Senders:
     """The speakers of one aircraft."""
 
@@ -41,26 +44,55 @@ class Senders:
         self.system = system
         self._speakers: dict[tuple[int | None, str], _Speaker] = {}  # by role and port; 257 roles at most
         self._rivals: dict[str, _Rival] = {}
+        self._usual: dict[tuple[Sender, int, bool], tuple[_Speaker, ...]] = {}  # who spoke before, and is who it was
         self.contested = 0
 
     def allows(self, sender: Sender, component: int, own: bool, now_ns: int) -> bool:
+<<<<<<< HEAD
         """Whether a frame may be used. own: it is one of the logger's own messages, which an autopilot never sends: one that
         has the logger's component, too, and was heard first, has no say in them.
         """
         role = (_LOGGER if own else component, sender.port)
-        speaker = self._speakers.get(role)
-        if speaker is not None and speaker.sender != sender and now_ns - speaker.heard_ns < SILENCE_NS:
+        if not self._free(role, sender, now_ns):
+            speaker = self._speakers[role]
             self.contested += 1
             self._note(sender, speaker.sender, used=False)
             return False
         if own and role not in self._speakers:
             self._note_second_port(sender, now_ns)
         self._speakers[role] = _Speaker(sender, now_ns)
+=======
+        """Whether a frame may be used. own: it is one of the logger's own messages."""
+        usual = self._usual.get((sender, component, own))
+        if usual is not None:
+            for known in usual:
+                known.heard_ns = now_ns
+            return True
+        port = sender.port
+        roles = ((component, port), (_LOGGER, port)) if own else ((component, port),)
+        speakers = [self._speakers.get(role) for role in roles]
+        for speaker in speakers:
+            if speaker is not None and speaker.sender != sender and now_ns - speaker.heard_ns < SILENCE_NS:
+                self.contested += 1
+                self._note(sender, speaker.sender, used=False)
+                return False
+        if own and (_LOGGER, sender.port) not in self._speakers:
+            self._note_second_port(sender, now_ns)
+        for role, speaker in zip(roles, speakers, strict=True):
+            if speaker is None or speaker.sender != sender:
+                self._speakers[role] = _Speaker(sender, now_ns)
+                self._usual.clear()  # who is replaced is no usual speaker any more
+            else:
+                speaker.heard_ns = now_ns
+        if len(self._usual) < _MOST_USUAL:
+            self._usual[sender, component, own] = tuple(self._speakers[role] for role in roles)
+>>>>>>> main
         return True
 
     def speaks(self, sender: Sender, now_ns: int) -> None:
         """Its signature says who it is: no question."""
         self._speakers[_LOGGER, sender.port] = _Speaker(sender, now_ns)
+        self._usual.clear()
 
     def speaker(self, port: str) -> Sender | None:
         """Who sends the logger's own messages by a port at present."""
