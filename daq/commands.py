@@ -1,20 +1,18 @@
-"""Command-line verbs of the aircraft side: record, preflight, info, verify, recover."""
+"""Command-line verbs of the aircraft side: record, preflight, verify, recover; and what a person reads of a recording."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
+from daq.contract.options import json_option
 from daq.contract.outputs import tried_file, write_json
 
-_JSON = click.option(
-    "--json",
-    "json_path",
-    type=click.Path(path_type=Path),
-    callback=tried_file,
-    help="Also write the result as JSON to PATH.",
-)
+if TYPE_CHECKING:
+    from daq.contract.recordings.accounting import Verification
+
+_JSON = json_option("Also write the result as JSON to PATH.")
 _RECORDING = click.argument("recording", metavar="FILE", type=click.Path(path_type=Path))
 
 
@@ -23,31 +21,22 @@ def _write_json(path: Path | None, result: Mapping[str, Any]) -> None:
         write_json(result, path)
 
 
-@click.command(epilog="Example: sideslip info recordings/demo/onboard --json info.json")
-@_RECORDING
-@_JSON
-def info(recording: Path, json_path: Path | None) -> None:
-    """What is in a recording: FILE is a raw recording, a directory with its segments, or a calibrated flight."""
-    from daq.contract.recordings.accounting import info_mcap
-
-    result = info_mcap(recording)
-    _write_json(json_path, result)
+def info_lines(recording: Path, result: Mapping[str, Any]) -> Iterator[str]:
+    """What a person reads of a recording, from `info_mcap`."""
     found = result.get("sessions", [result])
     for part in found:
         session = f", session {part.get('session') or 'unknown'}" if len(found) > 1 else ""
-        click.echo(
-            f"{part['file']}: {part['kind']}, {part['source']}, aircraft {part['aircraft'] or 'not named'}{session}"
-        )
-        click.echo(
+        yield f"{part['file']}: {part['kind']}, {part['source']}, aircraft {part['aircraft'] or 'not named'}{session}"
+        yield (
             f"  {part['scans']} scans in {part['duration_s']:.2f} s, {part['rate_hz']:.2f} Hz, "
             f"numbers {part['first_scan']} to {part['last_scan']}, recorded by sideslip {part['software']}"
         )
     if not result["sound"]:
-        click.echo(f"  damaged or not closed in order: see 'sideslip verify {recording}'")
+        yield f"  damaged or not closed in order: see 'sideslip verify {recording}'"
     for event in result.get("events", ()):
-        click.echo(f"  event at {event['time']:.2f} s ({event['origin']}): {event['text']}")
+        yield f"  event at {event['time']:.2f} s ({event['origin']}): {event['text']}"
     for channel in result["channels"]:
-        click.echo(f"  {channel['name']:<24} {channel['unit'] or '-':<6} {channel['samples']:>8} samples")
+        yield f"  {channel['name']:<24} {channel['unit'] or '-':<6} {channel['samples']:>8} samples"
 
 
 @click.command(epilog="Example: sideslip verify recordings/demo/onboard")
@@ -59,11 +48,17 @@ def verify(recording: Path, json_path: Path | None) -> None:
 
     result = check(recording)
     _write_json(json_path, result.to_dict())
-    click.echo(f"{recording}: {result.text}")
-    for path, damage in result.damages:
-        click.echo(f"  {path.name} byte {damage.at_byte}: {damage.what}")
+    for line in verify_lines(recording, result):
+        click.echo(line)
     if not result.ok:
         raise click.exceptions.Exit(1)
+
+
+def verify_lines(recording: Path, result: "Verification") -> Iterator[str]:
+    """What a person reads of a check: the sentence, and each damage."""
+    yield f"{recording}: {result.text}"
+    for path, damage in result.damages:
+        yield f"  {path.name} byte {damage.at_byte}: {damage.what}"
 
 
 @click.command(epilog="Example: sideslip recover flight_000.mcap -o recovered.mcap")

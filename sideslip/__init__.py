@@ -11,33 +11,47 @@ Names are imported on first use, so that a light verb or script stays light.
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from sideslip.api import check, design, estimate, gap, import_log, match, open, simulate
+    from sideslip.api import (
+        analyse,
+        check,
+        design,
+        estimate,
+        frequency,
+        gap,
+        import_log,
+        match,
+        open,
+        performance,
+        reconstruct,
+        simulate,
+        watch,
+    )
+    from sideslip.api import frequency as frequency_response
     from sideslip.chain import Flown, fly_scenario
     from sideslip.cli import software_version
     from sideslip.entry import main
-    from sideslip.responses import frequency_response
-    from sideslip.watching import watch
+    from sideslip.records import calibrate, info, recover, verify
 
 _HOMES = {
-    **dict.fromkeys(("check", "design", "estimate", "gap", "import_log", "match", "open", "simulate"), "sideslip.api"),
+    **dict.fromkeys(("calibrate", "info", "recover", "verify"), "sideslip.records"),
     "Flown": "sideslip.chain",
     "fly_scenario": "sideslip.chain",
-    "frequency_response": "sideslip.responses",
     "main": "sideslip.entry",
     "software_version": "sideslip.cli",
-    "watch": "sideslip.watching",
 }
+_RENAMED = {"frequency_response": "frequency"}
 __all__ = [
-    "Flown", "check", "design", "estimate", "fly_scenario", "frequency_response", "gap", "import_log", "main", "match", "open",
-    "simulate", "software_version", "watch",
+    "Flown", "analyse", "calibrate", "check", "design", "estimate", "fly_scenario", "frequency", "frequency_response",
+    "gap", "import_log", "info", "main", "match", "open", "performance", "reconstruct", "recover",
+    "simulate", "software_version", "verify", "watch",
 ]  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:
-    if name in _HOMES:
+    if name in __all__:
         import importlib
 
-        return getattr(importlib.import_module(_HOMES[name]), name)
+        return getattr(importlib.import_module(_HOMES.get(name, "sideslip.api")), _RENAMED.get(name, name))
     raise AttributeError(f"module 'sideslip' has no attribute {name!r}")
 
 

@@ -6,7 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from daq.contract.outputs import tried_file, tried_folder, write_json
+from daq.contract.options import aircraft_option, json_option, model_option, seed_option
+from daq.contract.outputs import tried_folder, write_json
+from daq.contract.plain_words import comma_separated
 
 if TYPE_CHECKING:
     from estimation.campaign.plan import Plan
@@ -16,7 +18,7 @@ SHOWN = 20  # sentences on failed flights, and on groups, that are printed; the 
 
 
 def _names(_context: object, _parameter: object, text: str | None) -> tuple[str, ...] | None:
-    return None if text is None else tuple(dict.fromkeys(n.strip() for n in text.split(",") if n.strip()))
+    return None if text is None else comma_separated(text)
 
 
 @click.command(
@@ -32,10 +34,8 @@ def _names(_context: object, _parameter: object, text: str | None) -> tuple[str,
 )
 @click.option("--serial", is_flag=True, help="In this process, without the engine.")
 @click.option("--method", "methods", callback=_names, help="Comma-separated, as of estimate  [default: ml].")
-@click.option("--model", help="As of estimate  [default: lateral].")
-@click.option(
-    "--aircraft", help="Built-in aircraft or an AIRCRAFT.toml  [default: the one each flight carries or names]."
-)
+@model_option("As of estimate  [default: lateral].", None)
+@aircraft_option(default="the one each flight carries or names")
 @click.option(
     "--group", "groups", callback=_names, help="Of aircraft,configuration,day,manoeuvre  [default: the first two]."
 )
@@ -52,18 +52,17 @@ def _names(_context: object, _parameter: object, text: str | None) -> tuple[str,
 @click.option("--match", is_flag=True, default=None, help="Also predict each flight with the others of its group.")
 @click.option("--bootstrap", type=click.IntRange(min=0), help="Replicates a flight.")
 @click.option("--each-segment", is_flag=True, default=None, help="Each segment of a flight is a manoeuvre of its own.")
-@click.option("--seed", type=click.IntRange(min=0), help="Of every random draw  [default: 0].")
+@seed_option("Of every random draw  [default: 0].", None, 0)
 @click.option("--time-limit", type=float, help="Seconds that one piece of work may take  [default: 300].")
 @click.option("--retry", type=click.Choice(["failed"]), help="Try again what failed before.")
+@click.option(
+    "--trust-code",
+    is_flag=True,
+    help="Run the Python that the PLAN names (module:NAME); read it first: it can do anything.",
+)
 @click.option("--dashboard", is_flag=True, help="Print the address of the engine's dashboard (needs bokeh).")
 @click.option("--no-report", is_flag=True, help="Tables only, no page.")
-@click.option(
-    "--json",
-    "json_path",
-    type=click.Path(path_type=Path),
-    callback=tried_file,
-    help="Write counts and failures as JSON.",
-)
+@json_option("Write counts and failures as JSON.")
 def campaign(
     flights: tuple[str, ...],
     out: Path,
@@ -73,14 +72,11 @@ def campaign(
     retry: str | None,
     dashboard: bool,
     no_report: bool,
+    trust_code: bool,
     json_path: Path | None,
     **options: Any,
 ) -> int:
     """Estimate many flights (files, patterns, folders, URLs; or a PLAN.toml); what lies in --out already is not done again."""
-    import os
-
-    for library in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
-        os.environ.setdefault(library, "1")  # matrices of a fit are small: threads only wait for one another
     from estimation.campaign.run import Campaign
     from estimation.campaign.sources import entries_of
     from estimation.campaign.store import Store
@@ -89,7 +85,7 @@ def campaign(
     from sideslip.simulated import simulator
 
     begin = time.monotonic()
-    plan, folder = _plan(flights, {k: v for k, v in options.items() if v is not None})
+    plan, folder = _plan(flights, {k: v for k, v in options.items() if v is not None}, trust_code)
     with Store(out, time.monotonic) as store:
         work = work_list(plan, entries_of(plan, folder, simulator(), send=bool(scheduler)), folder)
 
@@ -106,13 +102,15 @@ def campaign(
     return 1 if outcome.failed else 0
 
 
-def _plan(flights: tuple[str, ...], options: dict[str, Any]) -> "tuple[Plan, Path]":
+def _plan(flights: tuple[str, ...], options: dict[str, Any], trust_code: bool) -> "tuple[Plan, Path]":
     """The plan, and the folder its paths begin at. Options go before what a file says."""
-    from estimation.campaign.plan import plan_from, read_plan
+    from estimation.campaign.plan import named_programs, plan_from, read_plan
 
     if len(flights) == 1 and flights[0].endswith(".toml"):
         path = Path(flights[0])
-        data = read_plan(path).model_dump(exclude_unset=True)
+        data = read_plan(path, trust_code=trust_code).model_dump(exclude_unset=True)
+        for program in named_programs(data):
+            click.echo(f"{path} names {program}: a program, which runs because of --trust-code", err=True)
         here = Path.cwd()
         for key in (
             "model",

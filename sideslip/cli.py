@@ -5,10 +5,12 @@ Exit status: 0 done; 1 done, but the answer is a failed check; 2 unusable input,
 """
 
 import contextlib
+import errno
 import importlib
 import io
 import os
 import sys
+import traceback
 from dataclasses import dataclass
 from difflib import get_close_matches
 from importlib.metadata import EntryPoint, PackageNotFoundError, entry_points, version
@@ -17,8 +19,11 @@ from typing import TYPE_CHECKING, TextIO, cast
 
 import click
 
+from daq.contract.durable import DISK_ERRNOS
 from daq.contract.errors import UserError
 from daq.contract.plain_words import VisibleStream, one_line
+from daq.contract.standard_streams import SafeStream
+from sideslip.services import SERVICES
 
 if TYPE_CHECKING:
     from daq.contract.interrupts import Interrupts
@@ -38,16 +43,17 @@ VERBS: dict[str, Verb] = {
     "fly": Verb("sideslip.fly", "fly", "One simulated flight through the real logger, radio link and ground station."),
     "record": Verb("daq.commands", "record", "The onboard logger, on hardware."),
     "preflight": Verb("daq.commands", "preflight", "The logger's go/no-go table."),
-    "info": Verb("sideslip.info", "info", "What is in a recording, flight or telemetry log."),
+    "info": Verb("sideslip.contents", "info", "What is in a recording, flight or telemetry log."),
     "verify": Verb("daq.commands", "verify", "Integrity and scan accounting of a recording."),
     "recover": Verb("daq.commands", "recover", "Salvage a damaged recording."),
-    "ground": Verb("sideslip.ground", "ground", "Receive, decode, calibrate, view live, record, hand over."),
+    "ground": Verb("groundstation.cli.live", "ground", "Receive, decode, calibrate, view live, record, hand over."),
     "view": Verb("groundstation.cli.live", "view", "Any recording or flight in rerun."),
     "calibrate": Verb("groundstation.cli.data", "calibrate", "Counts to SI: a raw recording to a flight."),
     "bench": Verb("groundstation.cli.data", "bench", "Fit calibration curves from bench recordings."),
     "import": Verb(
-        "sideslip.importing", "import_", "CSV, Parquet, MATLAB, ULog, dataflash or MAVLink log to a flight."
+        "groundstation.cli.data", "import_", "CSV, Parquet, MATLAB, ULog, dataflash or MAVLink log to a flight."
     ),
+    "analyse": Verb("sideslip.analysing", "analyse", "From logs to an answer in one go: one page, one verdict."),
     "export": Verb("sideslip.export", "export", "Flights, recordings and models for other programs."),
     "check": Verb("estimation.commands.check", "check", "Data compatibility and data quality."),
     "reconstruct": Verb(
@@ -55,6 +61,9 @@ VERBS: dict[str, Verb] = {
     ),
     "estimate": Verb("estimation.commands.estimate", "estimate", "Aerodynamic parameters with bounds."),
     "match": Verb("estimation.commands.match", "match", "Proof of match on flights not used for the estimate."),
+    "performance": Verb(
+        "estimation.commands.performance", "performance", "Drag polar, glide, sink and power required, with bounds."
+    ),
     "frequency": Verb(
         "estimation.commands.frequency", "frequency", "Frequency responses with error, fits and figures."
     ),
@@ -75,6 +84,8 @@ ALIKE = (
 BEGINNING = 2  # letters from which a beginning names a verb
 
 INTERRUPTED = "sideslip: interrupted; files are closed"
+TRACEBACK = "SIDESLIP_TRACEBACK"
+"""Environment variable with which a mistake of this program ends in Python's own traceback: for developers, and all tests."""
 
 
 class VerbTable(click.Group):
@@ -158,7 +169,7 @@ def software_version() -> str:
         return "unknown"
 
 
-@click.command(cls=VerbTable, context_settings={"help_option_names": ["-h", "--help"]})
+@click.command(cls=VerbTable, context_settings={"help_option_names": ["-h", "--help"], "obj": SERVICES})
 @click.version_option(software_version(), prog_name="sideslip")
 def cli() -> None:
     """Airborne data acquisition and aircraft identification."""
@@ -171,22 +182,33 @@ def run(argv: list[str] | None, interrupts: "Interrupts | None") -> None:
             stream.reconfigure(errors="backslashreplace")
     if interrupts is not None:
         interrupts.raise_in_work()
-    visible_out, visible_err = cast("TextIO", VisibleStream(sys.stdout)), cast("TextIO", VisibleStream(sys.stderr))
+    out, err = SafeStream(sys.stdout), SafeStream(sys.stderr)
+    visible_out, visible_err = (cast("TextIO", VisibleStream(cast("TextIO", stream))) for stream in (out, err))
     with contextlib.redirect_stdout(visible_out), contextlib.redirect_stderr(visible_err):
-        status = _status(argv)
+        status = _with_streams(_status(argv, interrupts), out, err)
     if interrupts is not None:
         interrupts.leave_at_once()  # all is closed; what is left is the interpreter's own end
         if interrupts.seen and not status:  # it came during the last import of all, and the work was done meanwhile
-            click.echo(INTERRUPTED, err=True)
-            status = 130
+            click.echo(interrupts.words, err=True)
+            status = interrupts.status
     sys.exit(status)
 
 
-def _status(argv: list[str] | None) -> int:
+def _with_streams(status: int, out: SafeStream, err: SafeStream) -> int:
+    """The exit status, where what was printed may not have arrived: a reader that has gone changes nothing, a full disk does."""
+    out.flush()
+    if out.trouble is not None and out.trouble.errno in DISK_ERRNOS:
+        status = _said(f"standard output: {out.trouble.strerror}; everything else is done, only its words are lost")
+    err.flush()
+    for stream in (out, err):
+        stream.give_up()
+    return status
+
+
+def _status(argv: list[str] | None, interrupts: "Interrupts | None" = None) -> int:
     # One process edge: everything below raises, only here is it turned into an exit status.
     try:
         status = cli.main(args=argv, prog_name="sideslip", standalone_mode=False)
-        sys.stdout.flush()
     except click.ClickException as error:
         context = error.ctx if isinstance(error, click.UsageError) else None
         text = error.format_message().rstrip(".")
@@ -197,18 +219,32 @@ def _status(argv: list[str] | None) -> int:
     except ModuleNotFoundError as error:
         return _said(str(MissingPackageError((argv or sys.argv[1:] or ["?"])[0], error.name or "?")))
     except (KeyboardInterrupt, click.Abort):
-        click.echo(INTERRUPTED, err=True)
-        return 130
-    except BrokenPipeError:
-        with contextlib.suppress(OSError):  # what is still to be written at the end has no reader either
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
+        click.echo(INTERRUPTED if interrupts is None else interrupts.words, err=True)
+        return 130 if interrupts is None else interrupts.status
+    except BrokenPipeError as error:  # of a file that is a pipe: its reader has seen enough
+        return 0 if error.filename is not None else _unforeseen(error)
     except OSError as error:
-        if error.filename is None:  # not about a file that somebody named: a mistake of ours, to be seen whole
-            raise
-        where = error.filename2 or error.filename
+        if error.filename is None and error.errno == errno.ENOENT:  # of tempfile: no folder takes a file
+            return _said(f"{error.strerror}; make room in one of them, or name another with TMPDIR")
+        if error.filename is None and error.errno not in DISK_ERRNOS:
+            return _unforeseen(error)
+        where = error.filename2 or error.filename or "a file"
         return _said(f"{where}: cannot be read or written ({error.strerror}); choose another place")
+    except Exception as error:  # noqa: BLE001  the edge of the process: whatever comes, one sentence and no status of a check
+        return _unforeseen(error)
     return status if isinstance(status, int) else 0
+
+
+def _unforeseen(error: Exception) -> int:
+    """What nobody thought of, in one sentence: a mistake of ours. With TRACEBACK in the environment it is seen whole."""
+    if os.environ.get(TRACEBACK):
+        raise error
+    at = traceback.extract_tb(error.__traceback__)[-1:]
+    place = f" at {Path(at[0].filename).name}:{at[0].lineno}" if at else ""
+    return _said(
+        f"a mistake in this program, please report it: {type(error).__name__}{place}: {str(error) or 'no words'}"
+        f"; {TRACEBACK}=1 in the environment shows where it comes from"
+    )
 
 
 def _said(sentence: str) -> int:

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import click
 
+from daq.contract.durable import whole, write_text
 from daq.contract.errors import UserError
 from daq.contract.outputs import tried_folder
 from sideslip.chain import fly_scenario
@@ -27,7 +28,7 @@ def demo(out: Path) -> int:
     shutil.rmtree(out, ignore_errors=True)
     report = out / "report"
     report.mkdir(parents=True)
-    (out / "demo.txt").write_text("Written by sideslip demo; replaced by the next one.\n", encoding="utf-8")
+    write_text(out / "demo.txt", "Written by sideslip demo; replaced by the next one.\n")
 
     click.echo(
         "1  Four flights of the simulated aircraft: sensor bus, 20 Hz MCAP on board, 11.5 Hz MAVLink over a lossy radio\n"
@@ -147,7 +148,8 @@ def _named(flight: Path, out: Path, name: str) -> Path:
 
     target = out / "flights" / f"{name}.mcap"
     target.parent.mkdir(exist_ok=True)
-    shutil.copyfile(flight, target)
+    with whole(target) as new:
+        shutil.copyfile(flight, new)
     return target
 
 

@@ -1,6 +1,9 @@
 """Where the command begins: Ctrl-C is taken care of before the imports, which take the first second."""
 
 from daq.contract.interrupts import Interrupts, started_as_command
+from daq.contract.standard_streams import sound_descriptors
+
+sound_descriptors()
 
 INTERRUPTS = Interrupts() if started_as_command("sideslip") else None
 if INTERRUPTS is not None:

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from daq.contract.outputs import tried_file, tried_folder
+from daq.contract.outputs import check_file, check_folder, tried_file, tried_folder
 
 _MODELS = (".toml", ".json")
 _JSBSIM = "jsbsim:"
@@ -16,14 +16,15 @@ _JSBSIM = "jsbsim:"
     "-o",
     "--output",
     type=click.Path(path_type=Path),
-    callback=tried_file,
-    help="Its ending chooses the format.",
+    help="Its ending chooses the format; of --to gazebo a folder, whose name is the model's.",
 )
 @click.option(
     "--to",
     "target",
-    type=click.Choice(["jsbsim", "model"]),
-    help="jsbsim: write a model found on a JSBSim aircraft back into the aircraft, and prove it by flying both. model: write a"
+    type=click.Choice(["ardupilot", "gazebo", "neutral", "jsbsim", "model"]),
+    help="ardupilot: a linear model or aircraft file as a .json that ArduPilot's SITL flies. gazebo: as a folder for Gazebo"
+    " with PX4. neutral: any model as JSON for a simulator of one's own. All are proved on the spot. jsbsim: write a model found"
+    " on a JSBSim aircraft back into the aircraft, and prove it by flying both. model: write a"
     " JSBSim aircraft as MODEL.toml (FILE is jsbsim:NAME or jsbsim:FOLDER, for which this is the default).",
 )
 @click.option(
@@ -33,6 +34,28 @@ _JSBSIM = "jsbsim:"
     "--aircraft-from", help="Of --to jsbsim: jsbsim:NAME or jsbsim:FOLDER  [default: what the model was found on]."
 )
 @click.option("--rate", default=120.0, show_default=True, help="Of --to jsbsim: JSBSim's steps per second.")
+@click.option(
+    "--aircraft",
+    help="Of --to ardupilot, gazebo, neutral: aircraft with what the model lacks (beliefs, throws, thrust).",
+)
+@click.option(
+    "--throw",
+    "throws",
+    multiple=True,
+    metavar="SURFACE=ANGLE",
+    help="Of the same: deflection at full stick, delta_e=25deg (rad without deg); may be repeated.",
+)
+@click.option("--thrust", type=float, help="Of the same: static thrust [N]; 0 for a glider.")
+@click.option("--alpha-stall", type=float, help="Of --to ardupilot, gazebo: angle of attack of the stall [rad].")
+@click.option("--force", is_flag=True, help="Of --to ardupilot, gazebo, neutral: replace files that exist.")
+@click.option("--prove", is_flag=True, help="Of the same: write nothing, hold the output that exists against FILE.")
+@click.option(
+    "--json",
+    "json_path",
+    type=click.Path(path_type=Path),
+    callback=tried_file,
+    help="Of the same: write the proof as JSON.",
+)
 @click.option("--units-row", is_flag=True, help="CSV: a second line with the units.")
 @click.option("--raw", is_flag=True, help="Of a raw recording: counts as recorded, not calibrated columns.")
 @click.option(
@@ -45,6 +68,13 @@ def export(
     out: Path | None,
     aircraft_from: str | None,
     rate: float,
+    aircraft: str | None,
+    throws: tuple[str, ...],
+    thrust: float | None,
+    alpha_stall: float | None,
+    force: bool,
+    prove: bool,
+    json_path: Path | None,
     units_row: bool,
     raw: bool,
     calibration: Path | None,
@@ -52,10 +82,27 @@ def export(
     """Write FILE for other programs.
 
     A flight or recording: .csv .parquet .mat .kml .gpx .rrd .mcap (the last draws in Foxglove). A model .toml or what
-    estimate --json wrote: .json .tex .csv. Units travel along. A model
+    estimate --json wrote: .json .tex .csv. Units travel along. A model or an
+    aircraft file for the simulators of autopilots: --to ardupilot, gazebo, neutral. A model
     found with --simulation jsbsim:NAME: --to jsbsim --out DIR. The other way, a JSBSim aircraft as a model in our own
     text, where that is exact: jsbsim:NAME -o MODEL.toml.
     """
+    if target == "gazebo":
+        check_folder("--output", output)
+    else:
+        check_file("--output", output)
+    if target in ("ardupilot", "gazebo", "neutral"):
+        from estimation.commands.to_simulator import to_simulator
+
+        if output is None or out is not None or aircraft_from is not None:
+            raise click.UsageError(f"--to {target} writes one place: give -o, neither --out nor --aircraft-from")
+        return to_simulator(target, file, output, aircraft=aircraft, throws=throws, thrust=thrust, stall=alpha_stall,
+                            force=force, prove=prove, json_path=json_path)  # fmt: skip
+    if aircraft or throws or thrust is not None or alpha_stall is not None or force or prove or json_path:
+        raise click.UsageError(
+            "--aircraft, --throw, --thrust, --alpha-stall, --force, --prove and --json belong to --to ardupilot, gazebo,"
+            " neutral"
+        )
     if target == "model" or (target is None and str(file).startswith(_JSBSIM)):
         return _from_jsbsim(str(file), output, out)
     if target is not None:

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from daq.contract.errors import UserError
-from daq.contract.outputs import tried_file, tried_folder, write_json
+from daq.contract.options import json_option, seed_option
+from daq.contract.outputs import tried_folder, write_json
 from sideslip.chain import fly_scenario
 
 if TYPE_CHECKING:
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
     help="Folder for the flight [default: flights/SCENARIO].",
 )
 @click.option("--speed", default="max", show_default=True, help="Simulated seconds a second, or max.")
-@click.option("--seed", type=int, help="Of everything random [default: the scenario's].")
+@seed_option("Of everything random [default: the scenario's].", None)
 @click.option("--live", is_flag=True, help="Show the flight live in the browser; implies --speed 1 unless given.")
 @click.option(
     "--port",
@@ -39,13 +40,7 @@ if TYPE_CHECKING:
     type=click.Path(path_type=Path, dir_okay=False),
     help="A file of 'sideslip design', flown by the onboard sequencer; on a scenario without one the pilot arms it in the air.",
 )
-@click.option(
-    "--json",
-    "json_path",
-    type=click.Path(path_type=Path),
-    callback=tried_file,
-    help="Write the ground station's counters as JSON.",
-)
+@json_option("Write the ground station's counters as JSON.")
 @click.option("--list", "show_list", is_flag=True, help="List the built-in scenarios.")
 def fly(
     scenario: str | None,

@@ -17,6 +17,7 @@ from hypothesis import settings
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("MPLBACKEND", "Agg")
+os.environ.setdefault("SIDESLIP_TRACEBACK", "1")  # a mistake of ours is to be seen whole
 
 # In CI the same examples every time, so that a change is what turns it red; a person's run draws new ones.
 settings.register_profile("ci", derandomize=True, print_blob=True)

@@ -4,22 +4,22 @@ A name can be a pipe that never ends, a device, a folder or a loop of links; a t
 so deeply, or string together so many key parts, that its reader takes minutes. Each is refused before it costs anything.
 """
 
+import json
 import os
 import re
 import stat
 import tomllib
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import IO, Any
 
+from daq.contract import limits
 from daq.contract.errors import UserError
 
-LARGEST_TEXT = 2**20
-"""Bytes of a TOML file; the longest that this program writes, a model with all its effects, has some 30 kB."""
-LARGEST_DATA = 2**31
-"""Bytes of a log that is read whole: a day at 100 Hz with forty channels."""
+LARGEST_TEXT, LARGEST_DATA, DEEPEST = limits.TEXT_BYTES, limits.DATA_BYTES, limits.TOML_DEPTH
 _PIECE = 2**20
-DEEPEST = 32
-"""Tables within tables, and parts of one dotted key; the files described in docs/ need five."""
 
 _SUNDRIES = re.compile(
     r"""\#[^\n]*+ | \"{3}(?:\\.|[^\\])*?(?:\"{3}|\\?\Z) | '{3}.*?(?:'{3}|\Z) | "(?:\\.|[^"\\\n])*+" | '[^'\n]*+'""",
@@ -128,6 +128,92 @@ def parse_toml(text: str, where: str, error: type[UserError] = UserError) -> dic
         ) from reason
     _check_values(table, where, error)
     return table
+
+
+def read_json(path: Path, what: str = "file", error: type[UserError] = UserError) -> Any:
+    """What a JSON file holds, of whatever kind. Raises `error` for a file that cannot be read or is no JSON."""
+    data = read_bytes(path, what, error, limits.TREE_BYTES)
+    try:
+        return json.loads(data)
+    except RecursionError:
+        raise error(f"{path}: nested beyond reading; write it flatter") from None
+    except ValueError as reason:
+        raise error(f"{path}: not valid JSON: {str(reason)[:200]}; correct it, or give another file") from reason
+
+
+def read_xml(path: Path, what: str = "file", error: type[UserError] = UserError) -> ET.Element:
+    """The root of an XML file. Raises `error` for a file that cannot be read, is no XML, declares entities (with which a few
+    lines swell to gigabytes), or nests deeper or holds more than limits.XML_DEPTH and XML_ELEMENTS."""
+    data = read_bytes(path, what, error, limits.TREE_BYTES)
+    if b"<!ENTITY" in data or b"<\x00!\x00E\x00N\x00T" in data:
+        raise error(f"{path}: declares entities, which a {what} has no need of; remove them")
+    parser: Any = ET.XMLPullParser(("start", "end"))
+    root: ET.Element | None = None
+    depth = count = 0
+    try:
+        for at in range(0, len(data), _PIECE):
+            parser.feed(data[at : at + _PIECE])
+            for event, element in parser.read_events():
+                root = element if root is None else root
+                depth += 1 if event == "start" else -1
+                count += event == "start"
+                if depth > limits.XML_DEPTH or count > limits.XML_ELEMENTS:
+                    raise error(
+                        f"{path}: more than {limits.XML_DEPTH} elements in one another or {limits.XML_ELEMENTS} in all;"
+                        f" that is no {what}"
+                    )
+        parser.close()
+    except (ET.ParseError, ValueError, LookupError) as reason:  # the last: an encoding that nobody knows
+        raise error(f"{path}: no XML ({reason})") from reason
+    if root is None:
+        raise error(f"{path}: no XML (nothing in it)")
+    return root
+
+
+def matching(pattern: Path, error: type[UserError] = UserError) -> list[Path]:
+    """The files that a pattern with * ? [ ] and ** names, sorted. Links to folders are not followed by **. Raises `error` where
+    more names than limits.LOOKED_AT would have to be looked at, or more than limits.FLIGHTS match."""
+    budget = [limits.LOOKED_AT]
+    found: list[Path] = []
+    for path in _matched(Path(pattern.anchor), pattern.parts[1:] if pattern.anchor else pattern.parts, budget):
+        if budget[0] < 0 or len(found) >= limits.FLIGHTS:
+            break
+        found.append(path)
+    if budget[0] < 0 or len(found) >= limits.FLIGHTS:
+        raise error(
+            f"{pattern}: more than {limits.LOOKED_AT} names to look at, or {limits.FLIGHTS} that match;"
+            " begin the pattern further in"
+        )
+    return sorted(dict.fromkeys(found))
+
+
+def _matched(folder: Path, parts: tuple[str, ...], budget: list[int]) -> Iterator[Path]:
+    if not parts:
+        yield folder
+        return
+    first, rest = parts[0], parts[1:]
+    if not any(c in first for c in "*?["):
+        inner = folder / first
+        if inner.exists() or inner.is_symlink():
+            yield from _matched(inner, rest, budget)
+        return
+    try:
+        with os.scandir(folder) as listing:
+            entries = sorted(listing, key=lambda e: e.name)
+    except OSError:
+        return  # a file, or a folder that may not be looked into
+    budget[0] -= len(entries)
+    if first == "**":
+        yield from _matched(folder, rest, budget)
+    for entry in entries:
+        if budget[0] < 0:
+            return
+        hidden = entry.name.startswith(".")
+        if first == "**":
+            if not hidden and entry.is_dir(follow_symlinks=False):
+                yield from _matched(folder / entry.name, parts, budget)
+        elif fnmatchcase(entry.name, first) and not (hidden and not first.startswith(".")):
+            yield from _matched(folder / entry.name, rest, budget)
 
 
 def _stand_in(found: "re.Match[str]") -> str:

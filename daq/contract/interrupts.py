@@ -15,6 +15,7 @@ from typing import Any
 
 STATUS = 130  # 128 + SIGINT, as shells have it
 SAID = b"\nsideslip: interrupted; files are closed\n"
+ENDING_SIGNALS = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
 _AGAIN_S = 0.02  # an interrupt that had to wait is tried again this often
 
 
@@ -33,6 +34,8 @@ class Interrupts:
 
     def __init__(self) -> None:
         self.seen = False
+        self.ended_by: signal.Signals | None = None
+        """SIGTERM or SIGHUP, where one of them ended the work instead of Ctrl-C."""
 
     def leave_at_once(self) -> None:
         """From here on nothing is open: an interrupt ends the process, one that still waits to be tried again does nothing."""
@@ -45,10 +48,29 @@ class Interrupts:
         signal.signal(signal.SIGALRM, self._interrupt)
         sys.unraisablehook = self._lost
         signal.signal(signal.SIGINT, self._interrupt)
+        for number in ENDING_SIGNALS:
+            if signal.getsignal(number) is signal.SIG_DFL:  # not one that nohup, say, has told us to ignore
+                signal.signal(number, self._end)
+
+    @property
+    def status(self) -> int:
+        """Exit status of what an interrupt ended, as shells have it."""
+        return STATUS if self.ended_by is None else 128 + self.ended_by
+
+    @property
+    def words(self) -> str:
+        """The line that goes with it."""
+        how = "interrupted" if self.ended_by is None else f"ended by {self.ended_by.name}"
+        return f"sideslip: {how}; files are closed"
 
     def _leave(self, number: int, frame: FrameType | None) -> None:
         os.write(2, SAID)
         os._exit(STATUS)
+
+    def _end(self, number: int, frame: FrameType | None) -> None:
+        """Files are closed and what is half-written is removed on the way up, as after Ctrl-C."""
+        self.ended_by = signal.Signals(number)
+        self._interrupt(number, frame)
 
     def _interrupt(self, number: int, frame: FrameType | None) -> None:
         self.seen = True

@@ -14,6 +14,9 @@ from daq.contract import durable
 from daq.contract.durable import make_directories
 from daq.contract.errors import UserError
 
+PICTURES = (".eps", ".jpeg", ".jpg", ".pdf", ".png", ".ps", ".svg", ".svgz", ".tif", ".tiff", ".webp")
+"""Endings of pictures that figures are written as."""
+
 
 class OutputError(UserError):
     """A file or folder that cannot be written."""
@@ -79,3 +82,17 @@ def tried_folder(_context: object, parameter: Any, path: Path | None) -> Path | 
     """`check_folder` as the callback of a command-line option."""
     check_folder(parameter.opts[-1], path)
     return path
+
+
+def tried_picture(context: object, parameter: Any, path: Path | None) -> Path | None:
+    """`tried_file` of a figure, whose ending says what kind of picture it is."""
+    if path is not None and path.suffix.lower() not in PICTURES:
+        raise OutputError(f"{parameter.opts[-1]} {path}: no known kind of picture; end the name in .png, .pdf or .svg")
+    return tried_file(context, parameter, path)
+
+
+def tried_model(context: object, parameter: Any, path: Path | None) -> Path | None:
+    """`tried_file` of a model or manoeuvre."""
+    if path is not None and path.suffix.lower() != ".toml":
+        raise OutputError(f"{parameter.opts[-1]} {path}: it is written as TOML; end the name in .toml")
+    return tried_file(context, parameter, path)

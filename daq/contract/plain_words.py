@@ -19,6 +19,12 @@ def meant(word: str, known: Iterable[str]) -> str:
     return f"; did you mean {alike[0]}?" if alike else ""
 
 
+def comma_separated(names: str | Iterable[str]) -> tuple[str, ...]:
+    """Names of an option, "a, b", or given one by one; each once."""
+    words = names.split(",") if isinstance(names, str) else names
+    return tuple(dict.fromkeys(w.strip() for w in words if w.strip()))
+
+
 def visible(text: str) -> str:
     """The text with control and format characters (other than line end and tab) and lone surrogates as `\\u202e`.
 
@@ -54,6 +60,10 @@ class VisibleStream:
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
+
+    def flush(self) -> None:
+        """Hand everything over."""
+        self._stream.flush()
 
     @property
     def bare(self) -> TextIO:

@@ -19,6 +19,8 @@ Array = NDArray[np.float64]
 
 STEP = 0.025  # s of the prediction; the scan's interval is twice that at 20 Hz
 ROW = 0.05  # s that a row lasts, nominally
+LEAST_SPEED = 3.0  # m/s: below nothing flies that this program knows of, and equations divide by it
+STEEPEST = math.radians(85.0)  # of pitch: the linear motion has tan(theta)
 LONG = 8.0  # s of every manoeuvre, its free motion included: so they are compared at the same price
 AILERON, RUDDER = math.radians(6.0), math.radians(3.5)  # peaks that a pilot flies without thinking
 MOST_SIDESLIP, MOST_BANK = (
@@ -74,6 +76,8 @@ def next_manoeuvre(
 
     values: derivatives as known by now [1/rad], also those not solved. wanted: bounds [1/rad]. sample: flight condition.
     """
+    if not has_condition(sample):
+        return None
     known = {c: i for c, i in information.items() if len(i.columns) == len(EQUATIONS[c])}
     if len(known) < len(EQUATIONS):
         return None
@@ -91,6 +95,13 @@ def next_manoeuvre(
             best = (reached, candidate, share, then)
     assert best is not None
     return Advice(best[1].title, worst, now[worst], best[3][worst], best[2])
+
+
+def has_condition(sample: Sample) -> bool:
+    """Whether a sample is a flight condition that a manoeuvre can be flown at: moving air, and an attitude in which it means
+    anything. At standstill, on the tail or with a sensor off it is not."""
+    finite = all(map(math.isfinite, (sample.V, sample.rho, sample.alpha, sample.theta)))
+    return finite and LEAST_SPEED <= sample.V and sample.rho > 0.0 and abs(sample.theta) < STEEPEST
 
 
 def _ratios(
@@ -116,6 +127,8 @@ def predicted_columns(
     airframe: Airframe, values: Mapping[str, float], candidate: Candidate, sample: Sample
 ) -> tuple[Array, float]:
     """(rows, 6) columns of the regression without their mean [Pa s], and the share of the peaks that is flown."""
+    if not has_condition(sample):
+        return np.zeros((round(LONG / ROW), 6)), 1.0  # what cannot be flown adds nothing
     A, B = linear_lateral(airframe, values, sample)
     surfaces = _surfaces(candidate, NO_LAG if airframe.servo_lag is None else airframe.servo_lag)
     block = np.zeros((6, 6))

@@ -6,66 +6,68 @@ Everything behind it sees `daq.sensors.bus.I2cBus` and `daq.sensors.bus.SerialPo
 import errno
 import fcntl
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from daq.clock import Clock
-from daq.sensors.bus import I2cBus, SerialPort
 from daq.sensors.config import SensorsConfig
 
 if TYPE_CHECKING:
+    import serial
     from smbus2 import SMBus
 
 I2C_TIMEOUT = 0x0702  # linux/i2c-dev.h, unit 10 ms
 I2C_RETRIES = 0x0701
 REOPEN_AFTER_NS = 1_000_000_000
-LASTING_NAMES = "/dev/serial/by-id"  # udev's names, which an adapter keeps whatever number it gets
+BY_ID = "a name under /dev/serial/by-id stays the same on every plug"
 LOOK_AFTER_NS = 200_000_000  # between two looks at whether a bus that fails is still there
-
-
-class HardwareAbsent(OSError):
-    """A bus or port that cannot be opened at present; the sentence names it and says what to do."""
 
 
 @dataclass(frozen=True, slots=True)
 class Hardware:
-    """What the sampler is given. Any of them is None when nothing fitted needs it.
+    """What the sampler is given. Any of them is None when nothing fitted needs it."""
 
-    absent: a sentence for each that was not there when it was asked for; it is tried again for as long as the logger runs.
-    """
+    bus: "ReopeningBus | None"
+    gnss: "ReopeningPort | None"
+    autopilot: "ReopeningPort | None"
+    pulse: "SysfsPulse | None"
 
-    bus: I2cBus | None
-    gnss: SerialPort | None
-    autopilot: SerialPort | None
-    pulse: Callable[[], int | None] | None
-    absent: tuple[str, ...] = ()
+    @property
+    def devices(self) -> tuple["ReopeningBus | ReopeningPort", ...]:
+        """What was asked for of the bus and the ports."""
+        return tuple(d for d in (self.bus, self.gnss, self.autopilot) if d is not None)
+
+    @property
+    def absent(self) -> tuple[str, ...]:
+        """A sentence on every bus, port and pulse that was not there when it was opened."""
+        pulse = () if self.pulse is None else (self.pulse.absent,)
+        return tuple(why for why in (*(d.absent for d in self.devices), *pulse) if why)
 
     def close(self) -> None:
         """Release everything."""
-        for device in (self.bus, self.gnss, self.autopilot):
-            if device is not None:
-                device.close()
+        for device in self.devices:
+            device.close()
 
 
 def open_hardware(config: SensorsConfig, clock: Clock) -> Hardware:
-    """Open the bus and ports that the configuration needs.
-
-    What is not there yet, in whatever order things get their power, is no error: `Hardware.absent` says it, and it joins
-    when it comes.
-    """
+    """Open the bus and ports that the configuration needs; what is absent is tried again, once a second, and joins later."""
     capture_serial = config.capture is not None and config.capture.driver == "mavlink_servo"
     chips = [g for g in config.fitted if g not in ("attitude", "gnss") and not (g == "capture" and capture_serial)]
-    bus = ReopeningBus(config.bus.device, config.bus.timeout_ms, clock) if chips else None
-    gnss = autopilot = pulse = None
+    bus = open_bus(config, clock) if chips else None
+    gnss = autopilot = None
     if config.gnss is not None:
         gnss = ReopeningPort(config.gnss.device, config.gnss.baud, clock)
-        pulse = SysfsPulse(Path(config.gnss.pps), clock) if config.gnss.pps else None
     if capture_serial and config.capture is not None:
         autopilot = ReopeningPort(config.capture.device, config.capture.baud, clock)
-    opened = (bus, gnss, autopilot, pulse)
-    return Hardware(bus, gnss, autopilot, pulse, tuple(o.absence for o in opened if o is not None and o.absence))
+    pps = config.gnss.pps if config.gnss else None
+    return Hardware(bus, gnss, autopilot, SysfsPulse(Path(pps), clock) if pps else None)
+
+
+def open_bus(config: SensorsConfig, clock: Clock) -> "ReopeningBus":
+    """The I2C adapter of the configuration, which may come later."""
+    return ReopeningBus(config.bus.device, config.bus.timeout_ms, clock)
 
 
 def _advice(error: OSError, when_missing: str) -> str:
@@ -84,7 +86,7 @@ class ReopeningBus:
     As long as anybody holds a file of an adapter that is gone, the kernel keeps its number, and its USB hub sees nothing
     new. So after an error the name is looked at: where it leads elsewhere, or nowhere, the file is closed and the name is
     tried again once a second. `device` should be a name that udev keeps. Time-outs are shortened so that a held bus costs
-    one scan little. Raises OSError.
+    one scan little. Raises OSError. absent: why it was not there at the start, or empty.
     """
 
     def __init__(self, device: str, timeout_ms: int, clock: Clock) -> None:
@@ -93,14 +95,12 @@ class ReopeningBus:
         self._clock = clock
         self._retry_ns = self._look_ns = 0
         self._bus: SMBus | None = None
-        self._why = ""  # of the last time it could not be opened
-        self.absence = ""
-        """Why it could not be opened at the start; empty when it could."""
+        self.absent = ""
         try:
-            self._usable()
-            self._retry_ns = 0
+            self._bus = self._open()
         except OSError as error:
-            self.absence = error.strerror or str(error)
+            self._retry_ns = clock.monotonic_ns() + REOPEN_AFTER_NS
+            self.absent = f"{device}: {_advice(error, 'enable I2C (raspi-config, or dtparam=i2c_arm=on)')}"
 
     def read_byte_data(self, i2c_addr: int, register: int, /) -> int:
         try:
@@ -158,14 +158,9 @@ class ReopeningBus:
         if self._bus is None:
             now = self._clock.monotonic_ns()
             if now < self._retry_ns:
-                raise HardwareAbsent(errno.ENODEV, self._why or f"{self._device} is gone")
+                raise OSError(errno.ENODEV, f"{self._device} is not there")
             self._retry_ns = now + REOPEN_AFTER_NS
-            try:
-                self._bus = self._open()
-            except OSError as error:
-                advice = _advice(error, "enable I2C (raspi-config, or dtparam=i2c_arm=on)")
-                self._why = f"{self._device}: {advice}"
-                raise HardwareAbsent(errno.ENODEV, self._why) from error
+            self._bus = self._open()
         return self._bus
 
     def _look(self) -> None:
@@ -185,9 +180,8 @@ class ReopeningBus:
 
 
 class ReopeningPort:
-    """A serial port that comes when it is plugged in, and comes back after its plug was pulled: it is tried once a second.
-
-    Everything but making it raises OSError while it is away, with a sentence that names it.
+    """A serial port that comes, and comes back after its plug was pulled: opened again once a second. Raises OSError while it is
+    away. absent: why it was not there at the start, or empty.
     """
 
     def __init__(self, device: str, baud: int, clock: Clock) -> None:
@@ -198,14 +192,14 @@ class ReopeningPort:
         self._clock = clock
         self._retry_ns = 0
         self._port: serial.Serial | None = None
-        self._why = ""  # of the last time it could not be opened
-        self.absence = ""
-        """Why it could not be opened at the start; empty when it could."""
+        self.absent = ""
         try:
-            self._usable()
-            self._retry_ns = 0
+            self._port = self._open()
         except OSError as error:
-            self.absence = error.strerror or str(error)
+            self._retry_ns = clock.monotonic_ns() + REOPEN_AFTER_NS
+            busy = error.errno in (errno.EBUSY, errno.EAGAIN) or "lock" in str(error)
+            advice = "busy; stop the other program that uses it" if busy else f"cannot be opened ({error}); {BY_ID}"
+            self.absent = f"serial port {device}: {advice}"
 
     @property
     def in_waiting(self) -> int:
@@ -237,27 +231,14 @@ class ReopeningPort:
             self._port.close()
             self._port = None
 
-    def _usable(self) -> "SerialPort":
+    def _usable(self) -> "serial.Serial":
         if self._port is None:
             now = self._clock.monotonic_ns()
             if now < self._retry_ns:
-                raise HardwareAbsent(errno.ENODEV, self._why or f"{self._device} is gone")
+                raise OSError(errno.ENODEV, f"{self._device} is not there")
             self._retry_ns = now + REOPEN_AFTER_NS
-            try:
-                self._port = self._open()
-            except OSError as error:
-                self._why = self._why_not(error)
-                raise HardwareAbsent(errno.ENODEV, self._why) from error
+            self._port = self._open()
         return self._port
-
-    def _why_not(self, error: OSError) -> str:
-        if error.errno in (errno.EBUSY, errno.EAGAIN) or "lock" in str(error):
-            return f"serial port {self._device}: busy; stop the other program that uses it"
-        if error.errno == errno.EACCES:
-            return f"serial port {self._device}: no permission; add the user to the group dialout"
-        if error.errno == errno.ENOENT:
-            return f"serial port {self._device}: no such device; plug it in, or name it as it stands in {LASTING_NAMES}"
-        return f"serial port {self._device}: cannot be opened ({error.strerror or error})"
 
     def _drop(self) -> None:
         self._retry_ns = self._clock.monotonic_ns() + REOPEN_AFTER_NS
@@ -275,18 +256,17 @@ class SysfsPulse:
         self._path = path
         self._clock = clock
         self._count = -1
-        self.absence = ""
-        """Why there was no such source at the start; empty when there was."""
+        self.absent = ""
         try:
             path.read_text()
         except OSError as error:
-            cure = "load the pps-gpio overlay or remove sensors.gnss.pps"
-            self.absence = f"{path}: no pulse-per-second source ({error.strerror}); {cure}"
+            what = f"no pulse-per-second source ({error.strerror})"
+            self.absent = f"{path}: {what}; load the pps-gpio overlay or remove sensors.gnss.pps"
 
     def __call__(self) -> int | None:
         try:
             stamp, _, count = self._path.read_text().strip().partition("#")
-        except OSError:  # not loaded yet, or the driver has gone
+        except OSError:  # no source, or not yet
             return None
         if not count or int(count) == self._count:
             return None

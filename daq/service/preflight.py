@@ -75,13 +75,11 @@ def run_preflight(
     storage: Storage,
     radio: Callable[[], RadioReport | None] | None = None,
     devices: Devices | None = None,
-    absent: Callable[[], list[str]] = list,
 ) -> Preflight:
     """Carry out all checks; takes the time of `preflight.scans` scans and a few writes.
 
     radio: listens to the radio and reports, None when nothing was heard; left out where no radio is fitted.
     devices: what the sequencer drives, where one is configured; its trial then takes another second or two.
-    absent: a sentence for each bus or port that is not there; the sensors behind it decide whether that forbids the flight.
     """
     sampler.start()
     scans, lateness_us = _scan_for_a_while(config, clock, sampler)
@@ -95,7 +93,6 @@ def run_preflight(
         _calibration_check(config),
         _radio_check(config, radio),
         *_sequencer_checks(config, clock, sampler, devices),
-        *(Check("hardware", Verdict.CAUTION, f"{words}; it is recorded as soon as it comes") for words in absent()),
     ]
     return Preflight(tuple(checks))
 

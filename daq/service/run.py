@@ -5,7 +5,7 @@ import signal
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
 from types import FrameType
@@ -13,7 +13,7 @@ from typing import Any
 
 from daq.acquisition.sampler import Sampler
 from daq.actuation.devices import Devices
-from daq.actuation.pwm.heartbeat import FileHeartbeat, HeartbeatError
+from daq.actuation.pwm.heartbeat import FileHeartbeat
 from daq.assembly import Assembly, Edge, assemble
 from daq.clock import RealClock
 from daq.config import LoggerConfig, load_config
@@ -22,6 +22,7 @@ from daq.contract.recordings.messages import LogLevel, Statistics
 from daq.logger import Opening
 from daq.recorder.storage import RealStorage
 from daq.sensors.open import Hardware, open_hardware
+from daq.service.checks import Check, Verdict
 from daq.service.notify import Notifier
 from daq.service.preflight import Preflight, RadioReport, run_preflight
 from daq.service.radio_probe import listen
@@ -97,7 +98,7 @@ def record_on_hardware(path: Path, *, override: str | None, skip_preflight: bool
         table = None if skip_preflight else _preflight(config, clock, hardware, radio, devices)
         opening = _opening(table, override)
         opening += [
-            Opening(LogLevel.WARNING, "hardware", f"not there yet: {words}") for words in _absent(hardware, radio)
+            Opening(LogLevel.WARNING, "hardware", f"{w}; it joins when it comes") for w in absent(hardware, radio)
         ]
         why = without_sequencer(config, table)
         if why is not None:
@@ -170,13 +171,9 @@ def _preflight(
     if radio is not None:
         ours = config.downlink or DownlinkConfig()
         heard = lambda: listen(radio, clock, system_id=ours.system_id, component_id=ours.component_id)  # noqa: E731
-    return run_preflight(config, clock, sampler, RealStorage(), heard, devices, absent=lambda: _absent(hardware, radio))
-
-
-def _absent(hardware: Hardware, radio: BytePort | None) -> list[str]:
-    """A sentence for each bus or port that was not there at the start; each is tried again for as long as the logger runs."""
-    away = radio.absence if isinstance(radio, ReconnectingPort) else ""
-    return [*hardware.absent, *([f"radio: {away}"] if away else [])]
+    table = run_preflight(config, clock, sampler, RealStorage(), heard, devices)
+    away = (Check("hardware", Verdict.CAUTION, f"{why}; it joins when it comes") for why in absent(hardware, radio))
+    return replace(table, checks=(*table.checks, *away))
 
 
 def _opening(table: Preflight | None, override: str | None) -> list[Opening]:
@@ -220,7 +217,8 @@ class _Stop:
 @contextmanager
 def _signals() -> Iterator[_Stop]:
     stop = _Stop()
-    before = {s: signal.signal(s, stop.set) for s in (signal.SIGTERM, signal.SIGINT)}
+    before: dict[signal.Signals, Any] = {s: signal.signal(s, stop.set) for s in (signal.SIGTERM, signal.SIGINT)}
+    before[signal.SIGHUP] = signal.signal(signal.SIGHUP, signal.SIG_IGN)  # its terminal goes: the recording does not
     try:
         yield stop
     finally:
@@ -258,18 +256,19 @@ def _devices(config: LoggerConfig, clock: RealClock, hardware: Hardware, opened:
     """What the sequencer drives, opened; nothing without one."""
     heartbeat = autopilot = None
     if config.sequencer is not None and config.sequencer.through == "ardupilot":
-        autopilot = open_port(config.sequencer.autopilot.port, patient=True)
+        autopilot = open_port(config.sequencer.autopilot.port)
         opened.callback(autopilot.close)
     elif config.sequencer is not None:
-        try:
-            heartbeat = FileHeartbeat(config.sequencer.heartbeat)
-            opened.callback(heartbeat.close)
-        except HeartbeatError as error:  # the trial says no-go, and the flight is recorded without a sequencer
-            _LOG.error("%s", error)
+        heartbeat = FileHeartbeat(config.sequencer.heartbeat)
+        opened.callback(heartbeat.close)
     return Devices(hardware.bus, heartbeat, clock, autopilot)
 
 
+def absent(hardware: Hardware, radio: BytePort | None) -> list[str]:
+    """A sentence on everything that was not there at the start."""
+    away = radio.why_away if isinstance(radio, ReconnectingPort) else ""
+    return [*hardware.absent, *([f"radio: {away}"] if away else [])]
+
+
 def _open_radio(config: LoggerConfig) -> BytePort | None:
-    if config.downlink is None or not config.downlink.port:
-        return None
-    return open_port(config.downlink.port, patient=True)
+    return open_port(config.downlink.port) if config.downlink is not None and config.downlink.port else None

@@ -16,16 +16,13 @@ from daq.telemetry.downlink import Downlink, OnboardStatus
 from daq.telemetry.log_server import LogServer
 from daq.telemetry.uplink import TURN_NS, Uplink
 from daq.transport.ports import BytePort, SerialPort, UdpPort
-from daq.transport.reconnecting_port import ReconnectingPort, open_lasting
+from daq.transport.reconnecting_port import open_lasting
 from daq.transport.signing import Signer, load_key
 
 
-def open_port(text: str, *, patient: bool = False) -> BytePort:
-    """Open a port by its description; PortError says what is wrong with the description or the port.
-
-    patient: then only a description that cannot be understood is an error; what is not there yet joins when it comes.
-    """
-    return open_lasting(text, _serial, patient=patient)
+def open_port(text: str) -> BytePort:
+    """Open a port by its description, at once or when it comes; PortError says what is wrong with the description."""
+    return open_lasting(text, _serial, wait=True)
 
 
 def _serial(device: str, baud: int) -> SerialPort:
@@ -181,6 +178,6 @@ def radio_link(
         backfill=backfill,
         logs=LogServer(recordings, clock.monotonic_ns),
         turn_ns=turn_ns,
-        dropped=(lambda: port.dropped) if isinstance(port, UdpPort | ReconnectingPort) else lambda: 0,
+        dropped=(lambda: port.dropped) if isinstance(port, UdpPort) else lambda: 0,
     )
     return RadioLink(downlink, uplink, store, backfill, port)

@@ -9,10 +9,10 @@ is passed over by a compiled search, and a checksum is computed only where lengt
 
 import re
 import struct
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import fastcrc
 
@@ -42,6 +42,10 @@ _BEGINS = re.compile(
     rb"|\xfe(?:\Z|\x09(?:\Z|.(?:\Z|\x33(?:\Z|\x44(?:\Z|\x6d)))))",
     re.DOTALL,
 )
+
+_BYTES = tuple(bytes([n]) for n in range(256))
+
+_new_tuple: Callable[..., Any] = tuple.__new__  # without the function that names the fields: half of the time
 
 Value = int | float | str | bytes | tuple[int | float, ...]
 
@@ -128,9 +132,8 @@ def _checks() -> Mapping[int, tuple[int, int, bool]]:
     return {i: (extra, size, False) for i, (extra, size) in sideslip_dialect.FOREIGN_MESSAGES.items()} | ours
 
 
-@dataclass(frozen=True, slots=True)
-class Frame:
-    """A frame whose checksum holds; `raw` is every byte of it."""
+class Frame(NamedTuple):
+    """A frame whose checksum holds; `raw` is every byte of it. A tuple, for there are thousands a second."""
 
     raw: bytes
     msg_id: int
@@ -198,27 +201,31 @@ class FrameDecoder:
         return self._scan(b"", last=True)
 
     def _scan(self, data: bytes, *, last: bool) -> list[Frame | Junk]:
-        self.counts.received_bytes += len(data)
+        counts = self.counts
+        counts.received_bytes += len(data)
         buffer = self._rest + data if self._rest else data
         out: list[Frame | Junk] = []
         at, size = 0, len(buffer)
         while at < size:
-            possible = _BEGINS.search(buffer, at)
-            begin = possible.start() if possible is not None else size
-            self._junk += buffer[at:begin]
-            at = begin
-            if at == size:
-                break
+            if _BEGINS.match(buffer, at) is None:
+                possible = _BEGINS.search(buffer, at)
+                begin = possible.start() if possible is not None else size
+                self._junk += buffer[at:begin]
+                at = begin
+                if at == size:
+                    break
             examine = _frame_at if buffer[at] == MAGIC else _sik_frame_at
             found = examine(buffer, at, size, last)
             if found is None:
                 break
             if isinstance(found, Frame):
-                self._flush_junk(out)
+                if self._junk:
+                    self._flush_junk(out)
                 out.append(found)
-                at += len(found.raw)
-                self.counts.frames += 1
-                self.counts.frame_bytes += len(found.raw)
+                length = len(found.raw)
+                at += length
+                counts.frames += 1
+                counts.frame_bytes += length
                 continue
             self._damaged += found
             self._junk.append(buffer[at])
@@ -262,12 +269,14 @@ def _frame_at(buffer: bytes, at: int, size: int, last: bool) -> Frame | int | No
     looks = 1 if check[2] else 0
     if end > size:
         return looks if last else None
-    checksum = _mcrf4xx(buffer[at + 1 : body] + bytes([check[0]]))
+    checksum = _mcrf4xx(buffer[at + 1 : body] + _BYTES[check[0]])
     if checksum != buffer[body] | buffer[body + 1] << 8:
         return looks
     signature = buffer[end - SIGNATURE_BYTES : end] if flags & SIGNED else None
     payload = buffer[at + HEADER_BYTES : body]
-    return Frame(buffer[at:end], msg_id, buffer[at + 4], buffer[at + 5], buffer[at + 6], payload, signature)
+    fields = buffer[at:end], msg_id, buffer[at + 4], buffer[at + 5], buffer[at + 6], payload, signature
+    frame: Frame = _new_tuple(Frame, fields)
+    return frame
 
 
 def _sik_frame_at(buffer: bytes, at: int, size: int, last: bool) -> Frame | int | None:

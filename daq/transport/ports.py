@@ -34,7 +34,6 @@ _MEMINFO = struct.Struct("9I")
 _CLIENT_BACKLOG = 1 << 20
 _CONNECT_S = 3.0
 _WOULD_BLOCK = (errno.EAGAIN, errno.EWOULDBLOCK, errno.EINTR)
-_NO_NETWORK = (errno.ENETUNREACH, errno.EHOSTUNREACH, errno.ENETDOWN)
 _PEER_GONE = (errno.ECONNREFUSED, errno.ENETUNREACH, errno.EHOSTUNREACH, errno.ENETDOWN)
 
 
@@ -114,8 +113,6 @@ def _advice(spec: PortSpec, error: OSError) -> str:
         return f"{spec.address} is no address of this computer; write one that is, or leave the host out"
     if error.errno == errno.EACCES:
         return "take a port above 1023"
-    if error.errno in _NO_NETWORK:
-        return "is the network up, and the address right?"
     if spec.kind == "tcp":
         return "nobody answers there; check host and port"
     return "is another program using it?"
@@ -126,7 +123,7 @@ class UdpPort:
 
     def __init__(self, *, local: tuple[str, int] | None = None, remote: tuple[str, int] | None = None) -> None:
         host = (local or remote or (_LOOPBACK, 0))[0]
-        family, *_, numbers = socket.getaddrinfo(host, None, type=socket.SOCK_DGRAM)[0]
+        family = socket.getaddrinfo(host, None, type=socket.SOCK_DGRAM)[0][0]
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
         try:
             self._socket.setblocking(False)
@@ -134,7 +131,7 @@ class UdpPort:
             if local is not None:
                 self._socket.bind(local)
             if remote is not None:
-                self._socket.connect((numbers[0], remote[1], *numbers[2:]))  # the answer: a name is asked for once
+                self._socket.connect(remote)
         except OSError:
             self._socket.close()
             raise
@@ -145,7 +142,7 @@ class UdpPort:
 
     @property
     def is_open(self) -> bool:
-        """Always: datagrams need nobody at the other end."""
+        """Always: who is not heard may be heard again."""
         return True
 
     @property
@@ -309,7 +306,7 @@ class TcpServerPort:
 
     @property
     def is_open(self) -> bool:
-        """Always: a listener waits for whoever comes."""
+        """Always: who is not heard may be heard again."""
         return True
 
     @property

@@ -8,10 +8,20 @@ import errno
 import threading
 import time
 from collections.abc import Callable
-from ipaddress import ip_address
+from functools import partial
 from typing import Protocol
 
-from daq.transport.ports import BytePort, PortError, PortSpec, SerialPort, TcpClientPort, open_socket_port, parse_port
+from daq.transport.ports import (
+    BytePort,
+    PortError,
+    PortSpec,
+    SerialPort,
+    TcpClientPort,
+    TcpServerPort,
+    UdpPort,
+    open_socket_port,
+    parse_port,
+)
 
 FIRST_RETRY_NS = 500_000_000
 LONGEST_RETRY_NS = 8_000_000_000
@@ -41,7 +51,7 @@ class ReconnectingPort:
     """A port that is opened again, with growing pauses, whenever it is lost.
 
     open_again: makes a new port or raises OSError or PortError; called in a thread. port: the port as first opened; None
-    when there is nobody there yet, and `why`. at_once: then the first try is not put off.
+    when there is nobody there yet, and `why`; attempt: one that is under way.
     """
 
     def __init__(
@@ -50,7 +60,7 @@ class ReconnectingPort:
         port: ClosingPort | None,
         *,
         why: str = "",
-        at_once: bool = False,
+        attempt: "_Attempt | None" = None,
         now_ns: Callable[[], int] = time.monotonic_ns,
     ) -> None:
         self._open_again = open_again
@@ -58,8 +68,8 @@ class ReconnectingPort:
         self._port = port
         self._why = why
         self._pause_ns = FIRST_RETRY_NS
-        self._next_ns = now_ns() + (0 if at_once else FIRST_RETRY_NS)
-        self._attempt: _Attempt | None = None
+        self._next_ns = now_ns() + FIRST_RETRY_NS
+        self._attempt = attempt
 
     @property
     def is_open(self) -> bool:
@@ -67,14 +77,9 @@ class ReconnectingPort:
         return self._port is not None
 
     @property
-    def absence(self) -> str:
-        """Why the other end is not there; empty while it is."""
-        return "" if self._port is not None else self._why
-
-    @property
-    def dropped(self) -> int:
-        """Datagrams that were not taken, where the port counts them."""
-        return int(getattr(self._port, "dropped", 0))
+    def why_away(self) -> str:
+        """Why the other end is not there, or empty."""
+        return "" if self.is_open else str(self._away().strerror)
 
     def read(self, limit: int = _READ_BYTES) -> bytes:
         """Bytes that have arrived; OSError while the port is away."""
@@ -120,8 +125,7 @@ class ReconnectingPort:
         if self._attempt is not None:
             if self._attempt.thread.is_alive():
                 return
-            self._port, self._why = self._attempt.port, self._attempt.why or self._why
-            self._attempt = None
+            self._port, self._attempt = self._attempt.port, None
         elif self._now_ns() >= self._next_ns:
             self._next_ns = self._now_ns() + self._pause_ns
             self._pause_ns = min(LONGEST_RETRY_NS, 2 * self._pause_ns)
@@ -143,7 +147,7 @@ class _Attempt:
 
     def __init__(self, open_again: Callable[[], ClosingPort]) -> None:
         self.port: ClosingPort | None = None
-        self.why = ""
+        self.error: Exception | None = None
         self._open_again = open_again
         self._lock = threading.Lock()
         self._abandoned = False
@@ -161,8 +165,8 @@ class _Attempt:
     def _run(self) -> None:
         try:
             port = self._open_again()
-        except (OSError, PortError) as error:
-            self.why = str(error)
+        except (OSError, ValueError, PortError) as error:
+            self.error = error
             return
         with self._lock:
             if self._abandoned:
@@ -171,57 +175,48 @@ class _Attempt:
                 self.port = port
 
 
-def open_lasting(text: str, open_serial: Callable[[str, int], SerialPort], *, patient: bool = False) -> BytePort:
+def open_lasting(text: str, open_serial: Callable[[str, int], SerialPort], *, wait: bool = False) -> BytePort:
     """Open a port by its description. PortError says what is wrong with the description or the port.
 
-    A TCP peer that is not there yet is no error: it is tried again. patient: nothing that is not there yet is an error, be it
-    a device, a network, an address or a name that nobody resolves; only a description that cannot be understood is.
-    open_serial: opens a device at a baud rate, for the contract itself knows no hardware library; raises OSError or ValueError.
+    A TCP peer that is not there yet is no error: it is tried again. wait: nor is anything else that may come later, as a serial
+    adapter, a network or a name on it: on an aircraft everything starts in some order. open_serial: opens a device at a baud
+    rate, for the contract itself knows no hardware library; raises OSError or ValueError.
     """
     spec = parse_port(text)
+    again = partial(_opened, spec, open_serial)
+    first = _Attempt(again)
+    first.thread.join(PATIENCE_S if wait else None)
+    port, error = first.port, first.error
+    if port is not None:
+        return port if spec.kind in ("udp", "udpin", "tcpin") else ReconnectingPort(again, port)
+    if wait and (error is None or (isinstance(error, OSError) and not _refused(error))):
+        return ReconnectingPort(again, None, why=_words(error), attempt=first if error is None else None)
+    if spec.kind == "tcp" and (isinstance(error, TimeoutError) or getattr(error, "errno", None) in _NOBODY_THERE):
+        return ReconnectingPort(again, None, why=_words(error))
+    if spec.kind != "serial":
+        return open_socket_port(spec)  # says in words why it cannot be had
+    raise PortError(f"serial port {spec.address} cannot be opened ({error}); check the name, or who uses it") from error
 
-    def again() -> ClosingPort:
-        return open_serial(spec.address, spec.number) if spec.kind == "serial" else open_socket_port(spec)
 
-    if patient:
-        return _patient(spec, text, again)
-    if spec.kind == "serial":
-        try:
-            return ReconnectingPort(again, again())
-        except (OSError, ValueError) as error:
-            raise PortError(
-                f"serial port {spec.address} cannot be opened ({error}); check the name, or who uses it"
-            ) from error
-    if spec.kind == "tcp":
+def _words(error: Exception | None) -> str:
+    return (getattr(error, "strerror", None) or str(error)) if error is not None else "no answer yet"
 
-        def connect() -> TcpClientPort:
+
+def _opened(spec: PortSpec, open_serial: Callable[[str, int], SerialPort]) -> ClosingPort:
+    """A port of any kind; OSError or ValueError where it cannot be had."""
+    match spec.kind:
+        case "serial":
+            return open_serial(spec.address, spec.number)
+        case "udp":
+            return UdpPort(remote=(spec.address, spec.number))
+        case "udpin":
+            return UdpPort(local=(spec.address, spec.number))
+        case "tcp":
             return TcpClientPort(spec.address, spec.number)
-
-        try:
-            return ReconnectingPort(connect, connect())
-        except OSError as error:
-            if error.errno in _NOBODY_THERE or isinstance(error, TimeoutError):
-                return ReconnectingPort(connect, None, why=error.strerror or "no answer")
-    return open_socket_port(spec)
+        case "tcpin":
+            return TcpServerPort(spec.address, spec.number)
 
 
-def _patient(spec: PortSpec, text: str, again: Callable[[], ClosingPort]) -> BytePort:
-    """A port opened at once where that cannot take long, else in a thread: a name server may let one wait for ten seconds."""
-    if spec.kind != "serial" and (spec.kind == "tcp" or not _is_address(spec.address)):
-        return ReconnectingPort(again, None, why=f"{text} has not answered yet", at_once=True)
-    try:
-        port = again()
-    except ValueError as error:
-        raise PortError(f"{text} cannot be used ({error}); correct the baud rate") from error
-    except (OSError, PortError) as error:
-        return ReconnectingPort(again, None, why=f"{text}: {error}")
-    return ReconnectingPort(again, port) if spec.kind == "serial" else port
-
-
-def _is_address(host: str) -> bool:
-    """Whether a host is written in numbers, so that nobody has to be asked for them."""
-    try:
-        ip_address(host.partition("%")[0])
-    except ValueError:
-        return False
-    return True
+def _refused(error: OSError) -> bool:
+    """Whether waiting does not help: another program has the address, or this user may not take it."""
+    return error.errno in (errno.EADDRINUSE, errno.EACCES)

@@ -71,7 +71,8 @@ class Aircraft:
     """Geometry [m, m2], mass [kg, kg m2], sensor positions [m from the CG, body axes] and prior derivatives [1/rad].
 
     `Ixz` is the product of inertia as it stands in the equations of motion (positive for a nose-down principal axis). What the
-    file does not say is NaN; `need` refuses it where it is used. servos, engine, simulation: for a simulated aircraft only.
+    file does not say is NaN; `need` refuses it where it is used. throws: surface -> its least and greatest deflection [rad].
+    servos, engine, simulation: for a simulated aircraft only.
     text: the file it was read from, empty for one made in a program.
     """
 
@@ -93,6 +94,7 @@ class Aircraft:
     servos: Servos | None = None
     engine: Engine | None = None
     simulation: SimulatedFlight | None = None
+    throws: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     text: str = field(default="", compare=False, repr=False)
 
     def prior(self, name: str) -> PriorDerivative | None:
@@ -102,6 +104,11 @@ class Aircraft:
     def constants(self) -> dict[str, float]:
         """Names and values that the equations of a model may use: m S b c Ixx Iyy Izz Ixz g; NaN where not known."""
         return {**{name: float(getattr(self, field_)) for name, (field_, _) in _KEYS.items()}, "g": GRAVITY}
+
+    @property
+    def unknown(self) -> bool:
+        """Whether neither geometry nor mass is known, as of `unknown_aircraft`."""
+        return all(math.isnan(v) for n, v in self.constants().items() if n != "g")
 
     def need(self, names: Iterable[str], what: str) -> None:
         """Raise AircraftError for the first of `names` (of equations) that is not known. what: who needs it."""

@@ -10,12 +10,14 @@ from estimation.errors import AircraftError
 from groundstation.flight import AIRCRAFT_FILE, Flight
 
 
-def aircraft_of(flights: Sequence[Flight], given: str | Path | None = None) -> Aircraft:
-    """The aircraft of all flights; `given`, a built-in name or a file, goes before what they say themselves.
+def aircraft_of(flights: Sequence[Flight], given: str | Path | Aircraft | None = None) -> Aircraft:
+    """The aircraft of all flights; `given`, one, a built-in name or a file, goes before what they say themselves.
 
     Raises AircraftError with the way out where a flight names none, or one that is neither built in nor carried, or where
     the flights are of different aircraft.
     """
+    if isinstance(given, Aircraft):
+        return given
     if given is not None:
         return load_aircraft(given)
     for flight in flights:

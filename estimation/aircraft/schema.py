@@ -27,6 +27,7 @@ Number = Annotated[float, BeforeValidator(_plain_number), Field(allow_inf_nan=Fa
 Positive = Annotated[Number, Field(gt=0.0)]
 NotNegative = Annotated[Number, Field(ge=0.0)]
 Place = tuple[Number, Number, Number]
+Throw = Annotated[tuple[Annotated[Number, Field(lt=0.0)], Positive], BeforeValidator(lambda value: _both_ways(value))]
 
 
 class _Table(BaseModel):
@@ -85,6 +86,22 @@ class EngineTable(_Table):
     lag: Positive
 
 
+def _both_ways(value: object) -> object:
+    if isinstance(value, list):
+        return value
+    if isinstance(value, bool) or not isinstance(value, int | float) or not value > 0.0:
+        raise ValueError("must be a deflection above zero [rad], or [least, greatest]")
+    return (-value, value)
+
+
+class ThrowTable(_Table):
+    """[throws]: deflection of a surface at full stick [rad], one number where it is the same both ways."""
+
+    delta_e: Throw | None = None
+    delta_a: Throw | None = None
+    delta_r: Throw | None = None
+
+
 class SimulationTable(_Table):
     """[simulation]: how a simulated aircraft flies."""
 
@@ -112,6 +129,7 @@ class AircraftFile(_Table):
     servos: ServoTable | None = None
     engine: EngineTable | None = None
     simulation: SimulationTable | None = None
+    throws: ThrowTable = ThrowTable()
 
 
 def read_file(text: str, where: str) -> AircraftFile:
@@ -147,6 +165,7 @@ def aircraft_from_text(text: str, where: str, name: str) -> Aircraft:
         servos=Servos(**file.servos.model_dump()) if file.servos else None,
         engine=Engine(**file.engine.model_dump()) if file.engine else None,
         simulation=SimulatedFlight(**file.simulation.model_dump()) if file.simulation else None,
+        throws={name: throw for name, throw in file.throws if throw is not None},
         text=text,
     )
     computed = beliefs(made, file.shape) if file.shape else {}

@@ -57,7 +57,13 @@ name = {name}
 [derivatives]
 # Cl_p = {{ value = -0.45, std = 0.1, source = "engineering estimate" }}
 
-# The rest is for `sideslip fly` only: what a simulated aircraft of this kind is made of.
+# Deflection of each surface at full stick [rad], one number where it is the same both ways: for simulators, by `sideslip export`.
+[throws]
+# delta_e = 0.0           # rad
+# delta_a = 0.0           # rad, half of what right and left differ by
+# delta_r = [-0.4, 0.3]   # rad, least and greatest where they differ
+
+# The rest is for `sideslip fly`, and `export` (static_thrust): what a simulated aircraft of this kind is made of.
 # [servos]
 # lag = 0.035             # s, first-order lag of a servo arm
 # rate = 6.0              # rad/s, fastest an arm turns

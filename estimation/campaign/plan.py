@@ -2,14 +2,15 @@
 
 import contextlib
 import datetime as dt
-import tomllib
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import BaseModel, ConfigDict, Field, PlainValidator, ValidationError, field_validator, model_validator
 
+from daq.contract import limits
 from daq.contract.errors import UserError
+from daq.contract.input_files import read_toml
 from daq.contract.plain_words import meant
 from estimation.campaign.errors import CampaignError
 from estimation.estimators.estimator import Extra
@@ -25,6 +26,16 @@ Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 class _Table(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+def _path(value: object) -> str:
+    """A path as the system has it, which need not be text: pydantic takes texts only."""
+    if not isinstance(value, str) or not value:
+        raise ValueError("should be a path, a pattern or an address")
+    return value
+
+
+SomePath = Annotated[str, PlainValidator(_path)]
 
 
 class Conditions(_Table):
@@ -56,10 +67,12 @@ class Conditions(_Table):
     @classmethod
     def _stretches(cls, text: str) -> str:
         from estimation.session.flights import spans_of
+        from groundstation.flight.expression import parse_condition
+        from groundstation.flight.stretches import is_times
 
         if text:
             with _as_value_error():
-                spans_of(text)
+                _ = spans_of(text) if is_times(text) else parse_condition(text)
         return text
 
     @property
@@ -84,7 +97,7 @@ def _day(text: str) -> str:
 class FlightEntry(Conditions):
     """One [[flight]]: a path, relative to the plan, a pattern, a folder, or a URL that fsspec reads."""
 
-    path: str = Field(min_length=1)
+    path: SomePath
 
 
 class SimulateEntry(Conditions):
@@ -92,7 +105,7 @@ class SimulateEntry(Conditions):
     values (tables are taken apart into them); `vary`: dotted keys, each drawn evenly between two ends."""
 
     scenario: str = Field(min_length=1)
-    count: int = Field(default=1, ge=1, le=1_000_000)
+    count: int = Field(default=1, ge=1, le=limits.FLIGHTS)
     seed: int = Field(default=0, ge=0)
     set: Mapping[str, Any] = Field(default_factory=dict)
     vary: Mapping[str, tuple[Finite, Finite]] = Field(default_factory=dict)
@@ -121,7 +134,7 @@ class SimulateEntry(Conditions):
 class Plan(_Table):
     """What a campaign does. bootstrap: replicates a flight, 0 for none; time_limit [s]: of one piece of work."""
 
-    flights: tuple[Annotated[str, Field(min_length=1)], ...] = ()
+    flights: tuple[SomePath, ...] = ()
     table: str = ""
     model: str = "lateral"
     aircraft: str = ""
@@ -167,15 +180,28 @@ class Plan(_Table):
         return self
 
 
-def read_plan(path: Path) -> Plan:
-    """The plan in a TOML file; CampaignError names file and key."""
-    try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise CampaignError(f"plan {path}: cannot be read ({error.strerror}); give a file or flights") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise CampaignError(f"plan {path}: not a TOML file: {error}; correct it there") from error
+def read_plan(path: Path, *, trust_code: bool = False) -> Plan:
+    """The plan in a TOML file; CampaignError names file and key.
+
+    trust_code: whether programs that it names may run. Without, a plan that names one is refused before anything is imported.
+    """
+    data = read_toml(path, "plan", CampaignError)
+    programs = named_programs(data)
+    if programs and not trust_code:
+        raise CampaignError(
+            f"plan {path}: {', '.join(programs)} is a program that the plan would run; read it as you would read any program,"
+            " then add --trust-code"
+        )
     return plan_from(data, str(path))
+
+
+def named_programs(data: Mapping[str, Any]) -> tuple[str, ...]:
+    """What a plan names as `module:NAME`: a model or methods of somebody's own, which are Python and run."""
+    methods = data.get("methods", ())
+    named = [data.get("model", ""), *(methods if isinstance(methods, list | tuple) else [methods])]
+    return tuple(
+        dict.fromkeys(n[:80] for n in named if isinstance(n, str) and ":" in n and not n.endswith((".toml", ".xml")))
+    )
 
 
 def plan_from(data: Mapping[str, Any], where: str) -> Plan:

@@ -5,10 +5,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from daq.contract.durable import make_directories, whole
 from daq.contract.outputs import write_json
+from daq.contract.plain_words import visible
 from estimation.campaign.keys import key_of, versions
 from estimation.campaign.plan import Plan
-from estimation.campaign.schema import RESULTS, VERSION, arrow_schema
+from estimation.campaign.schema import RESULTS, VERSION, table_of
 from estimation.campaign.sources import Entry
 from estimation.campaign.store import Store
 from estimation.campaign.tasks import Row
@@ -60,7 +62,7 @@ def conditions_of(entry: Entry) -> Row:
     c = entry.conditions
     return {
         "flight": entry.name,
-        "source": entry.location,
+        "source": visible(entry.location),
         "manoeuvre": c.manoeuvre or None,
         "aircraft": Path(c.aircraft).stem or None,
         "configuration": c.configuration or None,
@@ -73,24 +75,21 @@ def conditions_of(entry: Entry) -> Row:
 
 def unreadable_rows(entries: Sequence[Entry]) -> "pa.Table":
     """A row for each flight whose bytes could not be had."""
-    import pyarrow as pa
 
     rows = [
         {**conditions_of(e), "kind": "run", "status": "failed", "why": e.why, "key": key_of("unreadable", e.location)}
         for e in entries
     ]
-    return pa.Table.from_pylist(rows, arrow_schema(RESULTS))
+    return table_of(rows, RESULTS)
 
 
 def write_table(rows: Sequence[Row], columns: dict[str, str], path: Path) -> None:
     """A small table, in one step."""
-    import pyarrow as pa
     import pyarrow.parquet as pq
 
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_suffix(".tmp")
-    pq.write_table(pa.Table.from_pylist(list(rows), arrow_schema(columns)), partial, compression="zstd")
-    partial.replace(path)
+    make_directories(path.parent)
+    with whole(path) as new:
+        pq.write_table(table_of(rows, columns), new, compression="zstd")
 
 
 def write_texts(texts: Mapping[str, str], folder: Path, ending: str) -> None:

@@ -3,7 +3,10 @@
 Units: SI and radians; derivatives per radian. See docs/campaign.md for the meaning of each column.
 """
 
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from daq.contract.plain_words import printed
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -147,3 +150,11 @@ def arrow_schema(columns: dict[str, str]) -> "pa.Schema":
         NUMBERS: pa.list_(pa.float64()),
     }
     return pa.schema([(name, kinds[kind]) for name, kind in columns.items()], {VERSION_KEY: str(VERSION)})
+
+
+def table_of(rows: Sequence[Mapping[str, Any]], columns: dict[str, str]) -> "pa.Table":
+    """Rows as a table; text that holds what is no text (names of files need not be) with that shown by its number."""
+    import pyarrow as pa
+
+    sound = [{name: printed(value) for name, value in row.items()} for row in rows]
+    return pa.Table.from_pylist(sound, arrow_schema(columns))

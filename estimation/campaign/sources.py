@@ -3,23 +3,28 @@
 import csv
 import glob
 import hashlib
+import io
 import stat
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from pydantic import ValidationError
 
+from daq.contract import limits
 from daq.contract.errors import UserError
+from daq.contract.input_files import matching, read_bytes
+from daq.contract.plain_words import visible
 from estimation.campaign.errors import CampaignError
 from estimation.campaign.keys import key_of
 from estimation.campaign.plan import FLIGHT_SUFFIXES, Conditions, FlightEntry, Plan, SimulateEntry, said_of
 from estimation.campaign.tasks import Simulator, Source
 
 CHUNK = 1 << 20  # bytes read at a time: a record of any size is looked at in little memory
-REMOTE_ERRORS = (OSError, ValueError, ImportError, RuntimeError)
+REMOTE_ERRORS = (OSError, ValueError, ImportError, RuntimeError, TypeError, AttributeError, LookupError, AssertionError)
 """What fsspec and its back ends raise for an address that cannot be read, a protocol not known or not installed."""
 
 
@@ -44,10 +49,17 @@ def entries_of(plan: Plan, folder: Path, simulator: Simulator | None = None, *, 
     Raises CampaignError for a pattern without a match, and for a table or scenario that cannot be used.
     """
     entries = [e for text in plan.flights for e in _located(text, folder, Conditions(), send)]
+    simulated = sum(scenario.count for scenario in plan.simulate)
+    if simulated > limits.FLIGHTS:
+        raise CampaignError(
+            f"the plan simulates {simulated} flights; at most {limits.FLIGHTS} are made, take several plans"
+        )
     for row in (*plan.flight, *(_table(plan.table, folder) if plan.table else ())):
         entries += _located(row.path, folder, Conditions(**row.model_dump(exclude={"path"})), send)
     for number, scenario in enumerate(plan.simulate):
         entries += _simulated(scenario, number, folder, simulator)
+        if len(entries) > limits.FLIGHTS:
+            raise CampaignError(f"the plan names more than {limits.FLIGHTS} flights; take several plans")
     if not entries:
         raise CampaignError("the plan names no flight; give flights, a table, [[flight]] or [[simulate]]")
     return entries
@@ -56,10 +68,10 @@ def entries_of(plan: Plan, folder: Path, simulator: Simulator | None = None, *, 
 def _table(name: str, folder: Path) -> Iterator[FlightEntry]:
     """Rows of a CSV with a column `path`; columns of other names are somebody else's."""
     path = folder / name
+    text = read_bytes(path, "table", CampaignError, limits.TABLE_BYTES)
     try:
-        with path.open(newline="", encoding="utf-8-sig") as handle:
-            rows = list(csv.DictReader(handle))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        rows = list(csv.DictReader(io.StringIO(text.decode("utf-8-sig"), newline="")))
+    except (UnicodeDecodeError, csv.Error) as error:
         raise CampaignError(f"table {path}: cannot be read as CSV ({error}); correct the key 'table'") from error
     for number, row in enumerate(rows, start=2):
         known = {k: v for k, v in row.items() if k in FlightEntry.model_fields and v}
@@ -82,11 +94,11 @@ def _located(text: str, folder: Path, conditions: Conditions, send: bool) -> Ite
 def _paths(path: Path, text: str) -> Sequence[Path]:
     """A file as it is named, all flights of a folder, or what a pattern matches."""
     if path.is_dir():
-        found = sorted(p for p in path.iterdir() if p.suffix.lower() in FLIGHT_SUFFIXES)
+        found = sorted(p for p in islice(path.iterdir(), limits.LOOKED_AT) if p.suffix.lower() in FLIGHT_SUFFIXES)
     elif path.exists() or not glob.has_magic(text):
         return [path]
     else:
-        found = sorted(Path(path.anchor).glob(str(path.relative_to(path.anchor))))
+        found = matching(path, CampaignError)
     if not found:
         raise CampaignError(f"{text}: no flight there; give files ending in {', '.join(FLIGHT_SUFFIXES)}")
     return found
@@ -102,12 +114,12 @@ def _local(path: Path, conditions: Conditions, send: bool) -> Entry:
         with path.open("rb") as handle:
             while chunk := handle.read(CHUNK):
                 digest.update(chunk)
-        data = path.read_bytes() if send else None
+        data = read_bytes(path, "flight", CampaignError) if send else None
     except FileNotFoundError:
         return replace(entry, why=f"{path}: no such file")
     except OSError as error:
         return replace(entry, why=f"{path}: cannot be read ({error.strerror or error})")
-    return replace(entry, source=Source(path.stem, path.suffix, digest.hexdigest(), path=str(path), data=data))
+    return replace(entry, source=Source(visible(path.stem), path.suffix, digest.hexdigest(), path=str(path), data=data))
 
 
 def _urls(text: str) -> list[str]:
@@ -128,6 +140,12 @@ def _filesystem(url: str) -> tuple[Any, str]:
         from fsspec.core import url_to_fs
     except ModuleNotFoundError as error:
         raise CampaignError("flights by URL need fsspec; pip install 'sideslip[campaign]'") from error
+    protocol = url.partition("://")[0].lower()
+    if "::" in url or protocol not in limits.PROTOCOLS:
+        known = ", ".join(sorted(limits.PROTOCOLS))
+        raise CampaignError(
+            f"{url[:200]}: flights are read by {known}, one at a time; copy it to where one of them leads"
+        )
     files, path = url_to_fs(url)
     return files, str(path)
 
@@ -138,13 +156,16 @@ def _remote(url: str, conditions: Conditions) -> Entry:
         digest = hashlib.sha256(fetched(url)).hexdigest()
     except CampaignError as error:
         return Entry(url, conditions, None, str(error))
-    return Entry(url, conditions, Source(name.stem, name.suffix, digest, url=url))
+    return Entry(url, conditions, Source(visible(name.stem), name.suffix, digest, url=url))
 
 
 def fetched(url: str) -> bytes:
     """The bytes at a URL; CampaignError where they cannot be had."""
     try:
         files, path = _filesystem(url)
+        size = files.size(path)
+        if size is not None and size > limits.DATA_BYTES:
+            raise CampaignError(f"{url}: {size} bytes long; at most {limits.DATA_BYTES} are read")
         data: bytes = files.cat_file(path)
     except REMOTE_ERRORS as error:
         raise CampaignError(f"{url}: cannot be read ({error}); check address and access") from error

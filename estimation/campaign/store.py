@@ -6,14 +6,14 @@ whole parts, and what was not in one yet is done again. A part holds all rows of
 
 import fcntl
 import hashlib
-import os
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
+from daq.contract.durable import clear_leftovers, make_directories, open_log, whole
 from estimation.campaign.errors import CampaignError
-from estimation.campaign.schema import RESULTS, VERSION, VERSION_KEY, arrow_schema
+from estimation.campaign.schema import RESULTS, VERSION, VERSION_KEY, arrow_schema, table_of
 from estimation.campaign.tasks import Row
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ class Store:
     def __enter__(self) -> Self:
         try:
             (self.folder / RESULTS_FOLDER).mkdir(parents=True, exist_ok=True)
-            self._lock = (self.folder / ".lock").open("w")
+            self._lock = open_log(self.folder / ".lock")
         except OSError as error:
             raise CampaignError(
                 f"--out {self.folder}: cannot be written ({error.strerror}); choose another folder"
@@ -47,8 +47,8 @@ class Store:
         except OSError as error:
             self._lock.close()
             raise CampaignError(f"--out {self.folder}: another campaign writes there; wait, or take another") from error
-        for left in self.folder.glob("*/*.tmp"):
-            left.unlink()
+        for folder in (self.folder, *(f for f in self.folder.iterdir() if f.is_dir())):
+            clear_leftovers(folder)
         return self
 
     def __exit__(
@@ -110,11 +110,10 @@ class Store:
 
     def flush(self) -> None:
         """Write what is kept."""
-        import pyarrow as pa
 
         if not self._rows:
             return
-        table = pa.Table.from_pylist(self._rows, arrow_schema(RESULTS))
+        table = table_of(self._rows, RESULTS)
         write_part(table, self.folder / RESULTS_FOLDER, "part", set(table["key"].to_pylist()))
         self._rows = []
 
@@ -146,18 +145,10 @@ def write_part(table: "pa.Table", folder: Path, stem: str, content: Iterable[str
 
     digest = hashlib.sha256("\n".join(sorted(content)).encode()).hexdigest()[:16]
     path = folder / f"{stem}-{digest}.parquet"
-    partial = path.with_suffix(".tmp")
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        pq.write_table(table, partial, compression="zstd")
-        for file in (partial, folder):
-            if file == folder:
-                partial.replace(path)
-            handle = os.open(file, os.O_RDONLY)
-            try:
-                os.fsync(handle)
-            finally:
-                os.close(handle)
+        make_directories(folder)
+        with whole(path) as new:
+            pq.write_table(table, new, compression="zstd")
     except OSError as error:
         raise CampaignError(f"{path}: cannot be written ({error.strerror or error}); make room there") from error
     return path

@@ -4,6 +4,9 @@ from pathlib import Path
 
 import click
 
+from daq.contract.options import json_option
+from daq.contract.outputs import check_file, write_json, write_text
+
 
 @click.group(
     epilog="Example: sideslip aircraft new glider, then fill in glider.toml and: sideslip aircraft check glider.toml"
@@ -18,7 +21,6 @@ def aircraft() -> None:
 def new(name: str, output: Path | None) -> None:
     """Write a commented file for aircraft NAME, every key explained; asks nothing, replaces nothing."""
     from estimation.aircraft.template import template
-    from estimation.commands.outputs import check_outputs
     from estimation.errors import AircraftError
 
     if not name.strip() or not name.isprintable() or any(c in name for c in "/\\"):
@@ -28,25 +30,22 @@ def new(name: str, output: Path | None) -> None:
         raise AircraftError(f"--output {target}: an aircraft is written as TOML; end the name in .toml")
     if target.exists():
         raise AircraftError(f"{target} is there already; remove it, or give -o another name")
-    check_outputs(output=target)
-    target.parent.mkdir(parents=True, exist_ok=True)
-    target.write_text(template(name, str(target)), encoding="utf-8")
+    check_file("--output", target)
+    write_text(template(name, str(target)), target)
     click.echo(f"{target} written; fill it in, then: sideslip aircraft check {target}")
 
 
 @aircraft.command(epilog="Example: sideslip aircraft check glider.toml --json glider.json")
 @click.argument("file")
-@click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write the same as JSON.")
+@json_option("Write the same as JSON.")
 def check(file: str, json_path: Path | None) -> int:
     """Say what in FILE (or a built-in aircraft) is missing, doubtful, or enough for which method.
 
     Exit status 1 where it says something impossible, or is not enough for any model.
     """
     from estimation.aircraft import load_aircraft
-    from estimation.commands.aircraft_review import review
-    from estimation.commands.outputs import check_outputs, write_json
+    from estimation.session.aircraft_review import review
 
-    check_outputs(json=json_path)
     found = load_aircraft(file)
     notes = review(found)
     click.echo(f"aircraft {found.name}{': ' + found.title if found.title else ''}")

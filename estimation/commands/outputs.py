@@ -1,31 +1,43 @@
-"""Options of the estimation verbs that name files to write, looked at before any work is done."""
+"""What every verb does with its answer: write the files that were asked for, print, and say how it went."""
 
+from collections.abc import Iterable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from daq.contract.outputs import check_file, check_folder, write_json
-from estimation.errors import EstimationError
+import click
 
-__all__ = ["check_outputs", "write_json"]
+from daq.contract.outputs import write_json
 
-PICTURES = (".eps", ".jpeg", ".jpg", ".pdf", ".png", ".ps", ".svg", ".svgz", ".tif", ".tiff", ".webp")
+if TYPE_CHECKING:
+    from estimation.answers.answer import Answer
 
 
-def check_outputs(
+def deliver(
+    answer: "Answer",
+    json_path: Path | None = None,
+    figure_path: Path | None = None,
+    report_folder: Path | None = None,
     *,
-    json: Path | None = None,
-    output: Path | None = None,
-    figure: Path | None = None,
-    report: Path | None = None,
-    save_model: Path | None = None,
-    histories: Path | None = None,
-    write: Path | None = None,
-) -> None:
-    """Raise a UserError naming the option whose file could not be written, or whose suffix says no known format."""
-    for option, path in (("--json", json), ("--output", output), ("--figure", figure), ("--save-model", save_model)):
-        check_file(option, path)
-    for option, path in (("--report", report), ("--histories", histories), ("--write", write)):
-        check_folder(option, path)
-    if figure is not None and figure.suffix.lower() not in PICTURES:
-        raise EstimationError(f"--figure {figure}: no known kind of picture; end the name in .png, .pdf or .svg")
-    if save_model is not None and save_model.suffix != ".toml":
-        raise EstimationError(f"--save-model {save_model}: a model is written as TOML; end the name in .toml")
+    lines: Iterable[str] | None = None,
+    written: Iterable[str] = (),
+) -> int:
+    """Write, print, and give the exit status: 1 where the answer is a failed check.
+
+    lines: in place of the answer's own; written: a line on each file that the verb has written itself.
+    """
+    # files first: a reader that closes the pipe early (| head) must not cost a result
+    if json_path is not None:
+        write_json(answer.to_json(), json_path)
+    done = list(written)
+    if figure_path is not None:
+        done.append(f"figure: {answer.save(figure_path)}")
+    if report_folder is not None:
+        done.append(f"report: {answer.report(report_folder)}")
+    for line in (*(answer.lines() if lines is None else lines), *done):
+        click.echo(line)
+    return 0 if answer.passed else 1
+
+
+def beside_lines(paths: Iterable[Path]) -> list[str]:
+    """A line on each flight that was written with what a model shows beside it."""
+    return [f"histories: {path} (look at them with: sideslip view {path})" for path in paths]

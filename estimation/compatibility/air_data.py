@@ -172,9 +172,7 @@ def with_air(flight: Flight, air: AirData) -> Flight:
         NoteKind.DERIVED, f"{said} reconstructed from velocity fixes, IMU and {air.airspeed}: {sentence(air, filled)}"
     )
     share = 2.0 * typical["V"] / float(np.nanmedian(air.values["V"]))
-    common = (
-        f"V off by its uncertainty moves every derivative by {share:.1%}, which the bounds of an estimate do not count"
-    )
+    common = f"V off by its uncertainty moves every derivative by {share:.1%}, which the corrected bounds of an estimate count"
     notes: list[Note | str] = [note, common, *([GUSTS_UNSEEN] if len(filled) > 1 else []), *air.notes]
     provenance = replace(flight.provenance, detail=detail)
     return replace(flight.with_columns(**columns).with_notes(*notes), provenance=provenance)

@@ -8,7 +8,7 @@ import numpy as np
 
 from estimation.design.design import UNTOLD, Design
 from estimation.design.predict import INTEGRATION_STEP
-from estimation.report.drawing.figures import styled
+from estimation.report.drawing.figures import save_figure, styled
 from estimation.report.names import tex
 
 _DEG = math.degrees(1.0)
@@ -23,8 +23,7 @@ def write_figure(found: Design, path: Path) -> None:
     with styled():
         page = Figure(layout="constrained")
         _draw(page, found)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        page.savefig(path, dpi=150)
+        save_figure(page, path, dpi=150)
 
 
 def _draw(page: Any, found: Design) -> None:

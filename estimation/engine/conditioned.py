@@ -3,8 +3,8 @@
 Everything left out is said in a note that names the column, and can be kept (`keep_held`).
 """
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,15 +21,19 @@ KEEP = "--keep-held keeps them"
 @dataclass(frozen=True)
 class Conditioned:
     """flight: without wild values. found: column -> its repeated values; empty where they are kept. notes: on wild values and
-    on what stands still with everything else."""
+    on what stands still with everything else. between: column -> (N,) samples that an import drew on straight lines between two
+    of a slower sensor."""
 
     flight: Flight
     found: Mapping[str, Repeats]
     notes: tuple[Note, ...]
+    between: Mapping[str, NDArray[np.bool_]] = field(default_factory=dict)
 
     def fresh(self, column: str) -> NDArray[np.bool_]:
-        """(N,) samples at which a column shows a measurement, and no repeat of a slow sensor."""
+        """(N,) samples at which a column shows a measurement: no repeat of a slow sensor, nothing drawn between two samples."""
         told = np.isfinite(self.flight[column])
+        if column in self.between:
+            told = told & ~self.between[column]
         return told & ~self.found[column].held if column in self.found else told
 
     def stuck(self, column: str) -> NDArray[np.bool_]:
@@ -44,6 +48,10 @@ class Conditioned:
             text = f"{column} not measured at {missing} samples: not compared there"
             notes.append(Note(NoteKind.NOT_MEASURED, text, ((column, column),)))
         notes += self.of_slow(column, "repeats are not compared")
+        if column in self.between:
+            count = int((np.isfinite(values) & ~self.between[column]).sum())
+            text = f"{column} was logged more slowly: compared at {count} samples of its own, not at those drawn between them"
+            notes.append(Note(NoteKind.HELD, text, ((column, column),)))
         notes += self.of_stuck(column, f"not compared there; {KEEP}")
         values[~self.fresh(column) | self.stuck(column)] = np.nan
         return values, notes
@@ -87,7 +95,46 @@ def conditioned(flight: Flight, columns: Iterable[str], *, keep_held: bool = Fal
     if changed:
         flight = flight.with_columns(**changed)
     found = {} if keep_held else {name: repeats(flight, name) for name in names}
-    return Conditioned(flight, found, tuple(notes))
+    drawn = {} if keep_held else drawn_between(flight, names)
+    return Conditioned(flight, found, tuple(notes), drawn)
+
+
+INTEGRATED = ("ax", "ay", "az", "p", "q", "r")
+"""What a reconstruction integrates between fixes."""
+NOT_SLOWER = 0.9
+"""Of the flight's rate: a column logged at more than this is as fast as the samples."""
+
+
+def drawn_between(flight: Flight, columns: Iterable[str]) -> dict[str, NDArray[np.bool_]]:
+    """Column -> (N,) samples that its import drew between those that were logged, of columns logged more slowly than the flight
+    samples.
+
+    One sample stands for each that was logged, in each of its intervals the one at which the straight lines meet: there the
+    second differences of all columns of that rate are largest. A column that was reconstructed has a value for each sample of the
+    gyros and accelerometers it was integrated from. So a log has the information it has, on whatever grid.
+    """
+    together: dict[float, list[str]] = {}
+    sensed = [c for c in columns if flight.held(c) is None]  # a command holds: nothing is drawn between its records
+    for column in sensed:
+        stated = [flight.native_rate(c) for c in (INTEGRATED if column in flight.reconstructed else (column,))]
+        rate = min((r for r in stated if r is not None), default=None)
+        if rate is not None and rate < NOT_SLOWER / flight.sample_interval:
+            together.setdefault(round(rate, 1), []).append(column)
+    return {name: mask for rate, names in together.items() for mask in (_drawn(flight, names, rate),) for name in names}
+
+
+def _drawn(flight: Flight, columns: Sequence[str], rate: float) -> NDArray[np.bool_]:
+    bend = np.zeros(len(flight))
+    for column in columns:
+        if column not in flight.reconstructed:
+            second = np.nan_to_num(np.abs(np.diff(flight[column], 2)))
+            bend[1:-1] += second / max(float(second.mean()), 1e-300)
+    interval = np.floor((flight.time - flight.time[0]) * rate + 1e-6).astype(np.int64)
+    order = np.lexsort((-bend, interval))
+    first = np.concatenate([[True], np.diff(interval[order]) > 0])
+    drawn = np.ones(len(flight), bool)
+    drawn[order[first]] = False
+    return drawn
 
 
 def repaired(flight: Flight, columns: Iterable[str], *, keep_held: bool = False) -> Conditioned:
@@ -109,7 +156,7 @@ def repaired(flight: Flight, columns: Iterable[str], *, keep_held: bool = False)
         changed[name] = values
         notes += told.of_slow(name, "taken on straight lines between new values")
         notes += told.of_stuck(name, f"left out there; {KEEP}")
-    return Conditioned(told.flight.with_columns(**changed), told.found, tuple(notes))
+    return Conditioned(told.flight.with_columns(**changed), told.found, tuple(notes), told.between)
 
 
 def _wild_note(flight: Flight, name: str, off: NDArray[np.bool_]) -> Note:

@@ -221,7 +221,7 @@ def _inputs(
         else:
             u[:, i] = derived(flight, signal.source, pieces, notes)
     notes += _bridges([(s.source, flight[s.source]) for i, s in enumerate(model.inputs) if i in rows], pieces)
-    rows = {i: at for i, at in rows.items() if not model.inputs[i].computed}  # those have no noise of their own
+    rows = {i: at for i, at in rows.items() if not _without_noise(flight, model.inputs[i])}
     names = [s.name for s in model.inputs]
     draws = min(preparation.draws, draws_for(len(flight)))
     errors = np.zeros((*u.shape, draws), np.float32)
@@ -235,6 +235,11 @@ def _inputs(
         _denoise_columns(u, errors, columns, pieces, order, names, noise, rng)
     _derive_errors(model, flight, pieces, errors)
     return u, errors
+
+
+def _without_noise(flight: Flight, signal: Signal) -> bool:
+    """Whether an input has no noise of its own: computed of others, or a command that holds between its records."""
+    return signal.computed or flight.held(signal.source) is not None
 
 
 def _bridges(columns: Sequence[tuple[str, Array]], pieces: list[tuple[int, int]]) -> list[Note]:
@@ -255,8 +260,11 @@ def _bridges(columns: Sequence[tuple[str, Array]], pieces: list[tuple[int, int]]
 
 
 def _rows(told: Conditioned, column: str, a: int, b: int) -> NDArray[np.int64]:
-    """Samples a..b-1 of a column without the repeats of a slow sensor; all of them where too few would be left."""
+    """Samples a..b-1 of a column without the repeats of a slow sensor, and without those that an import drew between its own
+    samples; all of them where too few would be left."""
     repeated = told.found[column].held[a:b] if column in told.found else np.zeros(b - a, bool)
+    if column in told.between:
+        repeated = repeated | told.between[column][a:b]
     kept = np.flatnonzero(~repeated) + a
     return kept if kept.size >= SHORTEST_SEGMENT else np.arange(a, b)
 

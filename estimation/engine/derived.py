@@ -10,10 +10,8 @@ from estimation.engine.kernel import Array
 from estimation.errors import DataError
 from estimation.signals.preprocess import denoise
 from groundstation.flight import Flight
+from groundstation.flight.atmosphere import density, density_at_altitude, density_at_pressure, is_of_the_air
 from groundstation.flight.notes import Note, NoteKind
-
-FLYING = 5.0  # m/s; slower than this a pitot tube says nothing of density
-SLOW = 10.0  # s over which density hardly changes
 
 
 def bridged(values: Array) -> Array:
@@ -33,15 +31,18 @@ def slope(time: Array, values: Array) -> Array:
 
 @dataclass(frozen=True)
 class Way:
-    """How a column is made where the flight lacks it. build: function of time (N,) and of each needed column (N,)."""
+    """How a column is made where the flight lacks it. build: function of time (N,) and of each needed column (N,). credible:
+    whether the needed columns are what their names say, as far as that can be seen."""
 
     needs: tuple[str, ...]
     build: Callable[..., Array]
+    credible: Callable[..., bool] = lambda *columns: True
 
 
 def way_to(flight: Flight, name: str) -> Way | None:
     """The first way to make a column of which the flight has all that it needs."""
-    return next((w for w in DERIVED.get(name, ()) if all(flight.measured(n) for n in w.needs)), None)
+    able = (w for w in DERIVED.get(name, ()) if all(flight.measured(n) for n in w.needs))
+    return next((w for w in able if w.credible(*(flight[n] for n in w.needs))), None)
 
 
 def with_derived(flight: Flight, names: Sequence[str]) -> Flight:
@@ -83,27 +84,25 @@ def _refuse_impossible_result(flight: Flight, name: str, origin: str, values: Ar
         )
 
 
-def _standard_density(time: Array, altitude: Array) -> Array:
-    """Density [kg/m3] of the standard atmosphere's troposphere at altitude [m] (ICAO Doc 7488)."""
-    return 1.225 * (1.0 - 2.25577e-5 * bridged(altitude)) ** 4.25588
+def _density_of_air(time: Array, p_static: Array, temperature: Array) -> Array:
+    return density(bridged(p_static), bridged(temperature))
 
 
-def _density_of_air_data(time: Array, p_dynamic: Array, V: Array) -> Array:
-    """Density [kg/m3] from dynamic pressure [Pa] and true airspeed [m/s], rho = 2 p_dynamic / V^2, both averaged over `SLOW` s:
-    density changes slowly, and what noise is left would act like noise of the airspeed. Below `FLYING` the median of the rest."""
-    width = min(max(1, round(SLOW / float(np.median(np.diff(time))))), time.size)
-    columns = (bridged(p_dynamic), bridged(V**2), np.ones(time.size))
-    # with zeros beyond the ends, which cancel: the mean there is over what there is
-    pressure, square, share = (np.convolve(c, np.full(width, 1.0 / width), "same") for c in columns)
-    flying = square > FLYING**2 * share
-    if not flying.any():
-        return np.full(time.size, np.nan)
-    density = 2.0 * pressure / np.maximum(square, FLYING**2 * share)
-    return np.where(flying, density, np.median(density[flying]))
+def _density_at_pressure(time: Array, p_static: Array) -> Array:
+    return density_at_pressure(bridged(p_static))
+
+
+def _density_at_altitude(time: Array, altitude: Array) -> Array:
+    return density_at_altitude(bridged(altitude))
 
 
 DERIVED: Mapping[str, tuple[Way, ...]] = {
     **{f"{n}_dot": (Way((n,), slope),) for n in ("V", "alpha", "beta", "p", "q", "r", "phi", "theta", "psi")},
-    "rho": (Way(("p_dynamic", "V"), _density_of_air_data), Way(("altitude",), _standard_density)),
+    "rho": (
+        Way(("p_static", "temperature"), _density_of_air, is_of_the_air),
+        Way(("p_static",), _density_at_pressure),
+        Way(("altitude",), _density_at_altitude),
+    ),
 }
-"""Columns that are made from others where the flight lacks them, the best way first."""
+"""Columns that are made from others where the flight lacks them, the best way first. Never density from 2 p_dynamic / V^2: an
+autopilot makes V from p_dynamic with a ratio of its own, and the two then say nothing of the air."""

@@ -30,6 +30,11 @@ RELATED = 0.7  # correlation from which a rate and the slope of its angle tell o
 DEGREES = 57.29577951308232
 WILD = 2.0  # times the range of a channel: a spike within it may be real, and pulls a fit of hundreds of samples little
 SLOWEST = 5.0  # s between samples: a fifth of a phugoid; nothing that an estimate needs shows in slower records
+SAME_UNITS = {
+    "radian": "rad", "radians": "rad", "rad/sec": "rad/s", "rads-1": "rad/s", "m/sec": "m/s", "ms-1": "m/s", "ms-2": "m/s2",
+    "m/s/s": "m/s2", "kgm-3": "kg/m3", "-": "1", "newton": "N", "kelvin": "K", "pascal": "Pa",
+}  # fmt: skip
+"""Other spellings of the flight format's units."""
 TIME_UNITS = {"milliseconds": 1e3, "microseconds": 1e6}
 
 
@@ -37,9 +42,12 @@ def refuse_impossible(flight: Flight, driving: Sequence[Signal], shown: Sequence
     """DataError for a column of another unit or sign; what is only unlikely goes to `notes`.
 
     driving: inputs and states, by whose airspeed and density a model divides; shown: outputs, which may be of an aircraft
-    that still stands. Only columns that the model, too, takes in the unit of the flight format are judged: a model of
-    one's own may be in degrees.
+    that still stands. Only columns that the model, too, takes in the unit of the flight format are judged, and a model that
+    states
+    another unit for one is refused.
     """
+    for s in (*driving, *shown):
+        _refuse_stated_unit(flight, s)
     divided = {s.source for s in driving}
     stated = {
         s.source for s in (*driving, *shown) if s.source in COLUMN_BY_NAME and s.unit == COLUMN_BY_NAME[s.source].unit
@@ -56,6 +64,24 @@ def refuse_impossible(flight: Flight, driving: Sequence[Signal], shown: Sequence
     for rate, angle in RATES.items():
         if rate in used and angle in used:
             _refuse_other_unit(flight, rate, angle)
+
+
+def _refuse_stated_unit(flight: Flight, signal: Signal) -> None:
+    """DataError where a model states another unit for a column than flights hold it in."""
+    known = COLUMN_BY_NAME.get(signal.source)
+    if known is None or not signal.unit:
+        return
+    if _plain_unit(signal.unit) not in {_plain_unit(known.unit), *(("1",) if known.unit == "rad" else ())}:
+        raise DataError(
+            f"{flight.name}: the model states {signal.name} in {signal.unit}, and flights hold {signal.source} in {known.unit}:"
+            f' write the equations for {known.unit} and state unit = "{known.unit}", or convert in them'
+        )
+
+
+def _plain_unit(unit: str) -> str:
+    """A unit without the ways in which people write the same: m/s^2, m/s**2, m s-2, radians."""
+    text = unit.strip().replace("**", "").replace("^", "").replace("²", "2").replace("³", "3").replace(" ", "")
+    return SAME_UNITS.get(text, text)
 
 
 def _angle(flight: Flight, name: str, values: Array, notes: list[Note]) -> None:

@@ -42,9 +42,28 @@ def score_covariance(pieces: list[Piece], inverse: Array, nuisance_inverse: list
 
     inverse: (n, n) covariance of the parameters; nuisance_inverse: inverse information of each piece's initial states.
     """
+    pieces = [without_empty_rows(p) for p in pieces]
     projected = without_nuisance(pieces, nuisance_inverse)
     spectrum = noise_spectrum(pieces, projected, inverse, nuisance_inverse)
     return filtered_covariance(pieces, projected, spectrum)
+
+
+def without_empty_rows(piece: Piece) -> Piece:
+    """The piece without samples at which nothing is known, as between those of a log that was brought to a faster grid: colour is
+    then seen over as long a time as on the log's own."""
+    return Piece(
+        piece.residual[piece.known.any(axis=1)],
+        without_empty(piece, piece.jacobian),
+        without_empty(piece, piece.nuisance),
+        piece.known[piece.known.any(axis=1)],
+    )
+
+
+def without_empty(piece: Piece, columns: Array) -> Array:
+    """Columns (N ny, m) of a piece without those samples."""
+    rows = piece.known.any(axis=1)
+    count, ny = piece.residual.shape
+    return columns.reshape(count, ny, columns.shape[1])[rows].reshape(int(rows.sum()) * ny, columns.shape[1])
 
 
 def filtered_covariance(pieces: list[Piece], projected: list[Array], spectrum: Spectrum) -> Array:

@@ -120,7 +120,8 @@ def solve(simulator: Simulator, flights: Sequence[FlightData], *, stepwise: bool
     covariance, coloured = np.zeros((n, n)), np.zeros((n, n))
     pick = np.ix_(chosen, chosen)
     inverse, blind = pseudo_inverse(information[pick])
-    covariance[pick] = inverse
+    again = np.sqrt(np.tile(_repeats(simulator.model, flights), len(stacked) // len(weights)))[:, None] * stacked
+    covariance[pick] = inverse @ (again.T @ again)[pick] @ inverse
     middle = np.zeros((n, n))
     for p in parts:
         middle += score_covariance(p, covariance, [np.zeros((0, 0))] * len(p))
@@ -198,6 +199,16 @@ def _regressions(simulator: Simulator, flights: Sequence[FlightData], values: Ma
             e = np.concatenate([rates - _means(f), segment.z - y], axis=1)
             result.append(Regression(np.where(np.all(np.isfinite(A), axis=2), e, np.nan), np.nan_to_num(A)))
     return result
+
+
+def _repeats(model: Model, flights: Sequence[FlightData]) -> Array:
+    """(m,) of how many samples of each equation one was measured, for a state that is logged more slowly than the flight samples:
+    increments between two of its own samples say the same over again. 1 for outputs, which are compared at their own samples."""
+    z = np.concatenate([s.z for f in flights for s in f.segments])
+    known = np.isfinite(z).mean(axis=0)
+    outputs = {s.source: known[j] for j, s in enumerate(model.outputs)}
+    shares = [outputs.get(s.source, 1.0) or 1.0 for s in model.states]
+    return np.concatenate([1.0 / np.array(shares), np.ones(len(model.outputs))])
 
 
 def _means(values: Array) -> Array:

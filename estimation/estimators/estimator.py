@@ -1,7 +1,7 @@
 """What an estimator is: a record with a name, a title, a fit, and the extras that it heeds; and the task it is given."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import TYPE_CHECKING
 
@@ -60,6 +60,8 @@ class Task:
     """One fit: `model` to one flight, or to several together. device: where networks are trained (cpu, cuda or auto).
 
     number: of the fit in its session, so that each draws noise of its own. tell: told each long piece of work as it begins.
+    plain: the same model without terms that were added to it, for estimators that have no way for those. memory: flights that
+    have been prepared already, each of a name of its own.
     """
 
     model: Model
@@ -69,26 +71,37 @@ class Task:
     device: str = "cpu"
     number: int = 0
     tell: Callable[[str], None] = lambda text: None
+    plain: Model | None = None
+    memory: "dict[object, FlightData]" = field(default_factory=dict, compare=False, repr=False)
+
+    def for_estimator(self, estimator: "Estimator") -> "Task":
+        """The task with its plain model where the estimator has no way for the whole one; itself otherwise."""
+        if self.plain is None or not estimator.refuses(self.model) or estimator.refuses(self.plain):
+            return self
+        return replace(self, model=self.plain)
 
     @property
-    def data(self) -> "Sequence[Flight | FlightData]":
-        """The flights; where they are to be prepared in another than the usual way, already prepared so."""
-        if not (self.extras.raw_inputs or self.extras.keep_held):
-            return self.flights
+    def data(self) -> "list[FlightData]":
+        """The flights prepared for the model, in the usual way or another that was asked for."""
         return self._prepared(feedback=True)
 
     @property
-    def smooth(self) -> "Sequence[Flight | FlightData]":
+    def smooth(self) -> "list[FlightData]":
         """The same for a regression, which takes controls without any noise."""
-        if not (self.extras.raw_inputs or self.extras.keep_held):
-            return self.flights
         return self._prepared(feedback=False)
 
-    def _prepared(self, feedback: bool) -> "list[Flight | FlightData]":
+    def _prepared(self, feedback: bool) -> "list[FlightData]":
+        """Each flight, once for all methods and fits of a session that see the same signals in it."""
         from estimation.engine.data import Preparation, prepare
 
         way = Preparation(denoise=not self.extras.raw_inputs, keep_held=self.extras.keep_held, feedback=feedback)
-        return [prepare(self.model, f, way) for f in self.flights]
+        found = []
+        for flight in self.flights:
+            key = (flight.name, self.model.states, self.model.inputs, self.model.outputs, way)
+            if key not in self.memory:
+                self.memory[key] = prepare(self.model, flight, way)
+            found.append(self.memory[key])
+        return found
 
     @property
     def repaired(self) -> "Sequence[Flight]":

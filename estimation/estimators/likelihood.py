@@ -5,6 +5,7 @@ every point, so its gradient is that of 1/2 sum r' R^-1 r with R from the residu
 Unknowns: shared parameters, local ones flight by flight, then the initial states segment by segment.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -87,6 +88,12 @@ class OutputErrorProblem:
         t[self.shared] = unknowns[: len(self.shared)]
         t[self.local] = unknowns[self._local_slice(flight)]
         return t
+
+    def set_local(self, unknowns: Array, flight: int, values: Mapping[str, float]) -> None:
+        """Give one flight's own parameters their values, in place; those that are not named stay."""
+        for k, name in enumerate(self.free[i] for i in self.local):
+            if name in values:
+                unknowns[self._local_slice(flight).start + k] = values[name]
 
     def values(self, unknowns: Array, flight: int) -> dict[str, float]:
         """All parameters by name in one flight."""

@@ -228,13 +228,14 @@ def reopened(
     chosen, data = compared(chosen, prepared(chosen, flights, options.preparation))
     if len(data) != len(result.flights):
         raise DataError(f"{len(data)} flights given for a fit of {len(result.flights)}: give those that were fitted")
-    data = _in_pieces_of(data, result)
+    data = in_pieces_of(data, result)
     problem = build_problem(chosen, data, options)
     start = problem.pack(chosen.starts(), [list(f.initial_states) for f in result.flights])
     return _fine_enough(problem, minimise(problem, start, options.loop), options)
 
 
-def _in_pieces_of(data: list[FlightData], result: Result) -> list[FlightData]:
+def in_pieces_of(data: list[FlightData], result: Result) -> list[FlightData]:
+    """Prepared flights in the segments in which a result was fitted."""
     wanted = [len(f.initial_states) for f in result.flights]
     for pieces in (data, *([cut(d, seconds) for d in data] for seconds in PIECES)):
         if [len(p.segments) for p in pieces] == wanted:

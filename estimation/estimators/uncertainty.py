@@ -20,11 +20,14 @@ from estimation.estimators.coloured import (
     autocovariance,
     filtered_covariance,
     noise_spectrum,
+    without_empty,
+    without_empty_rows,
     without_nuisance,
 )
 from estimation.estimators.input_error import Disturbed, Evidence, common_error, disturbed, edge_size, evidence
 from estimation.estimators.likelihood import LikelihoodPoint, OutputErrorProblem, whiten_all
 from estimation.estimators.result import Estimate, correlation
+from estimation.estimators.together import moving_together, text_of
 from estimation.models.base import Model, Parameter
 from estimation.models.expressions import products_in
 
@@ -148,10 +151,12 @@ def flight_score(
     pieces, inverse, nuisance_inverse = _pieces(problem, point, index, covariance, blocks)
     responses = disturbed(problem, unknowns, index)
     noise, edges = responses[0].noise, responses[0].edges
+    white = white_responses(pieces, nuisance_inverse, responses, point)
+    white = [without_empty(p, w) for p, w in zip(pieces, white, strict=True)]
+    pieces = [without_empty_rows(p) for p in pieces]
     projected = without_nuisance(pieces, nuisance_inverse)
-    white = _responses(pieces, nuisance_inverse, responses, point)
     columns = np.sum([J.T @ w for J, w in zip(projected, white, strict=True)], axis=0)
-    lags = _input_lags(pieces, projected, [w[:, :noise] for w in white], inverse @ columns[:, :noise])
+    lags = input_lags(pieces, projected, [w[:, :noise] for w in white], inverse @ columns[:, :noise])
     spectrum = noise_spectrum(pieces, projected, inverse, nuisance_inverse, lags)
     inputs, edge, common = np.split(columns, [noise, noise + edges], axis=1)
     return FlightScore(
@@ -163,7 +168,7 @@ def flight_score(
     )
 
 
-def _responses(
+def white_responses(
     pieces: list[Piece], nuisance_inverse: list[Array], responses: list[Disturbed], point: LikelihoodPoint
 ) -> list[Array]:
     """Responses (N ny, columns) of each piece in units of the noise, initial states projected out."""
@@ -174,7 +179,7 @@ def _responses(
     return white
 
 
-def _input_lags(pieces: list[Piece], projected: list[Array], white: list[Array], change: Array) -> Array | None:
+def input_lags(pieces: list[Piece], projected: list[Array], white: list[Array], change: Array) -> Array | None:
     """Autocovariance that the noise of the inputs gives the residuals of a fit. change: (n, draws) of the parameters."""
     if not change.shape[1]:
         return None
@@ -190,10 +195,12 @@ def noise_spectra(problem: OutputErrorProblem, unknowns: Array, point: Likelihoo
     for i, block in enumerate(blocks):
         pieces, inverse, nuisance_inverse = _pieces(problem, point, i, covariance, block)
         responses = disturbed(problem, unknowns, i)
+        white = [w[:, : responses[0].noise] for w in white_responses(pieces, nuisance_inverse, responses, point)]
+        white = [without_empty(p, w) for p, w in zip(pieces, white, strict=True)]
+        pieces = [without_empty_rows(p) for p in pieces]
         projected = without_nuisance(pieces, nuisance_inverse)
-        white = [w[:, : responses[0].noise] for w in _responses(pieces, nuisance_inverse, responses, point)]
         change = inverse @ np.sum([J.T @ w for J, w in zip(projected, white, strict=True)], axis=0)
-        lags = _input_lags(pieces, projected, white, change)
+        lags = input_lags(pieces, projected, white, change)
         spectra.append(noise_spectrum(pieces, projected, inverse, nuisance_inverse, lags))
     return spectra
 
@@ -238,11 +245,13 @@ def estimates(
     rho = correlation(covariance)
     diagonal = np.diag(covariance)  # zero where the data holds no information at all
     movement = input_movement(model, flights)
+    together = moving_together(model, flights)
     result = {}
     for i, name in enumerate(names):
         parameter = model.parameter(name)
         size = (float(values[i]), float(std_coloured[i]))
-        why = _why_not(model, parameter, *size, rho[i], names, i, movement, effects.get(name))
+        why = next((t for c in sorted(companions(model, name)) if (t := text_of(c, together))), "")
+        why = why or _why_not(model, parameter, *size, rho[i], names, i, movement, effects.get(name))
         if not why and undetermined[i] and diagonal[i] <= 0.0:
             why = "has no effect on any output in this data"
         if not why and undetermined[i]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from estimation.frequency.response import FrequencyResponse
 from estimation.frequency.transfer import GOOD, TransferFunction
-from estimation.report.drawing.figures import ABOVE, Picture, picture, styled
+from estimation.report.drawing.figures import ABOVE, Picture, picture, save_figure, styled
 from estimation.report.names import literal, tex
 
 if TYPE_CHECKING:
@@ -97,8 +97,7 @@ def _plain() -> Any:
 def write_figure(response: FrequencyResponse, fit: TransferFunction | None, path: Path) -> None:
     """Write the figure; its ending chooses the format."""
     with styled():
-        path.parent.mkdir(parents=True, exist_ok=True)
-        draw(response, fit).savefig(path, dpi=150)
+        save_figure(draw(response, fit), path, dpi=150)
 
 
 def response_picture(response: FrequencyResponse, fit: TransferFunction | None) -> Picture:

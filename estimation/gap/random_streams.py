@@ -16,6 +16,7 @@ class Stream(IntEnum):
     HELD_OUT_NULLS = 32452843
     KINEMATIC_INPUT_ERRORS = 49979687
     CLOSURE_NULLS = 86028121
+    MEASURED_AGAIN = 122949823
 
     def generator(self, seed: int, *which: int) -> np.random.Generator:
         """The generator of draw `which` (record, number) of this stream."""

@@ -33,11 +33,14 @@ def analyse(
         else None
     )
     if folder is not None:
-        before, after = write_lineage(
-            folder, result.model_before, result.model_after, result.steps, [*training, *holdout], options.seed
-        )
-        result = replace(result, files=(str(before), str(after)))
+        result = with_models(result, [*training, *holdout], options.seed, folder)
     if json_path is not None:
         write_json(result.to_json(), json_path)
     tell("done", 1.0)
     return result
+
+
+def with_models(result: GapResult, flights: Sequence[Flight], seed: int, folder: Path) -> GapResult:
+    """Write the models before and after, with their lineage, to `folder`; the result that names these files."""
+    before, after = write_lineage(folder, result.model_before, result.model_after, result.steps, flights, seed)
+    return replace(result, files=(str(before), str(after)))

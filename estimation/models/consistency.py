@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping
 
+from daq.contract import limits
 from estimation.errors import ModelError
 from estimation.models.expressions import check_name, names_in, split_line
 from estimation.models.parts import TRANSFORM_KINDS, ModelParts
@@ -49,19 +50,32 @@ def check_model(model: ModelParts) -> None:
 
 
 def _check_circles(model: ModelParts, definitions: Mapping[str, str]) -> None:
-    done: set[str] = set()
-
-    def visit(symbol: str, path: tuple[str, ...]) -> None:
-        if symbol in path:
-            raise ModelError(f"model {model.name}: definitions run in a circle: {' -> '.join((*path, symbol))}")
-        if symbol in done or symbol not in definitions:
-            return
-        for name in sorted(names_in(definitions[symbol])):
-            visit(name, (*path, symbol))
-        done.add(symbol)
-
-    for symbol in definitions:
-        visit(symbol, ())
+    """No equation uses itself, by whatever way, and none by more steps than limits.MODEL_DEPTH. Without recursion: a model may
+    come from anybody."""
+    if len(definitions) > limits.MODEL_LINES:
+        raise ModelError(f"model {model.name}: {len(definitions)} equations; at most {limits.MODEL_LINES} are taken")
+    uses = {s: sorted(names_in(text) & definitions.keys()) for s, text in definitions.items()}
+    depth: dict[str, int] = {}
+    for first in definitions:
+        path, rest = [first], [iter(uses[first])]
+        while path:
+            symbol = next(rest[-1], None) if path[-1] not in depth else None
+            if symbol is None:
+                done = path.pop()
+                rest.pop()
+                depth.setdefault(done, 1 + max((depth[u] for u in uses[done]), default=0))
+            elif symbol in path:
+                raise ModelError(
+                    f"model {model.name}: definitions run in a circle: {' -> '.join((*path[-10:], symbol))}"
+                )
+            elif symbol not in depth:
+                path.append(symbol)
+                rest.append(iter(uses[symbol]))
+    deepest = max(depth, key=lambda s: depth[s], default="")
+    if deepest and depth[deepest] > limits.MODEL_DEPTH:
+        raise ModelError(
+            f"model {model.name}: {deepest} uses others in a chain of {depth[deepest]}; at most {limits.MODEL_DEPTH} are followed"
+        )
 
 
 def _check_parameters(model: ModelParts) -> None:

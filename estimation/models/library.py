@@ -7,6 +7,8 @@ bringing them there is the calibration's work.
 Source of the lateral aerodynamics: The Aeronautical Journal (2018), pp 889-912, eqs 14-20.
 """
 
+from dataclasses import replace
+
 from estimation.aircraft import Aircraft
 from estimation.models.base import Model, Parameter, Signal
 from estimation.models.parts import usual_role
@@ -85,6 +87,44 @@ def aerodynamic_parameters(names: tuple[str, ...], aircraft: Aircraft) -> tuple[
                 )
             )
     return tuple(parameters)
+
+
+MOTION = {
+    "beta": "beta", "p": "p_hat", "r": "r_hat", "da": "delta_a", "dr": "delta_r",
+    "alpha": "alpha", "q": "q_hat", "de": "delta_e",
+}  # fmt: skip
+"""Ending of a derivative -> what it is a derivative by, as the equations call it."""
+
+
+def stated_terms(model: Model, aircraft: Aircraft) -> Model:
+    """The model with those derivatives of the general linear model that the aircraft file states and the model does not have.
+
+    They start from what is stated, and are drawn towards it by as much as its standard deviation says: a term that was thought
+    worth stating is not dropped because one flight cannot tell it.
+    """
+    terms: dict[str, str] = {}
+    parameters = []
+    known = {*model.state_names, *model.input_names, *model.definitions}
+    for name, prior in aircraft.derivatives.items():
+        line, _, ending = name.partition("_")
+        regressor = MOTION.get(ending)
+        if name in model.parameter_names or line not in model.definitions or regressor not in known:
+            continue
+        terms[line] = f"{terms[line]} + {name}*{regressor}" if line in terms else f"{name}*{regressor}"
+        (parameter,) = aerodynamic_parameters((name,), aircraft)
+        parameters.append(
+            replace(parameter, prior_mean=None if prior.std is None else prior.value, prior_std=prior.std)
+        )
+    return model.plus(terms=terms, parameters=parameters) if parameters else model
+
+
+def not_in_model(model: Model, aircraft: Aircraft) -> tuple[str, ...]:
+    """Derivatives of a model's own coefficients that the aircraft file states and the model has no term for."""
+    return tuple(
+        n
+        for n in aircraft.derivatives
+        if n not in model.parameter_names and n not in model.constants and n.partition("_")[0] in model.definitions
+    )
 
 
 def lateral(aircraft: Aircraft) -> Model:
@@ -199,6 +239,9 @@ def six_dof(aircraft: Aircraft) -> Model:
         ),
     )  # fmt: skip
 
+
+WHOLE = ("lateral", "longitudinal", "six-dof")
+"""Models that take every derivative of the general linear model; `lateral-simple` is the paper's and stays so."""
 
 BUILDERS = {
     "lateral": lateral,

@@ -12,7 +12,7 @@ from estimation.aircraft import Aircraft, built_in_aircraft, load_aircraft
 from estimation.errors import ModelError
 from estimation.models.base import Model
 from estimation.models.expressions import names_in
-from estimation.models.library import BUILDERS
+from estimation.models.library import BUILDERS, WHOLE, stated_terms
 from estimation.own_code import MISTAKES, named, said
 
 
@@ -30,7 +30,9 @@ def load_model(which: str | Path | type | Model, aircraft: Aircraft | str | None
     text = str(which)
     if text in BUILDERS:
         craft = _named(aircraft, f"model {text}")
-        return _with_known_constants(BUILDERS[text](craft), craft, f"model {text}")
+        built = BUILDERS[text](craft)
+        whole = stated_terms(built, craft) if text in WHOLE else built
+        return _with_known_constants(whole, craft, f"model {text}")
     if text.endswith(".toml"):
         return read_model(text)
     if ":" in text:
@@ -64,15 +66,16 @@ def check_model(which: str) -> None:
         load_model(which)
 
 
-def asks_for_aircraft(which: str) -> bool:
+def asks_for_aircraft(which: str | Path | type | Model) -> bool:
     """Whether a model takes constants or derivatives from an aircraft: a built-in one, or a class that is given it."""
-    if which in BUILDERS:
-        return True
-    if which.endswith(".toml") or ":" not in which:
-        return False
     from estimation.models.own import takes_aircraft
 
-    return takes_aircraft(_import_class(which))
+    if isinstance(which, type):
+        return takes_aircraft(which)
+    text = "" if isinstance(which, Model) else str(which)
+    if text in BUILDERS:
+        return True
+    return ":" in text and not text.endswith(".toml") and takes_aircraft(_import_class(text))
 
 
 def read_model(path: str | Path) -> Model:

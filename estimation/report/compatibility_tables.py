@@ -8,6 +8,7 @@ import numpy as np
 from estimation.compatibility.result import Compatibility, Factor, ReconstructedFlight
 from estimation.models.kinematic import STANDARD_FACTORS
 from estimation.report import published
+from estimation.report.drawing.figures import save_figure
 from estimation.report.names import literal
 
 _SHOWN = {"rad": ("deg", np.degrees(1.0)), "V": ("m/s", 1.0)}
@@ -100,5 +101,4 @@ def write_figure(flights: Sequence[ReconstructedFlight], path: Path) -> None:
         axes[0][column].set_title(literal(flight.name))
         axes[-1][column].set_xlabel("time [s]")
     axes[0][0].legend(loc="upper right", fontsize="small", ncols=2)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=110)
+    save_figure(figure, path, dpi=110)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from daq.contract.durable import whole_text, write_text
 from daq.contract.plain_words import visible
 from estimation.report.names import tex
 
@@ -31,11 +32,11 @@ class Table:
     def write(self, folder: Path) -> None:
         """<name>.csv and <name>.tex in `folder`."""
         folder.mkdir(parents=True, exist_ok=True)
-        with (folder / f"{self.name}.csv").open("w", newline="", encoding="utf-8") as file:
+        with whole_text(folder / f"{self.name}.csv") as file:
             writer = csv.writer(file)
             writer.writerow(self._flat_head())
             writer.writerows([[_no_formula(visible(cell)) for cell in row] for row in self.rows])
-        (folder / f"{self.name}.tex").write_text(self.latex(), encoding="utf-8")
+        write_text(folder / f"{self.name}.tex", self.latex())
 
     def _flat_head(self) -> list[str]:
         above = [label for label, span in self.groups for _ in range(span)] or [""] * len(self.head)
@@ -50,8 +51,22 @@ class Table:
         lines += [" & ".join(_plain(h) for h in self.head) + r" \\", r"\midrule"]
         for row in self.rows:
             first = f"${tex(row[0])}$" if self.symbols else _plain(row[0])
-            lines.append(" & ".join([first, *(_plain(c) for c in row[1:])]) + r" \\")
+            lines.append(" & ".join([first, *self._latex_cells(row)]) + r" \\")
         return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", r"\end{table}", ""])
+
+    def _latex_cells(self, row: tuple[str, ...]) -> list[str]:
+        """Cells after the first. A group of columns that ends in `cannot tell` says only that: a number printed in a thesis is
+        believed, whatever stands beside it."""
+        cells: list[str] = []
+        at = 1
+        for _, span in self.groups[1:] or [("", 1)] * (len(row) - 1):
+            group = row[at : at + span]
+            at += span
+            if span > 1 and group and group[-1] == CANNOT_TELL:
+                cells.append(rf"\multicolumn{{{span}}}{{c}}{{{CANNOT_TELL}}}")
+            else:
+                cells += [_plain(c) for c in group]
+        return [*cells, *(_plain(c) for c in row[at:])]
 
 
 def _no_formula(cell: str) -> str:

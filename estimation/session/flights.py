@@ -4,10 +4,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from estimation.engine.data import SHORTEST_SEGMENT
 from estimation.errors import EstimationError
 from groundstation.flight import Flight
+from groundstation.flight.stretches import is_times, where
 
 
 def unique_names(flights: Sequence[Flight]) -> list[Flight]:
@@ -39,10 +41,14 @@ def spans_of(text: str) -> dict[str, tuple[float, float]]:
 
 
 def select_segments(flight: Flight, text: str | None) -> Flight:
-    """The stretches `2:12,15:25` [s] of a flight, as segments; EstimationError where they make no sense."""
+    """The stretches of a flight, by times `2:12,15:25` [s], by a mode or by a condition (`groundstation.flight.stretches`), as
+    segments; EstimationError or FlightError where they make no sense."""
     if text is None:
         return flight
-    label = np.full(len(flight), -1)
+    if not is_times(text):
+        found = where(flight, text)
+        return _cut(flight, found.label, found.notes)
+    label = np.full(len(flight), -1, np.int64)
     for i, (part, (a, b)) in enumerate(spans_of(text).items()):
         inside = (flight.time >= a) & (flight.time <= b)
         if not inside.any():
@@ -55,6 +61,11 @@ def select_segments(flight: Flight, text: str | None) -> Flight:
                 f"{flight.sample_interval:.3g} s; a stretch needs at least {SHORTEST_SEGMENT}"
             )
         label[inside] = i
+    return _cut(flight, label)
+
+
+def _cut(flight: Flight, label: NDArray[np.int64], notes: Sequence[str] = ()) -> Flight:
+    """The samples of a flight that have a label, each label a segment."""
     keep = label >= 0
     chosen = flight.part(keep)
     return Flight.build(
@@ -63,7 +74,7 @@ def select_segments(flight: Flight, text: str | None) -> Flight:
         dict(chosen.columns),
         segment=label[keep],
         provenance=flight.provenance,
-        notes=flight.notes,
+        notes=[*flight.notes, *notes],
     )
 
 

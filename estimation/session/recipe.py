@@ -1,7 +1,7 @@
 """What can be done with a log: which models and methods, what is missing for the others, what one more sensor would add."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from estimation.aircraft import load_aircraft
 from estimation.engine.derived import DERIVED
@@ -10,6 +10,8 @@ from estimation.models.base import Model
 from estimation.models.library import BUILDERS
 from estimation.session.verdict import TRUSTED_RECONSTRUCTED
 from groundstation.flight import Flight
+from groundstation.flight.contradictions import Contradiction, contradictions
+from groundstation.flight.quality.rates import too_slow
 
 RECONSTRUCTION = ("ax", "ay", "az", "p", "q", "r", "phi", "theta", "psi", "vn", "ve", "vd")
 """Needed for `sideslip reconstruct`, with one of AIRSPEED."""
@@ -40,30 +42,47 @@ BELIEVE = (
 @dataclass(frozen=True)
 class Possible:
     """A model on a log. missing: columns without which it cannot be fitted; reconstructed: columns that `sideslip reconstruct`
-    makes; silent: outputs that are not compared. methods: by name, none where something is missing."""
+    makes; silent: outputs that are not compared. slow: why the samples come too slowly for it. methods: by name, none where
+    something is missing or too slow."""
 
     model: str
     missing: tuple[str, ...]
     reconstructed: tuple[str, ...]
     silent: tuple[str, ...]
     methods: tuple[str, ...]
+    slow: str = ""
+
+    @property
+    def able(self) -> bool:
+        """Whether it can be fitted."""
+        return not self.missing and not self.slow
 
 
 @dataclass(frozen=True)
 class Recipe:
-    """adds: sensor -> models that it would make possible."""
+    """measured: by sensors; computed, assumed: columns that a program made or nobody measured; adds: sensor -> models that it
+    would make possible; contradictions: what the log says twice."""
 
     measured: tuple[str, ...]
     models: tuple[Possible, ...]
     adds: Mapping[str, tuple[str, ...]]
     air: str  # "measured", "reconstruct" or why neither
+    computed: Mapping[str, str] = field(default_factory=dict)
+    assumed: Mapping[str, str] = field(default_factory=dict)
+    contradictions: tuple[Contradiction, ...] = ()
 
     def lines(self) -> list[str]:
         """For a person."""
-        said = [f"measured: {', '.join(self.measured)}", f"air data: {self.air}"]
+        said = [f"measured: {', '.join(self.measured)}"]
+        for word, columns in (("computed", self.computed), ("assumed", self.assumed)):
+            if columns:
+                said.append(f"{word}, not measured: {', '.join(f'{n} ({origin})' for n, origin in columns.items())}")
+        said.append(f"air data: {self.air}")
+        said += [f"contradiction: {c.text}{f' (moves {c.moves})' if c.moves else ''}" for c in self.contradictions]
         for m in self.models:
-            if m.missing:
-                said.append(f"{m.model}: not possible: {', '.join(m.missing)} missing")
+            if not m.able:
+                why = [f"{', '.join(m.missing)} missing"] if m.missing else []
+                said.append(f"{m.model}: not possible: {'; '.join([*why, *([m.slow] if m.slow else [])])}")
                 continue
             by = f" after 'sideslip reconstruct' ({', '.join(m.reconstructed)})" if m.reconstructed else ""
             without = f"; {', '.join(m.silent)} not compared" if m.silent else ""
@@ -77,8 +96,9 @@ class Recipe:
         models = [
             {
                 "model": m.model,
-                "possible": not m.missing,
+                "possible": m.able,
                 "missing": list(m.missing),
+                "too_slow": m.slow,
                 "methods": list(m.methods),
                 "reconstructed": list(m.reconstructed),
                 "not_compared": list(m.silent),
@@ -87,23 +107,42 @@ class Recipe:
             for m in self.models
         ]
         adds = {k: list(v) for k, v in self.adds.items()}
-        return {"version": 1, "measured": list(self.measured), "air_data": self.air, "models": models, "adds": adds}
+        return {
+            "version": 1,
+            "measured": list(self.measured),
+            "computed": dict(self.computed),
+            "assumed": dict(self.assumed),
+            "air_data": self.air,
+            "contradictions": [c.to_json() for c in self.contradictions],
+            "models": models,
+            "adds": adds,
+        }
 
 
 def recipe(flight: Flight) -> Recipe:
     """What the built-in models and methods can do with a flight's columns; nothing is fitted."""
-    have = frozenset(c for c in flight.columns if flight.measured(c))
+    have = frozenset(c for c in flight.known_columns if flight.measured(c))
     aircraft = load_aircraft("cdfp")  # for the names in the models only
     models = [build(aircraft) for build in BUILDERS.values()]
-    found = tuple(_possible(m, have) for m in models)
-    able = {p.model for p in found if not p.missing}
+    found = tuple(_possible(m, have, flight) for m in models)
+    able = {p.model for p in found if p.able}
     adds = {}
     for sensor, columns in SENSORS.items():
         more = have | set(columns)
-        gained = tuple(m.name for m in models if m.name not in able and not _possible(m, more).missing)
+        gained = tuple(m.name for m in models if m.name not in able and _possible(m, more, flight).able)
         if gained:
             adds[sensor] = gained
-    return Recipe(tuple(c for c in flight.columns if c in have), found, adds, _air(have))
+    by_kind = {kind: _of_kind(flight, kind) for kind in ("computed", "assumed")}
+    unmeasured = {*by_kind["computed"], *by_kind["assumed"]}
+    measured = tuple(c for c in flight.columns if c in have and c not in unmeasured)
+    return Recipe(
+        measured, found, adds, _air(have), by_kind["computed"], by_kind["assumed"], contradictions(flight)
+    )  # fmt: skip
+
+
+def _of_kind(flight: Flight, kind: str) -> dict[str, str]:
+    """Columns whose import says that they are of a kind, and what they are from."""
+    return {n: str(c.get("from", "")) for n, c in flight.channels.items() if c["kind"] == kind}
 
 
 def _can_reconstruct(have: frozenset[str]) -> bool:
@@ -117,19 +156,20 @@ def _air(have: frozenset[str]) -> str:
         return "no vanes for all of it; 'sideslip reconstruct' makes V, alpha, beta and wind, with their uncertainty"
     lacking = [c for c in RECONSTRUCTION if c not in have]
     if have.isdisjoint(AIRSPEED):
-        lacking.append("an airspeed (V, p_dynamic or V_cas)")
+        lacking.append("an airspeed by a pitot (V, p_dynamic or V_cas)")
     return f"incomplete, and to reconstruct it this is missing: {', '.join(lacking)}"
 
 
-def _possible(model: Model, have: frozenset[str]) -> Possible:
+def _possible(model: Model, have: frozenset[str], flight: Flight) -> Possible:
     made = tuple(n for n in AIR if n not in have) if _can_reconstruct(have) else ()
     all_there = have | set(made)
     needed = [s.source for s in (*model.inputs, *model.outputs) if not s.optional]
     missing = tuple(dict.fromkeys(n for n in needed if not _there(n, all_there)))
     used = {s.source for s in (*model.inputs, *model.outputs)}
     silent = tuple(s.source for s in model.outputs if s.source not in all_there)
-    methods = () if missing else registry.names()
-    return Possible(model.name, missing, tuple(n for n in made if n in used), silent, methods)
+    slow = too_slow(flight, used)
+    methods = () if missing or slow else registry.names()
+    return Possible(model.name, missing, tuple(n for n in made if n in used), silent, methods, slow)
 
 
 def _there(column: str, have: frozenset[str] | Sequence[str]) -> bool:

@@ -7,17 +7,23 @@ from numpy.linalg import LinAlgError
 
 from daq.contract.errors import UserError
 from estimation.aircraft import Aircraft
-from estimation.errors import DataError, EstimationError
+from estimation.errors import AircraftError, DataError, EstimationError
 from estimation.estimators.estimator import NO_EXTRAS, Estimator, Extras, Task
 from estimation.estimators.registry import check_extras, find, names
 from estimation.estimators.result import Result
-from estimation.models.base import Model, ParameterRole
+from estimation.models.base import Model
+from estimation.session.airspeed_error import with_airspeed_error
 from estimation.session.flights import unique_names
+from estimation.session.joint import joint_model
+from estimation.session.of_aircraft import of_aircraft
 from estimation.session.scatter import scatter
 from estimation.session.session import FlightEstimates, Session
+from estimation.session.structured import Wish, structured
 from estimation.session.verdict import verdict
 from groundstation.flight import Flight
+from groundstation.flight.contradictions import contradictions
 from groundstation.flight.quality.plausibility import suspicions
+from groundstation.flight.quality.rates import too_slow
 from groundstation.flight.quality.same_record import one_record_twice
 
 NUMERICAL = (LinAlgError, ArithmeticError)
@@ -37,10 +43,12 @@ def estimate(
     device: str = "cpu",
     progress: Callable[[str], None] | None = None,
     extras: Extras = NO_EXTRAS,
+    structure: Wish = Wish.TEST,
 ) -> Session:
     """Run every method on every flight, and on all of them together where `joint`.
 
-    device: where networks are trained. progress: told each piece of work as it begins. Raises EstimationError for an
+    structure: whether what the model may lack is tested beside the fits, and added. device: where networks are trained.
+    progress: told each piece of work as it begins. Raises EstimationError for an
     unknown method, DataError where a joint estimate would count one record twice, and what the first method raises when a
     flight cannot feed the model.
     """
@@ -48,6 +56,9 @@ def estimate(
         raise EstimationError(f"no method given; choose from {', '.join(names())}")
     chosen = [find(m) for m in methods]
     _check(extras, model, chosen)
+    for e in chosen:
+        if e.needs_aircraft:
+            _refuse_unknown(aircraft, e)
     flights = unique_names(flights)
     if joint and (same := one_record_twice(flights)) is not None:
         first, second = (flights[k].name for k in same)
@@ -55,29 +66,59 @@ def estimate(
             f"{second} is of the same record as {first}, which would count twice jointly: give every flight once"
         )
     task = Task(model, flights, aircraft, extras, device, tell=progress or (lambda text: None))
-    found = {e.name: _each(e, task) for e in chosen}
+    session = _fitted(task, chosen, joint)
+    if structure is not Wish.OFF:
+        plain = task.plain or model
+        session = structured(
+            session, task, structure, lambda more: _fitted(replace(task, model=more, plain=plain), chosen, joint)
+        )
+    return _judged(session)
+
+
+def _fitted(task: Task, chosen: Sequence[Estimator], joint: bool) -> Session:
+    """Every method over every flight, and over all of them together where `joint`."""
+    flights = task.flights
+    found = {e.name: _with_airspeed_errors(_each(e, task), [[f] for f in flights]) for e in chosen}
     for flight, outcomes in zip(flights, zip(*found.values(), strict=True), strict=True):
         _refuse_useless(flight, outcomes)
     together: dict[str, Outcome] = {}
     for e in chosen if joint else ():
         task.tell(f"joint over {len(flights)} flights: {e.title}")
-        together[e.name] = _tried(e, replace(task, model=joint_model(model), number=len(flights)))
+        plain = None if task.plain is None else joint_model(task.plain)
+        joined = _tried(e, replace(task, number=len(flights), model=joint_model(task.model), plain=plain))
+        together[e.name] = _with_airspeed_errors([joined], [flights])[0]
     done = []
     for i, flight in enumerate(flights):
         results, failures = _split({m: outcomes[i] for m, outcomes in found.items()})
         done.append(FlightEstimates(flight, results, failures))
     mean = {m: scatter(r) for m, outcomes in found.items() if (r := [o for o in outcomes if isinstance(o, Result)])}
     results, failures = _split(together)
-    session = Session(aircraft, model, tuple(found), tuple(done), results, mean, joint_failures=failures)
-    return _judged(session)
+    return Session(task.aircraft, task.model, tuple(found), tuple(done), results, mean, joint_failures=failures)
+
+
+def _with_airspeed_errors(outcomes: Sequence[Outcome], flights: Sequence[Sequence[Flight]]) -> list[Outcome]:
+    """Outcomes with what the airspeeds of their flights may be off in the bounds."""
+    pairs = zip(outcomes, flights, strict=True)
+    return [with_airspeed_error(o, of) if isinstance(o, Result) else o for o, of in pairs]
 
 
 def _judged(session: Session) -> Session:
     """The session with a verdict on each flight, and on the joint estimate where there is one."""
     found = {f.flight.name: _reconstructed_angles(session.model, f.flight) for f in session.flights}
     odd = {f.flight.name: _odd_columns(session.model, f.flight) for f in session.flights}
+    craft = of_aircraft(session.aircraft, session.model)
     flights = tuple(
-        replace(f, verdict=verdict(f.results, f.failures, reconstructed=found[f.flight.name], odd=odd[f.flight.name]))
+        replace(
+            f,
+            verdict=verdict(
+                f.results,
+                f.failures,
+                reconstructed=found[f.flight.name],
+                odd=odd[f.flight.name],
+                craft=craft,
+                structure=f.structure,
+            ),
+        )
         for f in session.flights
     )
     if not session.joint and not session.joint_failures:
@@ -85,7 +126,16 @@ def _judged(session: Session) -> Session:
     any_of = tuple(sorted(set().union(*found.values())))
     members = {m: [f.results[m] for f in session.flights if m in f.results] for m in session.methods}
     every = [f"{name}: {text}" for name, texts in odd.items() for text in texts]
-    said = verdict(session.joint, session.joint_failures, members, any_of, every)
+    said = verdict(
+        session.joint,
+        session.joint_failures,
+        members,
+        any_of,
+        every,
+        craft=craft,
+        structure=session.structure,
+        odd_flights=session.odd,
+    )
     return replace(session, flights=flights, verdict=said)
 
 
@@ -96,15 +146,22 @@ def _reconstructed_angles(model: Model, flight: Flight) -> tuple[str, ...]:
 
 
 def _odd_columns(model: Model, flight: Flight) -> tuple[str, ...]:
-    """What the record of a flight itself shows of columns of the model that are of another unit or sign."""
+    """What the record of a flight itself shows of columns of the model that are of another unit or sign, and the contradictions
+    in it that move derivatives."""
     used = {"time", *(s.source for s in (*model.inputs, *model.outputs, *model.states))}
-    return tuple(s.text for s in suspicions(flight.time, flight.columns) if used & set(s.columns))
+    odd = tuple(s.text for s in suspicions(flight.time, flight.columns) if used & set(s.columns))
+    slow = too_slow(flight, used)
+    return (
+        *odd,
+        *([slow] if slow else []),
+        *(f"{c.text} (moves {c.moves})" for c in contradictions(flight) if c.stops),
+    )
 
 
 def _tried(estimator: Estimator, task: Task) -> Outcome:
     """One fit; where it fails, why: the results of other methods and flights stand."""
     try:
-        return estimator.fit(task)
+        return estimator.fit(task.for_estimator(estimator))
     except (UserError, *NUMERICAL) as error:
         return error
 
@@ -115,7 +172,7 @@ def _each(estimator: Estimator, task: Task) -> list[Outcome]:
         count = len(task.flights)
         task.tell(f"{count} flight{'s' if count > 1 else ''} side by side: {estimator.title}")
         try:
-            return list(estimator.fit_each(task))
+            return list(estimator.fit_each(task.for_estimator(estimator)))
         except (UserError, *NUMERICAL):
             pass  # one of them cannot be used: which one shows when each is tried by itself
     results = []
@@ -170,9 +227,10 @@ def _check(extras: Extras, model: Model, chosen: Sequence[Estimator]) -> None:
             raise EstimationError(f"model {model.name}: {name} is fixed, so it has no profile; free it first")
 
 
-def joint_model(model: Model) -> Model:
-    """The model for a joint fit: constant coefficients (CY_0 Cl_0 Cn_0 ...) are each flight's own.
-
-    They hold the trim, the centre of gravity and the sensor offsets of the day as much as the aircraft.
-    """
-    return model.with_local(*model.free_of(ParameterRole.CONSTANT))
+def _refuse_unknown(aircraft: Aircraft, estimator: Estimator) -> None:
+    """AircraftError for a method that takes geometry and mass itself, where nothing at all is known of the aircraft."""
+    if aircraft.unknown:
+        raise AircraftError(
+            f"method {estimator.name} takes geometry and mass of the aircraft, and none is known of aircraft"
+            f" {aircraft.name!r}; say which with --aircraft NAME or FILE"
+        )

@@ -38,6 +38,11 @@ class DoubtKind(Enum):
     SCATTER = "scatter beyond bounds"
     EXTRAPOLATION = "beyond what was flown"
     RECONSTRUCTED = "reconstructed angles"
+    LACK = "what the model lacks"
+    ODD_FLIGHT = "a flight that differs"
+    AIRCRAFT = "aircraft file"
+    STATED = "stated term not used"
+    IMPLAUSIBLE = "no aeroplane's value"
 
 
 @dataclass(frozen=True, slots=True)

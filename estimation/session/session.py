@@ -12,6 +12,8 @@ from estimation.models.base import Model
 from estimation.session.sanity_checks import Doubt, doubts_of
 from estimation.session.scatter import Scatter
 from estimation.session.verdict import Verdict
+from estimation.structure.odd_flights import OddFlight
+from estimation.structure.score_test import Structure
 from groundstation.flight import Flight
 from groundstation.flight.notes import texts
 
@@ -24,6 +26,7 @@ class FlightEstimates:
     results: Mapping[str, Result]
     failures: Mapping[str, str] = field(default_factory=dict)
     verdict: Verdict | None = None
+    structure: Structure | None = None
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -45,7 +48,9 @@ class FlightEstimates:
 class Session:
     """Everything one call of `estimate` found. truth: derivatives of simulated flights, to be shown beside the means.
 
-    joint_failures: method -> why it left no joint estimate; verdict: on the joint estimates, where there are any."""
+    joint_failures: method -> why it left no joint estimate; verdict: on the joint estimates, where there are any; structure:
+    what their
+    model lacks; odd: flights that differ from the others."""
 
     aircraft: Aircraft
     model: Model
@@ -56,6 +61,8 @@ class Session:
     truth: Mapping[str, float] = field(default_factory=dict)
     joint_failures: Mapping[str, str] = field(default_factory=dict)
     verdict: Verdict | None = None
+    structure: Structure | None = None
+    odd: tuple[OddFlight, ...] = ()
 
     @property
     def leading(self) -> Result | None:
@@ -113,6 +120,8 @@ class Session:
             "joint": {method: r.to_json() for method, r in self.joint.items()},
             "collinear": [list(pair) for pair in collinear],
             **_verdict_json(self.verdict),
+            **({} if self.structure is None else {"structure": self.structure.to_json()}),
+            **({} if not self.joint else {"odd": [o.to_json() for o in self.odd]}),
             **({"joint_failures": dict(self.joint_failures)} if self.joint_failures else {}),
             **({"truth": dict(self.truth)} if self.truth else {}),
             "scatter": {
@@ -135,6 +144,8 @@ def _flight_json(f: FlightEstimates) -> dict[str, Any]:
     for method, why in f.failures.items():
         data["methods"][method] = {"converged": False, "status": why, "parameters": {}, "fit": {}}
     data |= _verdict_json(f.verdict, f.doubts)
+    if f.structure is not None:
+        data["structure"] = f.structure.to_json()
     data["notes"] = list(f.notes)
     data["provenance"] = {"path": f.flight.provenance.path, "sha256": f.flight.provenance.sha256}
     return data

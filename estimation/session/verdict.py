@@ -9,15 +9,19 @@ docs/estimation.md (`tests/studies/verdict_study.py`).
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from estimation.estimators.result import Estimate, Result
 from estimation.models.base import ParameterRole
 from estimation.session.evidence import ProcessNoise, gain_of_filter, predictability
+from estimation.session.of_aircraft import NOTHING, OfAircraft
+from estimation.session.plausible_derivatives import implausible
 from estimation.session.sanity_checks import Doubt, DoubtKind, doubts_of, impossible
 from estimation.session.scatter import scatter
+from estimation.structure.odd_flights import OddFlight
+from estimation.structure.score_test import Lack, Structure
 
 NOBODY = "none"
 TRUST: Mapping[str, int] = {"ml": 0, "fem-noise": 1, "fem": 2, "ngn-improved": 3, "ls": 4, "ngn": 5}
@@ -38,24 +42,26 @@ PREDICTABLE = 0.4  # mean of -log(1 - rho^2) of neighbouring residuals: light ai
 COLOURED = 0.3  # correlation of neighbouring innovations: a right model leaves 0.2 at most in 60 flights
 APART = 3.0  # joint bounds between two methods that should agree
 OUTSIDE = 1.0  # of its own bound that a joint estimate may lie beyond all its members
+NOTABLE = 1.0  # of its bound by which a printed value has to be moved, before what moves it forbids a recommendation
 BEYOND = 1.5  # times what any other flight reached, from which a flight stretches a shared linear model
 
 
 @dataclass(frozen=True, slots=True)
 class Recommendation:
-    """The method to believe, or `none`, and why: a sentence."""
+    """The method to believe, or `none`, and why: a sentence. lacks: what the model lacks, the likeliest first."""
 
     method: str
     why: str
+    lacks: tuple[str, ...] = ()
 
     @property
     def text(self) -> str:
         """As it is printed and shown on the page."""
         return f"{self.method}: {self.why}"
 
-    def to_json(self) -> dict[str, str]:
+    def to_json(self) -> dict[str, str | list[str]]:
         """As `recommended` in `estimate --json`."""
-        return {"method": self.method, "why": self.why}
+        return {"method": self.method, "why": self.why, "lacks": list(self.lacks)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,14 +99,23 @@ def verdict(
     members: Mapping[str, Sequence[Result]] | None = None,
     reconstructed: Sequence[str] = (),
     odd: Sequence[str] = (),
+    craft: OfAircraft = NOTHING,
+    structure: Structure | None = None,
+    odd_flights: Sequence[OddFlight] = (),
 ) -> Verdict:
     """The verdict on the results of several methods on the same data. members: of a joint estimate, each flight's by method.
 
     reconstructed: flow angles that the model uses and that were not measured but found from the other instruments. They lack
     the gusts: methods that take them for the angles flown miss by bounds (docs/compatibility.md), output error hardly does.
-    odd: what the records themselves show to be of another unit or sign, which no result is any better than.
+    odd: what the records themselves show to be of another unit or sign, which no result is any better than. craft: what the
+    aircraft's own review says. structure: what the model lacks; odd_flights: flights that differ from the others of a joint fit.
     """
     case = _Case(results, reconstructed=" and ".join(reconstructed))
+    for text in craft.impossible:
+        case.doubts.append(Doubt(DoubtKind.AIRCRAFT, text))
+        case.against = dict.fromkeys(results, text) | case.against
+    for text in (f"the aircraft file states {n}, and the model has no term for it: not used" for n in craft.dropped):
+        case.doubts.append(Doubt(DoubtKind.STATED, text))
     for text in odd:
         case.doubts.append(Doubt(DoubtKind.CHANNEL, text))
         case.against = dict.fromkeys(results, text) | case.against
@@ -111,22 +126,25 @@ def verdict(
     for method, why in (failures or {}).items():
         case.doubts.append(Doubt(DoubtKind.FAILED, f"{method}: {why}"))
     for method, result in results.items():
-        _own_doubts(case, method, result)
+        _own_doubts(case, method, result, craft.aspect)
     for method, many in (members or {}).items():
         if method in results and len(many) > 1:
             _members(case, method, results[method], many)
     if members:
         case.doubts += _stretched(next(iter(results.values()), None))
-    return Verdict(_choice(case), tuple(case.doubts))
+    chosen = of_structure(_choice(case, tested=structure is not None), case.doubts, structure, odd_flights)
+    return Verdict(chosen, tuple(case.doubts))
 
 
-def _own_doubts(case: _Case, method: str, result: Result) -> None:
+def _own_doubts(case: _Case, method: str, result: Result, aspect: float) -> None:
     """What one result says against itself."""
     if not result.converged:
         case.object_to(method, DoubtKind.FAILED, result.text)
         return
     for text in impossible(result):
         case.object_to(method, DoubtKind.INSTRUMENT, text)
+    for text in implausible(result, aspect):
+        case.object_to(method, DoubtKind.IMPLAUSIBLE, text)
     for doubt in doubts_of(result):
         if doubt.kind in (DoubtKind.SIGN, DoubtKind.CHANNEL_SIGN, DoubtKind.UNIT):
             case.against.setdefault(method, doubt.text)
@@ -137,8 +155,62 @@ def _own_doubts(case: _Case, method: str, result: Result) -> None:
 # ------------------------------------------------------------------------------------------------------------ the choice
 
 
-def _choice(case: _Case) -> Recommendation:
-    """The method to believe."""
+def of_structure(
+    chosen: Recommendation, doubts: list[Doubt], structure: Structure | None, odd_flights: Sequence[OddFlight]
+) -> Recommendation:
+    """The recommendation in view of what the model lacks and of flights that differ; their doubts are added to `doubts`."""
+    structure = structure or Structure((), ())
+    lacking, ambiguous = structure.lacks, structure.ambiguous
+    against = [structure.follows[chosen.method]] if chosen.method in structure.follows else []
+    doubts += [Doubt(DoubtKind.PROCESS_NOISE, f"{method}: {text}") for method, text in structure.follows.items()]
+    for odd in odd_flights:
+        doubts.append(Doubt(DoubtKind.ODD_FLIGHT, odd.text))
+        against += [odd.text] if odd.moves > NOTABLE else []
+    for lack in lacking:
+        text = lack_text(lack)
+        doubts.append(Doubt(DoubtKind.LACK, text))
+        against += [text] if lack.matters else []
+    for lack in ambiguous:
+        text = ambiguous_text(lack)
+        doubts.append(Doubt(DoubtKind.LACK, text))
+        against += [text] if lack.apart > NOTABLE else []
+    names = tuple(dict.fromkeys(n for lack in (*lacking, *ambiguous) for n in lack.names))
+    if not against:
+        return replace(chosen, lacks=names) if lacking else chosen
+    why = "; ".join(against) if chosen.method != NOBODY else _joined("; ".join(against), chosen.why)
+    return Recommendation(NOBODY, why, names)
+
+
+def lack_text(lack: Lack) -> str:
+    """What the model lacks, how sure that is, what it moves and how it is added."""
+    leading = lack.leading
+    name, moved = leading.worst
+    rivals = (
+        f" (or {', '.join(r.candidate.phrase for r in lack.rivals)}: these flights cannot tell which)"
+        if lack.rivals
+        else ""
+    )
+    size = f"{leading.value:.3g} {leading.candidate.parameter.unit}".removesuffix(" 1")
+    moves = f"leaving it out moves {name} by {moved:.1f} of its bounds" if name else "it moves nothing that is printed"
+    return (
+        f"the model lacks {leading.candidate.phrase}{rivals}: score {abs(leading.score):.1f} where chance reaches"
+        f" {leading.threshold:g}, about {size}; {moves}; add it with: --structure auto"
+    )
+
+
+def ambiguous_text(lack: Lack) -> str:
+    """What has been added, what would have served as well, and how to tell them apart."""
+    leading = lack.leading.candidate
+    rivals = ", ".join(f"{r.candidate.phrase} ({r.candidate.name} = {r.value:.3g})" for r in lack.rivals)
+    return (
+        f"{leading.name} was added (score {abs(lack.leading.score):.1f}), but {rivals} instead explains these flights as well"
+        f" and moves estimates by up to {lack.apart:.1f} of their bounds: state {leading.name} in the aircraft file, measure the"
+        " other (a swing test for inertia), or fly a symmetric pull-up with aileron 3-2-1-1"
+    )
+
+
+def _choice(case: _Case, *, tested: bool = False) -> Recommendation:
+    """The method to believe. tested: what the model lacks has been looked for, so that agreement is more than a shared lack."""
     if not case.results:
         return Recommendation(NOBODY, "no method came to a result")
     noise = _process_noise(case)
@@ -148,7 +220,7 @@ def _choice(case: _Case) -> Recommendation:
         if contradicted := _contradicted(case, method):
             case.object_to(method, DoubtKind.DISAGREEMENT, contradicted)
         else:
-            return Recommendation(method, _why(case, method, noise))
+            return Recommendation(method, _why(case, method, noise, tested))
     return _without_likelihood(case)
 
 
@@ -233,10 +305,12 @@ def _joined(*sentences: str) -> str:
     return "; ".join(s for s in sentences if s)
 
 
-def _why(case: _Case, method: str, noise: ProcessNoise) -> str:
+def _why(case: _Case, method: str, noise: ProcessNoise, tested: bool) -> str:
     """Why a likelihood is recommended."""
     witnesses = [m for m in case.left if m in REGRESSIONS]
     agree = f"it agrees with {' and '.join(witnesses)}" if witnesses else ""
+    if agree and not tested:
+        agree += ", which would share what the model lacks (not tested)"
     if case.reconstructed:
         return f"{case.reconstructed} reconstructed, not measured: only output error does not take them for the angles flown"
     if method in FILTERS:

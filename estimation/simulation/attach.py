@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -42,7 +43,11 @@ class Attached:
 
 
 def attach(
-    spec: str, which: str, flights: Sequence[Flight], given: str | None = None, free: Free = Free.FACTORS
+    spec: str,
+    which: str,
+    flights: Sequence[Flight],
+    given: str | Path | Aircraft | None = None,
+    free: Free = Free.FACTORS,
 ) -> Attached:
     """The simulation `spec` under the model `which`: a built-in name, or a MODEL.toml that was found on a simulation.
 
@@ -51,6 +56,8 @@ def attach(
     """
     simulation = simulation_of(spec)
     craft = aircraft_for(simulation, flights, given)
+    if simulation.referred is not None:
+        simulation = replace(simulation, oracle=simulation.referred(craft))
     if which in BUILDERS:
         told = along(simulation, load_model(which, craft), flights)
         model = base_model(simulation, which, craft, told, free)
@@ -96,13 +103,15 @@ def estimated_about_its_motion(attached: Attached) -> Attached:
     return renewed(attached, first.fitted_model) if first.converged else attached
 
 
-def aircraft_for(simulation: Simulation, flights: Sequence[Flight], given: str | None) -> Aircraft:
+def aircraft_for(simulation: Simulation, flights: Sequence[Flight], given: str | Path | Aircraft | None) -> Aircraft:
     """Mass and inertia of the aircraft that is asked for, or that the flights name, else of the simulation; area, span and chord
-    of the simulation where it has them, for its coefficients are referred to these."""
+    of the simulation where it has them, for its coefficients are referred to these, unless it refers them to any aircraft."""
     own = simulation.aircraft
     if given is None and own is not None and not any(f.provenance.aircraft for f in flights):
         return own
     craft = aircraft_of(flights, given)
+    if simulation.referred is not None:
+        return craft
     if own is None or any(np.isnan(v) for v in (own.area, own.span, own.chord)):
         return craft
     return craft.with_values(area=own.area, span=own.span, chord=own.chord)

@@ -7,6 +7,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+from daq.contract.input_files import read_json
 from daq.contract.outputs import write_json
 from estimation.models.base import Model
 from estimation.models.load import read_model
@@ -93,7 +94,7 @@ def lineage_of(model: Model, path: Path, spec: str, rate: float) -> dict[str, An
     beside = path.with_name(f"{path.stem}.lineage.json")
     if beside.is_file():
         try:
-            found = json.loads(beside.read_text(encoding="utf-8"))
+            found = read_json(beside, "lineage", SimulationError)
             record["added"] = [{k: step[k] for k in ("effect", "confidence", "parameters")} for step in found["added"]]
             record["flights"] = found["flights"]
         except (ValueError, KeyError, TypeError) as error:

@@ -4,7 +4,7 @@ Body axes x forward, y right, z down; SI and radians; surfaces with the signs of
 +delta_e nose down, +delta_r nose left). Moments are about the centre of gravity.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Protocol
 
@@ -71,7 +71,8 @@ class Simulation:
     """A simulation as it was asked for.
 
     spec: the text that names it. name: a short word for models and files. aircraft: its geometry, mass and inertia, NaN where
-    it does not say, or None where it says nothing. notes: what of it is not used, or held.
+    it does not say, or None where it says nothing. notes: what of it is not used, or held. referred: for a simulation that flies
+    accelerations rather than coefficients, its oracle for the mass, inertia and geometry of an aircraft.
     """
 
     spec: str
@@ -79,3 +80,4 @@ class Simulation:
     oracle: Oracle
     aircraft: Aircraft | None = None
     notes: tuple[str, ...] = field(default=())
+    referred: Callable[[Aircraft], Oracle] | None = None

@@ -22,13 +22,20 @@ class TextOracle:
     model: Model
 
     def coefficients(self, states: States) -> Array:
-        symbols: dict[str, Any] = {**self.model.constants, **self.model.starts(), **states.values, "rho": states.rho,
-                                   ALPHA_RATE: states.alpha_dot}  # fmt: skip
+        symbols = self._symbols(states)
         result = np.full((len(states), len(COEFFICIENTS)), np.nan)
         for i, name in enumerate(COEFFICIENTS):
             if name in self.model.definitions:
                 result[:, i] = self._value(name, symbols, name)
         return result
+
+    def line(self, name: str, states: States) -> Array:
+        """(N,) value of any line of the model. Raises SimulationError where it depends on something else."""
+        return np.broadcast_to(np.asarray(self._value(name, self._symbols(states), name), float), (len(states),))
+
+    def _symbols(self, states: States) -> dict[str, Any]:
+        return {**self.model.constants, **self.model.starts(), **states.values, "rho": states.rho,
+                ALPHA_RATE: states.alpha_dot}  # fmt: skip
 
     def _value(self, name: str, symbols: dict[str, Any], wanted: str) -> Any:
         if name not in symbols:

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from daq.contract.durable import write_text
 from firmware_sim.errors import ScenarioError
 from firmware_sim.hardware.sensing.sensor_models import SensorModels
 from firmware_sim.hardware.sensing.units import individual
@@ -371,7 +372,7 @@ def record_bench(
     with flight:
         files = flight.run()
     plan = folder / "plan.toml"
-    plan.write_text(_plan_text(bench, flight.scan_times[0]), encoding="utf-8")
+    write_text(plan, _plan_text(bench, flight.scan_times[0]))
     return BenchFiles(files, plan)
 
 

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.contract.durable import write_text
 from daq.contract.manoeuvre import Manoeuvre
 from firmware_sim.physics.plant import Commands
 from firmware_sim.world.scenario import Scenario
@@ -119,4 +120,4 @@ def write_csv(path: Path, columns: Mapping[str, Array]) -> None:
     names = list(columns)
     lines = [",".join(names)]
     lines += [",".join(f"{v:.9g}" for v in row) for row in np.column_stack([columns[n] for n in names])]
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write_text(path, "\n".join(lines) + "\n")

@@ -18,6 +18,7 @@ from daq.actuation.servos import plan_of
 from daq.assembly import Assembly, Edge, assemble
 from daq.clock import SimulatedClock
 from daq.config import LoggerConfig, parse_config
+from daq.contract.durable import write_text
 from daq.contract.manoeuvre import load_manoeuvre
 from daq.contract.recordings.messages import Statistics
 from daq.sensors.bus import SerialPort
@@ -162,7 +163,7 @@ class SimulatedFlight:
         scenario = self.folder / "scenario.toml"
         table = self.scenario.model_dump(exclude_defaults=True, mode="json")
         table.setdefault("flight", {})["seed"] = self.scenario.flight.seed
-        scenario.write_text(toml_text(table), encoding="utf-8")
+        write_text(scenario, toml_text(table))
         recordings = tuple(sorted((self.folder / "onboard").glob("*.mcap")))
         return FlightFiles(self.folder, recordings, self.truth.path, scenario, books)
 

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.contract.durable import whole_text
 from estimation.aircraft import Aircraft
 from firmware_sim.physics.effects.base import Sensed
 from firmware_sim.physics.motion import Motion
@@ -158,7 +159,7 @@ def _fly_together(
 def write_truth_csv(path: Path, columns: Mapping[str, Array]) -> None:
     """Write the flight columns of a simulated truth, one row a sample; `sensed_*` columns are left out."""
     names = [n for n in TRUTH_COLUMNS if n in columns]
-    with path.open("w", newline="", encoding="utf-8") as file:
+    with whole_text(path) as file:
         writer = csv.writer(file)
         writer.writerow(names)
         writer.writerows([f"{v:.10g}" for v in row] for row in np.column_stack([columns[n] for n in names]))

@@ -65,9 +65,11 @@ class Calibrator:
 
     def columns(self, table: ScanTable, *, aligned: bool) -> tuple[dict[str, Array], Readings]:
         """All flight columns (N,) of the table, NaN where not measured, and the readings they were made from."""
-        readings = self._readings(table)
-        values = self._align(table, readings) if aligned else readings.values
-        made = Columns(self.calibration, table, values, aligned).make()
+        # what a sensor or a sender says can be anything: a column of it is then inf or NaN, and what uses it looks at that
+        with np.errstate(all="ignore"):
+            readings = self._readings(table)
+            values = self._align(table, readings) if aligned else readings.values
+            made = Columns(self.calibration, table, values, aligned).make()
         nothing = np.full(len(table), np.nan)
         return {c.name: made.get(c.name, nothing) for c in COLUMNS}, readings
 
@@ -103,10 +105,7 @@ class Calibrator:
     def _read_curve(self, item: Instrument, curve: Curve, channel: str, table: ScanTable, out: Readings) -> None:
         reading = self.physical(table, channel)
         if item.ratiometric is not None:
-            with np.errstate(
-                over="ignore", divide="ignore", invalid="ignore"
-            ):  # of a supply that reads next to nothing
-                reading = reading * (item.ratiometric.reference / self.sensor_supply(table))
+            reading = reading * (item.ratiometric.reference / self.sensor_supply(table))
         value = curves.evaluate(curve, reading)
         if item.supply_sensitivity is not None:
             shift = item.supply_sensitivity

@@ -6,9 +6,10 @@ recording says takes precedence.
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from daq.contract.channels import CHANNEL_BY_NAME
+from groundstation.calibration.conversions.air_data import Bmp390
 from groundstation.calibration.errors import CalibrationError
 
 _SCALE_KEYS = {
@@ -21,6 +22,8 @@ _LAG_KEYS = {"accelerometer": "imu.accel_delay_s", **dict.fromkeys(("gyro", "att
 _LONGEST_DELAY = 1.0  # s
 _LARGEST_SCALE = 1e3  # of any unit a count; all of them are far below one
 
+_LARGEST_COUNT = 65535.0
+
 INSTANT_STEP = 1e-3
 """The logger measures the instants within a group, a little differently in each flight: rounded to a millisecond they are
 the same in a recording and in `logger.toml`, and a stream without facts gives the same flight to the last bit."""
@@ -31,6 +34,7 @@ class Facts:
     """`group.key` -> text, as recorded."""
 
     values: Mapping[str, str]
+    _numbers: dict[str, float | None] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def nvm(self, group: str) -> bytes:
         """Coefficient bytes of a group's chip; empty when not known. Raises CalibrationError when not hexadecimal."""
@@ -42,23 +46,23 @@ class Facts:
 
     def zero_count(self, instrument: str) -> float | None:
         """Count at which an instrument was told, before flight, that it sees nothing; None when it was not."""
-        return self._number(f"{instrument}.zero_count", 0.0, 65535.0)
+        return self._number(f"{instrument}.zero_count")
 
     def delay(self, instrument: str, group: str) -> float:
         """How far the chip's own filter makes an instrument's reading lag [s]; 0 when not known."""
         if instrument in _LAG_KEYS:
             return 0.0
-        return self._number(f"{group}.filter_delay_s", -_LONGEST_DELAY, _LONGEST_DELAY) or 0.0
+        return self._number(f"{group}.filter_delay_s") or 0.0
 
     def lag(self, instrument: str) -> float:
         """Time constant of an instrument's first-order low pass [s]; 0 when it has none or it is not known."""
         key = _LAG_KEYS.get(instrument)
-        return (self._number(key, 0.0, _LONGEST_DELAY) or 0.0) if key else 0.0
+        return (self._number(key) or 0.0) if key else 0.0
 
     def after(self, channel: str) -> float:
         """How long after its group's instant a channel was sampled [s], to INSTANT_STEP; 0 when not known."""
         key = f"{CHANNEL_BY_NAME[channel].group}.{channel}_after_s"
-        measured = self._number(key, -_LONGEST_DELAY, _LONGEST_DELAY) or 0.0
+        measured = self._number(key) or 0.0
         return round(measured / INSTANT_STEP) * INSTANT_STEP
 
     def scale(self, channel: str) -> float | None:
@@ -71,19 +75,77 @@ class Facts:
             key = f"{row.group}.scale_v"
         if key is None and channel.startswith("pwm"):
             key = "capture.scale_s"
-        recorded = self._number(key, 0.0, _LARGEST_SCALE) if key else None
+        recorded = self._number(key) if key else None
         return recorded if recorded and not math.isclose(recorded, row.scale, rel_tol=1e-9) else row.scale
 
-    def _number(self, key: str, low: float, high: float) -> float | None:
+    def _number(self, key: str) -> float | None:
+        """Looked up and checked once: live each scan asks for all of them."""
+        if key not in self._numbers:
+            self._numbers[key] = self._checked(key)
+        return self._numbers[key]
+
+    def _checked(self, key: str) -> float | None:
         text = self.values.get(key)
         if text is None:
             return None
-        try:
-            value = float(text)
-        except ValueError:
-            value = math.nan
-        if not low <= value <= high:
-            raise CalibrationError(
-                f"fact {key} = {text!r} is not a number from {low:g} to {high:g}; correct logger.toml"
-            )
-        return value
+        why = _why_not(key, text)
+        if why:
+            raise CalibrationError(f"{why}; correct logger.toml")
+        return float(text)
+
+
+@dataclass(frozen=True)
+class Reported:
+    """Facts as a sender, or a recording of one, gave them, after the check of each. refused: name -> why it is not used."""
+
+    facts: Mapping[str, str]
+    refused: Mapping[str, str]
+
+
+def reported(values: Mapping[str, str]) -> Reported:
+    """Each fact held against what it can be. A fact that this program does not use stays as it is; nothing raises."""
+    refused = {key: why for key, text in values.items() if (why := _why_not(key, text))}
+    return Reported({k: v for k, v in values.items() if k not in refused}, refused)
+
+
+def _why_not(key: str, text: str) -> str:
+    """Why a fact cannot be used; empty where it can, or where nothing here uses it."""
+    if key.endswith(".nvm"):
+        return _why_no_coefficients(key, text)
+    bounds = _bounds(key)
+    if bounds is None:
+        return ""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    low, high = bounds
+    return "" if low <= value <= high else f"fact {key} = {text[:40]!r} is not a number from {low:g} to {high:g}"
+
+
+def _why_no_coefficients(key: str, text: str) -> str:
+    try:
+        coefficients = bytes.fromhex(text)
+        if coefficients and key.startswith("static."):
+            Bmp390.from_nvm(coefficients)
+    except (ValueError, CalibrationError) as error:
+        said = f": {error}" if isinstance(error, CalibrationError) else ""
+        return f"fact {key} = {text[:40]!r} holds no coefficients in hexadecimal{said}"
+    return ""
+
+
+def _bounds(key: str) -> tuple[float, float] | None:
+    """What the number of a fact lies between; None for a fact that is no number, or that nothing here uses."""
+    if (
+        key in _SCALE_KEYS.values()
+        or key == "capture.scale_s"
+        or (key.startswith("analog") and key.endswith(".scale_v"))
+    ):
+        return 0.0, _LARGEST_SCALE
+    if key in _LAG_KEYS.values():
+        return 0.0, _LONGEST_DELAY
+    if key.endswith(".zero_count"):
+        return 0.0, _LARGEST_COUNT
+    if key.endswith((".filter_delay_s", "_after_s")):
+        return -_LONGEST_DELAY, _LONGEST_DELAY
+    return None

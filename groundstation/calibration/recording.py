@@ -13,6 +13,7 @@ from daq.contract.recordings.reading import Recording, read_recordings, sound
 from daq.contract.recordings.recording import AIRCRAFT_ATTACHMENT
 from groundstation.calibration.apply import calibrate
 from groundstation.calibration.errors import CalibrationError
+from groundstation.calibration.facts import Reported, reported
 from groundstation.calibration.schema import CalibrationSet, load_calibration
 from groundstation.flight import AIRCRAFT_FILE, Flight, Provenance
 
@@ -37,7 +38,7 @@ def calibrate_recording(
             f"{path}: a telemetry log, not a recording; 'sideslip ground CONFIG --replay {path}' makes recording and flight of it"
         )
     recording, notes = open_recording(path, salvage=salvage)
-    flight = calibrate_opened(recording, calibration, align=align)
+    flight = calibrate_opened(recording, calibration, align=align, salvage=salvage)
     return flight.with_notes(*notes)
 
 
@@ -57,19 +58,26 @@ def open_recording(path: str | Path, *, salvage: bool = False) -> tuple[Recordin
 
 
 def calibrate_opened(
-    recording: Recording, calibration: CalibrationSet | str | Path | None = None, *, align: bool | None = None
+    recording: Recording,
+    calibration: CalibrationSet | str | Path | None = None,
+    *,
+    align: bool | None = None,
+    salvage: bool = False,
 ) -> Flight:
     """The flight in a raw recording that has been opened; see `calibrate_recording`."""
     chosen = _chosen(recording, calibration)
+    given = {**recording.info.details, **_zeroed(recording)}
+    facts = reported(given) if salvage else Reported(given, {})
     flight = calibrate(
         recording.scans(),
         chosen,
         name=recording.path.stem,
-        facts={**recording.info.details, **_zeroed(recording)},
+        facts=facts.facts,
         align=align,
         provenance=_provenance(recording),
     )
-    return flight.with_notes(*_undescribed(recording), *_gaps(recording))
+    refused = [f"{why}: what the calibration set says is used in its place" for why in facts.refused.values()]
+    return flight.with_notes(*refused[:_TOLD], *_undescribed(recording), *_gaps(recording))
 
 
 def _undescribed(recording: Recording) -> list[str]:

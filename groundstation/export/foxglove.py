@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.contract.channels import COLUMN_BY_NAME
+from daq.contract.durable import whole
 from groundstation.export import joint_state as js
 from groundstation.export.timescale import stamps_ns
 from groundstation.flight import Array, Flight
@@ -26,7 +27,7 @@ _EARTH_RADIUS_M = 6371008.8  # mean radius; over a flight's extent the flat map 
 def write_foxglove(flight: Flight, path: Path) -> None:
     """Write the file; topics without values (no GPS, no attitude) are absent."""
     stamps = stamps_ns(flight)
-    with open_flight_writer(flight, path, stamps) as add:
+    with whole(path) as new, open_flight_writer(flight, new, stamps) as add:
         for topic, stamp, message in sorted(_messages(flight, stamps), key=lambda row: row[1]):
             add(topic, stamp, message)
 

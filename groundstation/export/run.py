@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from daq.contract.durable import whole
 from daq.contract.errors import UserError
 from groundstation.flight import Flight, read_flight
 
@@ -104,7 +105,8 @@ def _write(table: "Table", out: Path, units_row: bool) -> list[str]:
 
             from groundstation.flight.tables import arrow_table
 
-            pq.write_table(arrow_table(table), out)
+            with whole(out) as new:
+                pq.write_table(arrow_table(table), new)
         case _:
             left = writers.write_matlab(table, out)
             return [f"column {name}: no name that MATLAB takes, left out" for name in left]

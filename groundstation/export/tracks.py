@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.contract.durable import whole
 from groundstation.export.timescale import iso, stamps_ns, utc_offset
 from groundstation.flight import Array, Flight, FlightError
 
@@ -88,7 +89,8 @@ def write_kml(flight: Flight, path: Path) -> None:
 
 def _write(root: ET.Element, path: Path) -> None:
     ET.indent(root)
-    ET.ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)
+    with whole(path) as new:
+        ET.ElementTree(root).write(new, encoding="utf-8", xml_declaration=True)
 
 
 def _printable(text: str) -> str:

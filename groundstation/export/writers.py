@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from daq.contract.channels import CHANNEL_BY_NAME
+from daq.contract.durable import whole, whole_text
 from groundstation.flight.tables import Table, TableColumn
 
 if TYPE_CHECKING:
@@ -30,7 +31,7 @@ def raw_table(scans: "ScanTable", name: str) -> Table:
 
 def write_csv(table: Table, path: Path, *, units_row: bool = False) -> None:
     """A CSV; with `units_row` a second line holds the units. Empty cells were not measured."""
-    with path.open("w", newline="", encoding="utf-8") as handle:
+    with whole_text(path) as handle:
         writer = csv.writer(handle)
         writer.writerow([c.name for c in table.columns])
         if units_row:
@@ -52,5 +53,6 @@ def write_matlab(table: Table, path: Path) -> list[str]:
     struct["units"] = {c.name: c.unit for c in named}
     struct["meaning"] = {c.name: c.meaning for c in named}
     struct["about"] = dict(table.about)
-    savemat(path, {"flight": struct}, long_field_names=True, do_compression=True, oned_as="column")
+    with whole(path) as new:
+        savemat(new, {"flight": struct}, appendmat=False, long_field_names=True, do_compression=True, oned_as="column")
     return [c.name for c in table.columns if not _MATLAB_NAME.fullmatch(c.name)]

@@ -37,6 +37,12 @@ FASTEST = 1e9
 
 AIRCRAFT_FILE = "aircraft_file"
 """Key of a provenance's detail under which the text of the aircraft's file travels with the flight."""
+CHANNELS = "channels"
+"""Key of a provenance's detail: where each column comes from, see `Flight.channels`."""
+CHANNEL_KINDS = ("measured", "computed", "assumed")
+"""By a sensor, by a program of others, or by nobody at the place and time."""
+HELD, INTERVAL = "held", "interval_s"
+"""Keys of a channel's entry: it is a command, which holds until the next one; how far apart its records are [s]."""
 RECONSTRUCTED = "reconstructed"
 """Key of a provenance's detail: which columns were not measured but found from the others, from what, how sure."""
 
@@ -199,6 +205,26 @@ class Flight:
         rates = self.provenance.detail.get("native_hz")
         rate = rates.get(column) if isinstance(rates, Mapping) else None
         return float(rate) if isinstance(rate, float | int) and 0.0 < rate < FASTEST else None
+
+    @property
+    def channels(self) -> Mapping[str, Mapping[str, Any]]:
+        """Where the columns come from, as an import says it: column -> {"from", "kind": "measured" | "computed" | "assumed",
+        "rate_hz"}; empty where the flight does not say, or says what is none of it."""
+        stated = self.provenance.detail.get(CHANNELS)
+        found = stated.items() if isinstance(stated, Mapping) else ()
+        return {str(n): dict(c) for n, c in found if isinstance(c, Mapping) and c.get("kind") in CHANNEL_KINDS}
+
+    def held(self, column: str) -> float | None:
+        """Interval [s] at which a column that is a command was recorded: it holds in between, has no noise, and may have changed
+        up to so long before. None for what a sensor saw, or where the flight does not say."""
+        about = self.channels.get(column, {})
+        interval = about.get(INTERVAL)
+        return float(interval) if about.get(HELD) is True and isinstance(interval, float | int) else None
+
+    @property
+    def known_columns(self) -> tuple[str, ...]:
+        """Columns that go by a name of `daq.contract.channels`."""
+        return tuple(c for c in self.columns if c in COLUMN_BY_NAME)
 
     @property
     def unknown_columns(self) -> tuple[str, ...]:

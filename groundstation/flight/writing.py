@@ -32,7 +32,7 @@ def write_flight(flight: FlightView, path: str | Path) -> None:
         raise FlightError(f"{path}: cannot write this kind of file; name it .mcap, .csv or .parquet")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with whole(path, keep_ending=True) as new:
+        with whole(path) as new:
             writers[path.suffix.lower()](flight, new)
     except OSError as error:
         raise FlightError(f"{path}: cannot be written ({error.strerror or error}); choose another place") from error

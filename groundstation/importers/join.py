@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from groundstation.flight import Flight
+from groundstation.flight.marks import marks_of, together
 from groundstation.flight.notes import Note, NoteKind
 
 APART = 1.0
@@ -21,12 +22,14 @@ def joined(flights: Sequence[Flight]) -> Flight:
         return flights[0]
     names = list(dict.fromkeys(n for f in flights for n in f.columns))
     times, segments, moved = [], [], 0
+    marks = []
     last, first_segment = -np.inf, 0
     for flight in flights:
         time = flight.time
         if time[0] <= last:
             time, moved = time - time[0] + last + APART, moved + 1
         times.append(time)
+        marks.append(marks_of(flight).moved(float(time[0] - flight.time[0])))
         segments.append(flight.segment + first_segment)
         last, first_segment = float(time[-1]), int(segments[-1][-1]) + 1
     columns = {n: np.concatenate([f.columns[n] if n in f else np.full(len(f), np.nan) for f in flights]) for n in names}
@@ -45,7 +48,7 @@ def joined(flights: Sequence[Flight]) -> Flight:
         notes=[*notes, *said],
     )
     origin = {f.provenance.path: f.provenance.sha256 for f in flights}
-    if len(origin) == 1:
-        return made
-    detail = {**made.provenance.detail, "files": origin}
+    detail = {**made.provenance.detail, **together(marks).to_json()}
+    if len(origin) > 1:
+        detail["files"] = origin
     return replace(made, provenance=replace(made.provenance, detail=detail))

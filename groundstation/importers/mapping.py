@@ -8,7 +8,8 @@ unit = "ms"
 ax = { column = "AccX", unit = "g" }
 beta = { column = "SSA", unit = "deg", sign = -1 }
 delta_a = { terms = [{ column = "ElevonL", factor = -0.5 }, { column = "ElevonR", factor = 0.5 }], unit = "deg" }
-V = [{ column = "TAS", unit = "knots" }, { column = "IAS", unit = "knots" }]   # the first that exists
+V = [{ column = "TAS", unit = "knots" }, { column = "IAS", unit = "knots", equivalent = true }]   # the first that exists
+p_dynamic = { expression = "0.5 * 1.225 * IAS ** 2", unit = "Pa" }
 """
 
 from pathlib import Path
@@ -18,6 +19,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 
 from daq.contract.channels import COLUMN_BY_NAME
 from daq.contract.input_files import read_toml
+from groundstation.flight.expression import ExpressionError, parse
 from groundstation.importers.errors import ImportDataError
 from groundstation.importers.servos import Servo
 from groundstation.importers.units import conversion
@@ -31,6 +33,10 @@ class _Table(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
+Kind = Literal["measured", "computed", "assumed"]
+"""Where numbers come from: a sensor, a program that makes them of others, or a person (or a board beside the sensor)."""
+
+
 class Term(_Table):
     """One summand of a flight column."""
 
@@ -39,40 +45,66 @@ class Term(_Table):
 
 
 class Source(_Table):
-    """Where a flight column comes from: value = sign * factor * sum(terms) [unit] + offset [unit], turned into SI.
+    """Where a flight column comes from: value = sign * factor * (sum of terms, or expression) [unit] + offset [unit], turned
+    into SI.
 
     unit: None where the file itself states it. hold: between samples the value is the last one (a command), not a straight line.
+    equivalent: an airspeed that refers to sea-level density, made true by the density of the flight. kind: where its numbers
+    come from, where the log does not tell.
     """
 
     column: str | None = None
     terms: tuple[Term, ...] = ()
+    expression: str | None = None
     unit: str | None = None
     sign: Literal[1, -1] = 1
     factor: float = 1.0
     offset: float = 0.0
     hold: bool = False
+    equivalent: bool = False
+    kind: Kind | None = None
 
     @model_validator(mode="after")
     def _one_origin(self) -> "Source":
-        if (self.column is None) == (not self.terms):
-            raise ValueError("give either column or terms")
+        if (self.column is not None) + bool(self.terms) + (self.expression is not None) != 1:
+            raise ValueError("give either column or terms or expression")
+        if self.expression is not None:
+            try:
+                parse(self.expression)
+            except ExpressionError as error:
+                raise ValueError(str(error)) from error
         return self
 
     @property
     def parts(self) -> tuple[Term, ...]:
-        """The summands."""
+        """The summands, or the columns of the expression."""
+        if self.expression is not None:
+            return tuple(Term(column=name) for name in parse(self.expression).columns)
         return self.terms or (Term(column=self.column or ""),)
+
+    @property
+    def formula(self) -> str:
+        """How the column is made, for a person."""
+        if self.expression is not None:
+            made = self.expression if "`" in self.expression else self.expression.replace(" ", "")
+        else:
+            made = "+".join(t.column if t.factor == 1 else f"{t.factor:g}*{t.column}" for t in self.parts)
+            made = made.replace("+-", "-")
+        made = f"{self.factor:g}*({made})" if self.factor != 1 else made
+        return f"-({made})" if self.sign < 0 else made
 
 
 class Time(_Table):
-    """The time column. unit 'iso' reads dates such as 2026-11-21T03:15:00.25; offset [s] is added.
+    """The time column. unit 'iso' reads dates such as 2026-11-21T03:15:00.25, times of day and IRIG time; offset [s] is added.
 
+    date: a column beside it that holds the day, where time holds the time of day.
     rate_hz: instead of a column, rows at an even rate. restarts: several records one after the other, each with a time that
     begins anew: each becomes a segment.
     """
 
     column: str | None = None
     unit: str = "s"
+    date: str | None = None
     offset: float = 0.0
     rate_hz: Annotated[float, Field(gt=0, le=10_000)] | None = None
     restarts: bool = False

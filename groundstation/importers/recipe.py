@@ -7,13 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
+from groundstation.importers.functions import name_of
 from groundstation.importers.run import read_logs
 from groundstation.importers.servos import parameter_of
 
-_OUTPUT = re.compile(
-    r"RCOU\.C\d+|actuator_outputs(\[\d+\])?\.output\[\d+\]|actuator_servos\.control\[\d+\]|SERVO_OUTPUT_RAW\.servo\d+_raw"
+OUTPUT = re.compile(
+    r"RCOU\.C\d+|actuator_outputs(\[\d+\])?\.output\[\d+\]|actuator_servos\.control\[\d+\]|SERVOOUTPUT_RAW\.servo\d+_raw"
 )
-"""ArduPilot's RCOU, PX4's actuator_outputs and actuator_servos, MAVLink's SERVO_OUTPUT_RAW."""
+"""ArduPilot's RCOU, PX4's actuator_outputs and actuator_servos, MAVLink's SERVOOUTPUT_RAW."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,8 +33,12 @@ class ServoOutput:
     def line(self) -> str:
         """For a person."""
         moved = f"{self.name}: {self.low:g} to {self.high:g}, most often {self.usual:g}"
-        said = ", ".join(f"{ending} {value:g}" for ending, value in self.stated.items())
+        said = ", ".join(_told(ending, value) for ending, value in self.stated.items())
         return f"{moved}; its parameters say {said}" if said else moved
+
+
+def _told(ending: str, value: float) -> str:
+    return f"{ending} {value:g} ({name_of(value)})" if ending == "FUNCTION" else f"{ending} {value:g}"
 
 
 ENDINGS = ("FUNCTION", "MIN", "TRIM", "MAX", "REVERSED")
@@ -46,7 +51,7 @@ def servo_outputs(path: Path) -> list[ServoOutput]:
     for log, _ in read_logs(path):
         for name, series in log.series.items():
             known = series.values[np.isfinite(series.values)]
-            if _OUTPUT.fullmatch(name) and known.size and np.ptp(known) > 0.0:
+            if OUTPUT.fullmatch(name) and known.size and np.ptp(known) > 0.0:
                 low, high, usual = float(known.min()), float(known.max()), float(np.median(known))
                 found.append(ServoOutput(name, low, high, usual, _stated(name, log.parameters)))
     return found

@@ -1,11 +1,14 @@
 """Named series with times of their own, and bringing them to one time base."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from groundstation.flight.contradictions import Contradiction
+from groundstation.flight.marks import Marks
 from groundstation.importers.errors import ImportDataError
 
 Array = NDArray[np.float64]
@@ -25,10 +28,16 @@ LONGEST_STEP = 3.5
 
 @dataclass(frozen=True)
 class Series:
-    """Samples of one quantity: time (n,) [s], values (n,), both in order."""
+    """Samples of one quantity: time (n,) [s], values (n,), both in order.
+
+    command: what was asked of a servo, not what a sensor saw: it holds between samples, see `held_at`; lag: of the first-order
+    servo that follows it [s].
+    """
 
     time: Array
     values: Array
+    command: bool = False
+    lag: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -47,6 +56,10 @@ class Log:
     detail: Mapping[str, str] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
     parameters: Mapping[str, float] = field(default_factory=dict)
+    kinds: Mapping[str, str] = field(default_factory=dict)
+    contradictions: tuple[Contradiction, ...] = ()
+    origin: float = 0.0
+    marks: Marks = field(default_factory=Marks)
 
     def extended(self, series: Mapping[str, Series], units: Mapping[str, str]) -> "Log":
         """The same with further series."""
@@ -94,18 +107,29 @@ def grid(series: Mapping[str, Series], rate_hz: float) -> Array:
     return start + np.arange(int(np.floor((stop - start) * rate_hz + 1e-9)) + 1) / rate_hz
 
 
+PAUSE = 5.0
+"""A step longer than this [s] is a pause in recording, no late delivery."""
+BURSTY = 2.0
+"""A series whose samples, over its whole length, come so many times slower than from one to the next comes in bursts."""
+
+
 def native_rate(series: Series) -> float:
-    """Median rate of a series [Hz]; 0 for fewer than two samples."""
-    steps = np.diff(series.time)
+    """Median rate of a series [Hz], or how many samples come in a second where they come in bursts; 0 for fewer than two."""
+    steps = np.diff(series.time[np.isfinite(series.time)])
     steps = steps[steps > 1e-9]  # stamps are of a microsecond at best: what is closer is the same instant
-    return float(1 / np.median(steps)) if steps.size else 0.0
+    if not steps.size:
+        return 0.0
+    typical = float(1 / np.median(steps))
+    running = steps[steps <= PAUSE]
+    mean = running.size / float(running.sum()) if running.size else typical
+    return mean if typical > BURSTY * mean else typical
 
 
 def resample(series: Series, time: Array, *, hold: bool = False) -> Array:
     """Values of a series at `time` (n,): NaN outside the series and inside its gaps.
 
     A series at least twice as fast as the grid is averaged over each grid interval, which keeps vibration from folding
-    into the motion; a slower one is interpolated along straight lines; `hold` takes the last value.
+    into the motion; a slower one is interpolated along straight lines, with `hold` kept until the next as a command is.
     """
     good = np.isfinite(series.values) & np.isfinite(series.time)
     t, y = series.time[good], series.values[good]
@@ -113,18 +137,56 @@ def resample(series: Series, time: Array, *, hold: bool = False) -> Array:
     y = y[first]
     if t.size < 2:
         return np.full_like(time, np.nan)
-    interval = float(np.median(np.diff(t)))
+    interval = 1.0 / native_rate(Series(t, y))
     step = float(np.median(np.diff(time))) if time.size > 1 else interval
+    if hold and (series.lag or interval > 0.5 * step):
+        return held_at(replace(series, command=True), time)
     before = np.clip(np.searchsorted(t, time, side="right") - 1, 0, t.size - 2)
     edge = 1e-6 * interval  # rounding of a grid that ends with the series
     inside = (time >= t[0] - edge) & (time <= t[-1] + edge) & (t[before + 1] - t[before] <= LONGEST_STEP * interval)
-    if hold:
-        out = y[np.clip(np.searchsorted(t, time, side="right") - 1, 0, t.size - 1)]
-    elif interval <= 0.5 * step:
+    if interval <= 0.5 * step:
         out = _mean_over(t, y, time, step)
     else:
         out = np.interp(time, t, y)
     return np.where(inside, out, np.nan)
+
+
+DATED_BACK = 0.5
+"""Of its interval, by which a logged command is dated back: it changed at any time since the last record, half in the mean."""
+
+
+def held_at(series: Series, time: Array) -> Array:
+    """Commands at `time` (n,), as the servo behind them shows them: each holds from half an interval before its record until half
+    an interval before the next. NaN outside the series and inside its gaps."""
+    good = np.isfinite(series.values) & np.isfinite(series.time)
+    t, first = np.unique(series.time[good], return_index=True)
+    target = series.values[good][first]
+    if t.size < 2:
+        return np.full_like(time, np.nan)
+    interval = 1.0 / native_rate(Series(t, target))
+    since = t - DATED_BACK * interval
+    at = np.searchsorted(since, time + 1e-6 * interval, side="right") - 1
+    k = np.clip(at, 0, t.size - 1)
+    following = np.append(since[1:], since[-1] + interval)
+    inside = (at >= 0) & (time <= following[-1]) & (following[k] - since[k] <= LONGEST_STEP * interval)
+    values = target[k]
+    if series.lag:
+        begin = lagged(since, target, series.lag)[k]
+        values = values + (begin - values) * np.exp(-np.maximum(time - since[k], 0.0) / series.lag)
+    return np.where(inside, values, np.nan)
+
+
+def lagged(time: Array, commanded: Array, lag: float) -> Array:
+    """What a first-order servo makes of commands that hold until the next; exact between samples."""
+    out = np.empty_like(commanded)
+    angle, last, before = math.nan, math.nan, math.nan
+    for k, (now, target) in enumerate(zip(time.tolist(), commanded.tolist(), strict=True)):
+        if math.isnan(angle) or not now >= before:
+            angle = target
+        elif not math.isnan(last):
+            angle = last + (angle - last) * math.exp(-(now - before) / lag)
+        out[k], last, before = angle, target, now
+    return out
 
 
 def _mean_over(t: Array, y: Array, time: Array, step: float) -> Array:

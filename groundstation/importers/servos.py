@@ -4,6 +4,7 @@
 column = "RCOU.C1"
 trim = 1520                               # output at which the surface stands at zero; SERVO1_TRIM of the log if left out
 travel = [[1100, -22.5], [1900, 25.0]]    # output and deflection at either end, measured on the aircraft
+# or throw = [-22.5, 25.0]                # the deflections at SERVO1_MIN and SERVO1_MAX of the log
 unit = "deg"
 lag = 0.05                                # optional: first-order lag of the servo [s]
 
@@ -12,6 +13,7 @@ A mapping then uses the deflection [rad] as a column `servo.elevon_left`: alone,
 
 import math
 import re
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Annotated
 
@@ -41,7 +43,8 @@ class Servo(BaseModel):
 
     column: str
     trim: _Number | None = None
-    travel: tuple[tuple[_Number, _Number], tuple[_Number, _Number]]
+    travel: tuple[tuple[_Number, _Number], tuple[_Number, _Number]] | None = None
+    throw: tuple[_Number, _Number] | None = None
     unit: str
     lag: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
 
@@ -51,21 +54,58 @@ class Servo(BaseModel):
             scale, _ = conversion(self.unit, "servo", "rad")
         except ImportDataError as error:
             raise ValueError(str(error).removeprefix("column servo: ")) from error
+        if (self.travel is None) == (self.throw is None):
+            raise ValueError(
+                "give either travel, output and deflection at either end, "
+                "or throw, the deflections at SERVOn_MIN and _MAX of the log"
+            )
+        if self.travel is None:
+            self._check_ends(*(self.throw or (0.0, 0.0)), scale, "throw")
+            return self
         (low, at_low), (high, at_high) = self.travel
         if self.trim is not None and not low < self.trim < high:
             raise ValueError(f"trim {self.trim:g} does not lie between the ends of the travel, {low:g} and {high:g}")
+        self._check_ends(at_low, at_high, scale, "travel")
+        return self
+
+    def _check_ends(self, at_low: float, at_high: float, scale: float, key: str) -> None:
         if at_low * at_high >= 0.0:
-            raise ValueError("travel: the deflections at its ends must be of either sign, zero being at trim")
+            raise ValueError(f"{key}: the deflections at its ends must be of either sign, zero being at trim")
         if max(abs(at_low), abs(at_high)) * scale > LARGEST_DEFLECTION:
             raise ValueError(
-                f"travel: {max(abs(at_low), abs(at_high)):g} {self.unit} is more than 90 deg; check the unit"
+                f"{key}: {max(abs(at_low), abs(at_high)):g} {self.unit} is more than 90 deg; check the unit"
             )
-        return self
+
+    def with_travel(self, name: str, parameters: Mapping[str, float]) -> "Servo":
+        """The same with the travel that the log states, where the mapping gives the throw alone. Raises ImportDataError where
+        the log does not state it, or its ends are in no order."""
+        if self.travel is not None or self.throw is None:
+            return self
+        ends = [parameter_of(self.column, e) or "" for e in ("MIN", "MAX")]
+        lacking = [e or "SERVOn_MIN and _MAX" for e in ends if e not in parameters]
+        if lacking:
+            raise ImportDataError(
+                f"[servos.{name}] has a throw and no travel, and the log does not state {lacking[0]}; write "
+                "travel = [[output, deflection], [output, deflection]]"
+            )
+        low, high = (parameters[e] for e in ends)
+        if not low < high:
+            raise ImportDataError(
+                f"[servos.{name}]: {ends[0]} {low:g} of the log is not below {ends[1]} {high:g}; write a travel"
+            )
+        return self.model_copy(update={"travel": ((low, self.throw[0]), (high, self.throw[1]))})
+
+    @property
+    def ends(self) -> "tuple[tuple[float, float], tuple[float, float]]":
+        """Output and deflection at either end. Raises ImportDataError where `with_travel` has still to find them."""
+        if self.travel is None:
+            raise ImportDataError(f"servo output {self.column}: its travel is not known")
+        return self.travel
 
     def deflection(self, output: Array, trim: float) -> Array:
         """(N,) [rad]; NaN where the output is no position. Beyond the travel the line goes on: a servo does, too."""
         scale, _ = conversion(self.unit, "servo", "rad")
-        (low, at_low), (high, at_high) = self.travel
+        (low, at_low), (high, at_high) = self.ends
         below, above = at_low / (low - trim), at_high / (high - trim)
         value = np.where(output < trim, below, above) * (output - trim) * scale
         reach = BEYOND * (high - low)
@@ -86,13 +126,45 @@ def with_servos(log: Log, servos: dict[str, Servo]) -> tuple[Log, tuple[str, ...
     """
     made = {PREFIX + n: s for n, s in servos.items() if s.column in log.series}
     series, notes = {}, []
-    for name, servo in made.items():
+    for name, given in made.items():
+        servo = given.with_travel(name.removeprefix(PREFIX), log.parameters)
         trim, note = _trim(name.removeprefix(PREFIX), servo, log)
+        if given.travel is None:
+            (low, _), (high, _) = servo.ends
+            notes.append(
+                f"servo {name.removeprefix(PREFIX)}: travel from {low:g} to {high:g}, by the parameters of the log"
+            )
         series[name] = _moved(log.series[servo.column], servo, trim)
         notes += [note] if note else []
     absent = tuple(s.column for n, s in servos.items() if PREFIX + n not in made)
     units = {**log.units, **dict.fromkeys(series, "rad")}
     return replace(log.extended(series, units), notes=(*log.notes, *notes)), absent
+
+
+def outputs_elsewhere(log: Log, servos: dict[str, Servo]) -> list[str]:
+    """Notes on servos whose output is absent or off throughout, while the same output of another instance moves: autopilots drive
+    several sets of outputs (MAIN and AUX, IO and FMU)."""
+    notes = []
+    for name, servo in servos.items():
+        made = log.series.get(PREFIX + name)
+        if made is not None and np.isfinite(made.values).any():
+            continue
+        topic, _, field = servo.column.partition(".")
+        pattern = re.compile(re.escape(topic.split("[")[0]) + r"(\[\d+\])?\." + re.escape(field))
+        moving = [n for n, s in log.series.items() if n != servo.column and pattern.fullmatch(n) and _moves(s.values)]
+        missing = "is off throughout" if made is not None else "is not in the file"
+        if moving:
+            notes.append(
+                f"servo {name}: {servo.column} {missing}, while {', '.join(moving)} moves: name it in the mapping"
+            )
+        elif made is not None:
+            notes.append(f"servo {name}: {servo.column} {missing}: no value of it is a position of this servo")
+    return notes
+
+
+def _moves(values: Array) -> bool:
+    known = values[np.isfinite(values)]
+    return known.size > 1 and float(np.ptp(known)) > 0.0
 
 
 def _trim(name: str, servo: Servo, log: Log) -> tuple[float, str | None]:
@@ -105,7 +177,7 @@ def _trim(name: str, servo: Servo, log: Log) -> tuple[float, str | None]:
         return servo.trim, (
             f"servo {name}: the mapping says trim {servo.trim:g}, the log's own {parameter} is {logged:g}; the mapping's is used"
         )
-    (low, _), (high, _) = servo.travel
+    (low, _), (high, _) = servo.ends
     if logged is None:
         where = (
             f" and the log has no {parameter}" if parameter else f" and {servo.column} has no parameter that says it"
@@ -121,17 +193,4 @@ def _trim(name: str, servo: Servo, log: Log) -> tuple[float, str | None]:
 
 def _moved(output: Series, servo: Servo, trim: float) -> Series:
     angle = servo.deflection(output.values, trim)
-    return Series(output.time, _lagged(output.time, angle, servo.lag) if servo.lag else angle)
-
-
-def _lagged(time: Array, commanded: Array, lag: float) -> Array:
-    """What a first-order servo makes of commands that hold until the next; exact between samples."""
-    out = np.empty_like(commanded)
-    angle, last, before = math.nan, math.nan, math.nan
-    for k, (now, target) in enumerate(zip(time.tolist(), commanded.tolist(), strict=True)):
-        if math.isnan(angle) or not now >= before:
-            angle = target
-        elif not math.isnan(last):
-            angle = last + (angle - last) * math.exp(-(now - before) / lag)
-        out[k], last, before = angle, target, now
-    return out
+    return Series(output.time, angle, command=True, lag=servo.lag)

@@ -42,7 +42,7 @@ UNITS: dict[str, Unit] = {
     "mgauss": Unit("T", 1e-7), "V": Unit("V", 1.0), "mV": Unit("V", 1e-3),
     # time
     "s": Unit("s", 1.0), "ms": Unit("s", 1e-3), "us": Unit("s", 1e-6), "ns": Unit("s", 1e-9), "min": Unit("s", 60.0),
-    "h": Unit("s", 3600.0),
+    "h": Unit("s", 3600.0), "days": Unit("s", 86400.0),
     # numbers
     "1": Unit("1", 1.0), "%": Unit("1", 0.01), "degE7": Unit("deg", 1e-7),
 }  # fmt: skip
@@ -59,6 +59,7 @@ _ALIASES = {
     "kg": "kgf", "grams": "gf", "tesla": "T", "µt": "uT", "μt": "uT", "ut": "uT", "nt": "nT", "ga": "gauss", "mga": "mgauss",
     "volt": "V", "volts": "V", "v": "V", "mv": "mV", "sec": "s", "second": "s", "seconds": "s", "msec": "ms", "usec": "us",
     "µs": "us", "μs": "us", "minutes": "min", "percent": "%", "-": "1", "": "1", "none": "1", "1e-7deg": "degE7",
+    "day": "days", "hours": "h", "hour": "h", "hr": "h",
 }  # fmt: skip
 
 

@@ -16,6 +16,7 @@ from groundstation.identification.session import LiveState
 from groundstation.live.alarms import AlarmChange, Alarms, AlarmState
 from groundstation.live.config import GroundConfig
 from groundstation.live.flight_phase import LandingWatch, Phase
+from groundstation.live.free_space import FreeSpace
 from groundstation.live.readouts import FreshValues, banner, readout_line
 from groundstation.receiver import events as ev
 from groundstation.receiver.legible import legible
@@ -63,6 +64,7 @@ class AircraftMonitor:
         self._last_heard_ns: int | None = None
         self._next_status = self._next_readout = -math.inf
         self._fresh = FreshValues()
+        self._disk = ""
         self.time = 0.0
         self.samples = 0
         self.values: dict[str, float] = {}
@@ -150,6 +152,11 @@ class AircraftMonitor:
             if came and self._view is not None:  # no scan comes that would show it
                 self._show_readouts(self._view, self.time + quiet)
 
+    def disk(self, space: FreeSpace) -> None:
+        """What is free on this computer's disk."""
+        self._disk = space.words
+        self._announce(self._alarms.update(self.time, space.values))
+
     def happened(self, event: ev.Event) -> None:
         """Everything that is not a scan."""
         match event:
@@ -165,6 +172,8 @@ class AircraftMonitor:
                 self._note("WARN", f"refused {count} x {message}: {why}")
             case ev.Doubted(what=what, count=count):
                 self._note("WARN", f"not believed: {count} {what}")
+            case ev.Quarantined(text=text):
+                self._note("WARN", text)
             case ev.Contested():
                 self._note("WARN", event.text)
             case ev.Restarted(previous=previous) if previous is not None:
@@ -221,6 +230,7 @@ class AircraftMonitor:
         if self._backfill is not None:
             b = self._backfill
             lines.append(f"- in full here: {b.held} of {b.wanted} scans{', air and ground agree' if b.agreed else ''}")
+        lines += [f"- disk here: {self._disk}"] if self._disk else []
         held = self._alarms.in_force()
         lines.append("")
         lines += [f"- **{level}** {name} ({state.value})" for name, state, level in held] or ["no alarms"]

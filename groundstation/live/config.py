@@ -9,6 +9,7 @@ from daq.contract.errors import UserError
 from daq.contract.input_files import read_toml
 from groundstation.live.alarms import Limit
 from groundstation.live.flight_phase import LandingLimits
+from groundstation.live.free_space import FREE, LEFT
 from groundstation.live.usual_ports import usual_ports
 from groundstation.receiver.link_config import LinkConfig
 
@@ -35,11 +36,14 @@ class CalibrationConfig(_Table):
 
 
 class ViewConfig(_Table):
-    """The live view; ports are on loopback."""
+    """The live view. port: where further viewers of this computer attach. host: where the page listens; beyond loopback, and with
+    `token`, only who has the page's whole address gets in."""
 
     layout: Literal["full", "light"] = "full"
     port: Annotated[int, Field(ge=1, le=65535)] = 9876
     web_port: Annotated[int, Field(ge=1, le=65535)] = 9090
+    host: Annotated[str, Field(min_length=1, max_length=255)] = "127.0.0.1"
+    token: bool = False
     memory_limit: str = "64MiB"
 
 
@@ -76,13 +80,24 @@ DEFAULT_ALARMS = (
     Limit(channel="link.loss_percent", high=30.0, hysteresis=10.0, hold_s=3.0, level="WARN", text="link loss"),
     Limit(channel="link.silence_s", high=3.0, level="CRITICAL", text="no telemetry"),
     Limit(channel="recorder.recording", low=0.5, hold_s=2.0, level="CRITICAL", text="onboard recorder stopped"),
+    Limit(channel=FREE, low=200.0, hysteresis=50.0, level="ERROR", text="disk of the ground station nearly full"),
+    Limit(
+        channel=LEFT,
+        low=30.0,
+        hysteresis=10.0,
+        hold_s=5.0,
+        level="WARN",
+        text="disk of the ground station, minutes left",
+    ),
     Limit(channel="sensors.unusable", high=0.5, hold_s=1.0, level="WARN", text="sensor not usable"),
 )
 
 
 class GroundConfig(_Table):
     """The whole file. Alarm channels are flight columns, or `link.loss_percent`, `link.silence_s`, `recorder.recording`,
-    `sensors.unusable` (number of sensor groups); airspeed and angle of attack count in flight only."""
+    `ground.free_mb`, `ground.minutes_left` (of this computer's disk), `sensors.unusable` (number of sensor groups);
+    airspeed and angle of attack count in flight only.
+    """
 
     link: LinkConfig = LinkConfig()
     output: OutputConfig = OutputConfig()

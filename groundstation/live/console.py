@@ -69,7 +69,10 @@ class Lines:
 
 def _ours(descriptor: int) -> bool:
     """Whether reading will not stop this process, as a terminal does to one in the background."""
-    return not os.isatty(descriptor) or os.tcgetpgrp(descriptor) == os.getpgrp()
+    try:
+        return not os.isatty(descriptor) or os.tcgetpgrp(descriptor) == os.getpgrp()
+    except OSError:  # the terminal is gone
+        return False
 
 
 class Console:

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from groundstation.live.station import Station
 
 STEP_NS = 50_000_000
+LONGEST_SILENCE_NS = 600 * NS  # of a telemetry log, that a replay goes through step by step
 SYSTEM = 1
 
 
@@ -115,8 +116,8 @@ def _replay_tlog(station: "Station", source: "Replay", path: Path, speed: float 
     clock, port = source.clock, source.port
     due: int | None = None
     for utc_ns, data in read_tlog(path):
-        if due is None:
-            due = utc_ns
+        if due is None or not 0 <= utc_ns - due <= LONGEST_SILENCE_NS:
+            due = utc_ns  # a clock that was set, or a pause: nobody waits for it
         while utc_ns > due:
             ahead = min(STEP_NS, utc_ns - due)
             _wait(ahead / NS, speed)
@@ -132,15 +133,16 @@ def _replay_tlog(station: "Station", source: "Replay", path: Path, speed: float 
 def _replay_recording(station: "Station", path: Path, speed: float | None) -> None:
     from daq.contract.recordings.reading import read_recording
     from groundstation.calibration.errors import CalibrationError
+    from groundstation.calibration.facts import reported
     from groundstation.calibration.recording import embedded_calibration
     from groundstation.receiver.events import Session
 
     recording = read_recording(path, salvage=True)
     monitor = station.monitor(SYSTEM)
     try:
-        monitor.use(embedded_calibration(recording), recording.info.details)
+        monitor.use(embedded_calibration(recording), reported(recording.info.details).facts)
     except CalibrationError:
-        monitor.use(station.calibration, recording.info.details)
+        monitor.use(station.calibration, reported(recording.info.details).facts)
     session = Session(SYSTEM, 0, 0)
     station.identifications.known(session, recording.info, monitor)
     last: float | None = None

@@ -1,15 +1,21 @@
 """The ground station: receiver, one monitor per aircraft, views, and the hand-over at the end of a flight."""
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
+from daq.contract.recordings.recording import RecordingInfo
+from daq.contract.rotating_log import RotatingLog
 from groundstation.calibration.errors import CalibrationError
+from groundstation.calibration.facts import reported
 from groundstation.calibration.schema import CalibrationSet, load_calibration
 from groundstation.identification.aircraft import AircraftSource
 from groundstation.live.aircraft_monitor import AircraftMonitor, View
 from groundstation.live.config import GroundConfig
+from groundstation.live.free_space import FreeSpace, free_bytes
 from groundstation.live.identifying import LiveIdentifications
 from groundstation.receiver import events as ev
+from groundstation.receiver.doubts import NOBODY
 from groundstation.receiver.legible import legible
 from groundstation.receiver.receive import Receiver
 from groundstation.receiver.timeline import NS, Clock
@@ -44,10 +50,11 @@ class Station:
         self.replayed: Path | None = None  # a recording that was played instead of received
         self.replayed_as: ev.Session | None = None
         self.identifications = LiveIdentifications(config.identification, config.handover.landing, aircraft, self._note)
+        self.space = FreeSpace()
+        self._space_told = False
         self._papers: set[str] = set()
         self._next_papers_ns = 0
-        folder.mkdir(parents=True, exist_ok=True)
-        self._log = (folder / "events.log").open("a", encoding="utf-8")
+        self._log = RotatingLog(folder / "events.log")
 
     def monitor(self, system: int) -> AircraftMonitor:
         """The monitor of an aircraft, opened when it is first heard."""
@@ -66,22 +73,30 @@ class Station:
     def _note(self, line: str) -> None:
         line = legible(line)
         self._echo(line)
+        self._log.write((line + "\n").encode("utf-8", "backslashreplace"))
         with self.receiver.faults.watch("event log"):
-            self._log.write(line + "\n")
-            self._log.flush()
+            if self._log.trouble:
+                raise OSError(self._log.trouble)
 
     def step(self) -> list[ev.Event]:
         """Take in what has arrived and act on it."""
         happened = self.receiver.poll()
+        quarantine = self.receiver.quarantine
         for event in happened:
-            self._dispatch(event)
-        self.identifications.step()
+            try:
+                self._dispatch(event)
+            except Exception as error:  # noqa: BLE001  the edge of what a sender can reach: see Quarantine
+                quarantine.put_error(_system(event), f"a {type(event).__name__}", error)
+        with quarantine.guard(NOBODY, "live identification"):
+            self.identifications.step()
         now = self._clock.monotonic_ns()
-        for monitor in self.monitors.values():
-            monitor.silence(now)
+        for system, monitor in self.monitors.items():
+            with quarantine.guard(system, "its silence"):
+                monitor.silence(now)
         if now >= self._next_papers_ns:
             self._next_papers_ns = now + PAPERS_PERIOD_NS
             self._adopt_calibrations()
+            self._look_at_disk(now)
         return happened
 
     def _dispatch(self, event: ev.Event) -> None:
@@ -93,8 +108,10 @@ class Station:
                 self.identifications.scan(session, event.scan, monitor)
             case ev.ScanFetched(session=session, data=data):
                 self.identifications.fetched(session, data, self.monitor(session.system))
-            case ev.Contested(system=system) | ev.Doubted(system=system) if system not in self.monitors:
-                text = event.text if isinstance(event, ev.Contested) else f"not believed: {event.count} {event.what}"
+            case ev.Contested(system=system) | ev.Doubted(system=system) | ev.Quarantined(system=system) if (
+                system not in self.monitors
+            ):
+                text = f"not believed: {event.count} {event.what}" if isinstance(event, ev.Doubted) else event.text
                 who = f"aircraft {system}" if system else "ground station"
                 self._note(f"{'':10}    {who}  WARN {text}")
             case (
@@ -104,6 +121,7 @@ class Station:
                 | ev.Refused(system=system)
                 | ev.Contested(system=system)
                 | ev.Doubted(system=system)
+                | ev.Quarantined(system=system)
             ):
                 if system in self.monitors:
                     self.monitors[system].happened(event)
@@ -119,35 +137,61 @@ class Station:
             case _:
                 self.monitor(event.session.system).happened(event)
 
+    def _look_at_disk(self, now_ns: int) -> None:
+        """Room on this computer's disk: an alarm of every aircraft, and a line while there is none."""
+        with self.receiver.faults.watch("disk"):
+            self.space.update(now_ns * 1e-9, free_bytes(self.folder))
+        for system, monitor in self.monitors.items():
+            with self.receiver.quarantine.guard(system, "the disk"):
+                monitor.disk(self.space)
+        if not (self._space_told or math.isnan(self.space.megabytes)):
+            self._space_told = True
+            self._note(f"{'':10}    ground station  INFO disk: {self.space.words}")
+
     def _adopt_calibrations(self) -> None:
         """Once the recording's papers have come down, calibrate with what the aircraft carries."""
         for session, recorder in self.receiver.session_recorders().items():
-            info = recorder.info()
-            if info.aircraft and (named := f"{session.name}:{info.aircraft}") not in self._papers:
-                self._papers.add(named)
-                self.identifications.known(session, info, self.monitor(session.system))
-            texts = {
-                n: d.decode("utf-8") for n, d in info.calibration.items() if n.endswith(".toml")
-            }  # checked on arrival
-            key = f"{session.name}:{len(texts)}:{len(info.details)}"
-            if not (texts or info.details) or key in self._papers:
-                continue
-            self._papers.add(key)
-            try:
-                chosen = CalibrationSet.from_texts("embedded", texts) if texts else self.calibration
-                self.monitor(session.system).use(chosen, info.details)
-                self.identifications.known(session, info, self.monitor(session.system))
-            except CalibrationError as error:
-                self.monitor(session.system).happened(
-                    ev.StatusText(session.system, 4, f"calibration not usable: {error}", 0)
-                )
+            with self.receiver.quarantine.guard(session.system, "what its recording says of itself"):
+                self._adopt(session, recorder.info())
+
+    def _adopt(self, session: ev.Session, info: RecordingInfo) -> None:
+        if info.aircraft and (named := f"{session.name}:{info.aircraft}") not in self._papers:
+            self._papers.add(named)
+            self.identifications.known(session, info, self.monitor(session.system))
+        # that these are text was checked on arrival
+        texts = {n: d.decode("utf-8") for n, d in info.calibration.items() if n.endswith(".toml")}
+        key = f"{session.name}:{len(texts)}:{len(info.details)}"
+        if not (texts or info.details) or key in self._papers:
+            return
+        self._papers.add(key)
+        facts = self._sound_facts(session.system, info.details)
+        try:
+            chosen = CalibrationSet.from_texts("embedded", texts) if texts else self.calibration
+            self.monitor(session.system).use(chosen, facts)
+        except CalibrationError as error:
+            self.receiver.quarantine.put(session.system, "its calibration", str(error))
+            self.monitor(session.system).use(self.calibration, facts)
+        self.identifications.known(session, info, self.monitor(session.system))
+
+    def _sound_facts(self, system: int, values: Mapping[str, str]) -> Mapping[str, str]:
+        """Of the facts that a sender gives about its sensors those that can be; the others are quarantined."""
+        found = reported(values)
+        for name, why in found.refused.items():
+            self.receiver.quarantine.put(system, f"fact {name}", why)
+        return found.facts
 
     def close(self) -> None:
         """Write recordings and close every file and port; what failed is told."""
-        self.identifications.finish()
+        with self.receiver.quarantine.guard(NOBODY, "live identification"):
+            self.identifications.finish()
         self.receiver.close()
         for event in self.receiver.faults.changes(self._clock.monotonic_ns()):
             self._dispatch(event)
         self.identifications.close()
-        with self.receiver.faults.watch("event log"):
-            self._log.close()
+        self._log.close()
+
+
+def _system(event: ev.Event) -> int:
+    """System id of the aircraft that an event is of; NOBODY for one of the ground station itself."""
+    session = getattr(event, "session", None)
+    return session.system if isinstance(session, ev.Session) else int(getattr(event, "system", NOBODY))

@@ -7,6 +7,7 @@ really is there: its logger has started anew, or this computer's clock stood sti
 
 from collections import deque
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from daq.contract.link.wire import SCAN_FAST_ID, ScanPart
 from groundstation.receiver.timeline import NS
@@ -54,6 +55,8 @@ class Line:
 
     def in_step(self, part: ScanPart) -> bool:
         """Whether the number has not risen faster than the time allows."""
+        if part.number - self.number <= NUMBERS_AT_ONCE:
+            return True
         later = part.time_monotonic_ns - self.time_ns
         return part.number - self.number <= self._rate_hz() * later / NS + NUMBERS_AT_ONCE
 
@@ -81,8 +84,7 @@ class Line:
         return FASTEST_HZ if span < NS else max(USUAL_HZ, 2 * NS * (self.number - self.first) / span)
 
 
-@dataclass(frozen=True, slots=True)
-class Held:
+class Held(NamedTuple):
     """A scan part that waits for others to prove it: with the component that sent it and the ground's clocks."""
 
     part: ScanPart

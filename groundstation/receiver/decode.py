@@ -6,7 +6,6 @@ each system id an `AircraftDecoder` of its own.
 
 from collections import OrderedDict
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from typing import Any
 
 from daq.contract.link.scan_map import BLOCK
@@ -19,6 +18,7 @@ from groundstation.receiver.link_accounting import SequenceTracker, SessionAccou
 from groundstation.receiver.ports.allowance import Allowance
 from groundstation.receiver.timeline import NS, ClockSync
 
+_new_tuple: Callable[..., Any] = tuple.__new__  # without the function that names the fields: half of the time
 _PARTS_KEPT = 64
 _MAX_SESSIONS = 64
 _TEXTS, _TEXT_PIECES = 32, 32
@@ -55,6 +55,7 @@ class AircraftDecoder:
         self._talk = Allowance(_TEXTS_AT_ONCE, _TEXTS_PER_S)
         self._parts: OrderedDict[int, list[ScanPart]] = OrderedDict()
         self._texts: OrderedDict[int, dict[int, tuple[int, str]]] = OrderedDict()
+        self._layouts = layouts()
         self._out: list[ev.Event] = []
         self._told_of_foreign_channels = False
         self._scan_component = -1  # the component of the latest scan that was believed
@@ -78,7 +79,10 @@ class AircraftDecoder:
     def take(self, frame: Frame, now_ns: int, utc_ns: int) -> list[ev.Event]:
         """Use a frame of this system; returns what it means, nothing for a repeated frame."""
         self._out = []
-        if not self.trackers.setdefault(frame.component, SequenceTracker()).take(frame, now_ns):
+        tracker = self.trackers.get(frame.component)
+        if tracker is None:
+            tracker = self.trackers[frame.component] = SequenceTracker()
+        if not tracker.take(frame, now_ns):
             return []
         if frame.msg_id in SCAN_IDS:
             self._take_scan(frame, now_ns, utc_ns)
@@ -99,8 +103,8 @@ class AircraftDecoder:
         part = self._part(frame, now_ns)
         if part is None:
             return
-        held = Held(part, frame.component, now_ns, utc_ns)
-        straggled = self._straggled(part)
+        held: Held = _new_tuple(Held, (part, frame.component, now_ns, utc_ns))
+        straggled = None if len(self.sessions) < 2 else self._straggled(part)
         if straggled is not None:
             straggled.see(part.number)  # counted, not shown
             if part.msg_id == SCAN_FAST_ID:
@@ -170,17 +174,21 @@ class AircraftDecoder:
         part, now_ns = held.part, held.now_ns
         assert books.line is not None
         books.line.advance(part, now_ns)
-        self._claims.clear()
+        if self._claims:
+            self._claims.clear()
         self._scan_component = held.component
         for tracker in self.trackers.values():
             tracker.settle()
         books.see(part.number)
-        parts = self._parts.setdefault(part.number, [])
-        if any(p.msg_id == part.msg_id for p in parts):
+        parts = self._parts.get(part.number)
+        if parts is None:
+            parts = self._parts[part.number] = []
+        elif any(p.msg_id == part.msg_id for p in parts):
             return
         late = part.time_monotonic_ns < books.last_time_ns
         parts.append(part)
-        self._forget_old_parts()
+        if len(self._parts) > _PARTS_KEPT:
+            self._forget_old_parts()
         if part.msg_id == SCAN_FAST_ID:
             if not books.received.add(part.number):
                 return
@@ -190,21 +198,25 @@ class AircraftDecoder:
             return  # the slow part comes first; the scan is reported with its fast part
         else:
             late = True
-        books.last_time_ns = max(books.last_time_ns, part.time_monotonic_ns)
+        if part.time_monotonic_ns > books.last_time_ns:
+            books.last_time_ns = part.time_monotonic_ns
         relation = self.sync.best
         latency = None
         if relation is not None:
             latency = (now_ns + relation.offset_ns - part.time_monotonic_ns) / NS
             self.latency_s = latency
         scan = join_parts(parts)
-        self._out.append(ev.ScanReceived(books.session, scan, now_ns, held.utc_ns, latency, late))
+        fields = books.session, scan, now_ns, held.utc_ns, latency, late
+        self._out.append(_new_tuple(ev.ScanReceived, fields))
 
     def _part(self, frame: Frame, now_ns: int) -> ScanPart | None:
         """What a scan message says; None, told once, for laboratory channels that no package here describes."""
-        layout = layouts().get(frame.msg_id)
+        layout = self._layouts.get(frame.msg_id)
         if layout is not None:
-            with suppress(ValueError):
+            try:
                 return unpack_scan(layout, padded(frame.payload, layout.size))
+            except ValueError:  # another table: told below
+                pass
         if not self._told_of_foreign_channels:
             self._told_of_foreign_channels = True
             self._out.append(ev.StatusText(self.system, _WARNING, _FOREIGN_CHANNELS, now_ns))
@@ -213,7 +225,7 @@ class AircraftDecoder:
     def _forget_old_parts(self) -> None:
         while len(self._parts) > _PARTS_KEPT:
             _, parts = self._parts.popitem(last=False)
-            if all(p.msg_id != SCAN_FAST_ID for p in parts):
+            if parts[0].msg_id != SCAN_FAST_ID and all(p.msg_id != SCAN_FAST_ID for p in parts):
                 self.partial_scans += 1
 
     def _new_session(self, boot: int, now_ns: int) -> SessionAccounting:

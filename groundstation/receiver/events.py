@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from daq.contract.scan import Scan
 
@@ -20,8 +21,7 @@ class Session:
         return f"aircraft{self.system}_{self.turn:02d}_{self.boot:02x}"
 
 
-@dataclass(frozen=True, slots=True)
-class ScanReceived:
+class ScanReceived(NamedTuple):
     """A scan came down the link. `late`: older than one that came before (reordered), or completed afterwards."""
 
     session: Session
@@ -203,6 +203,21 @@ class Doubted:
 
 
 @dataclass(frozen=True, slots=True)
+class Quarantined:
+    """Something of a sender that cannot be used, told the first time that it comes. system 0: of no aircraft in particular."""
+
+    system: int
+    what: str
+    why: str
+    received_ns: int
+
+    @property
+    def text(self) -> str:
+        """For a person."""
+        return f"{self.what} not used: {self.why}"
+
+
+@dataclass(frozen=True, slots=True)
 class Contested:
     """A second sender speaks for an aircraft that is being heard from another.
 
@@ -290,6 +305,7 @@ Event = (
     | ManoeuvreSent
     | Refused
     | Doubted
+    | Quarantined
     | Contested
     | Trouble
     | BackfillProgress

@@ -99,8 +99,10 @@ class FrameInput:
 
     def _log(self, found: Frame | Junk, utc_ns: int) -> None:
         if self._tlog is not None:
-            with self._faults.watch(TELEMETRY_LOG):
+            try:
                 self._tlog.write(found, utc_ns)
+            except OSError as error:  # cleared by `flush`, which says that the disk takes it again
+                self._faults.note(TELEMETRY_LOG, error)
 
     def _retire(self, sender: Sender, utc_ns: int) -> None:
         decoder = self._decoders.pop(sender)
@@ -127,7 +129,7 @@ class FrameInput:
         """Hand the telemetry log to the operating system."""
         if self._tlog is not None:
             with self._faults.watch(TELEMETRY_LOG):
-                self._tlog.flush()
+                self._tlog.look_after()
 
     @property
     def logs(self) -> list[TlogWriter]:

@@ -52,7 +52,8 @@ class SequenceTracker:
             self._count_gap(step, now_ns)
         self._measure_rate(now_ns)
         self._next = (sequence + 1) & 255
-        self._missing.discard(sequence)
+        if self._missing:
+            self._missing.discard(sequence)
         self._last_ns = now_ns
         return True
 
@@ -109,8 +110,10 @@ class SessionAccounting:
 
     def see(self, number: int) -> None:
         """A scan of this number exists."""
-        self.first = number if self.first is None else min(self.first, number)
-        self.last = max(self.last, number)
+        if self.first is None or number < self.first:
+            self.first = number
+        if number > self.last:
+            self.last = number
 
     def reach(self, now_ns: int) -> int:
         """The highest number that the aircraft can have given by now."""

@@ -12,8 +12,9 @@ from pathlib import Path
 from typing import Any
 
 from daq.contract.link.scan_map import BLOCK
+from daq.contract.link.wire import SCAN_IDS
 from daq.contract.manoeuvre import Manoeuvre, ManoeuvreError
-from daq.transport.mavlink_codec import FIRST_OWN_ID, RADIO_STATUS_ID, Frame, FrameEncoder
+from daq.transport.mavlink_codec import FIRST_OWN_ID, RADIO_STATUS_ID, Frame, FrameEncoder, message_types
 from daq.transport.ports import BytePort
 from groundstation.receiver import doubts as d
 from groundstation.receiver import events as ev
@@ -26,6 +27,7 @@ from groundstation.receiver.kept.sessions import RECORDING, Sessions
 from groundstation.receiver.link_config import LinkConfig
 from groundstation.receiver.link_quality import RateMeter
 from groundstation.receiver.ports.link import open_port
+from groundstation.receiver.quarantine import Quarantine
 from groundstation.receiver.security import SIGNING_STATE, Gate, make_signer
 from groundstation.receiver.senders import Senders
 from groundstation.receiver.sending.backfill import BackfillClient, Mode
@@ -43,6 +45,7 @@ _MAPS_AT_ONCE = 4
 MAX_AIRCRAFT, MAX_OF_ONE_SENDER = 16, 8
 """Served at once, where `systems` does not list them: each has files, a view and memory of its own."""
 _DISK = "disk"
+_KEPT = (ev.ScanReceived, ev.EventMarked)
 _FIXED_WING, _GCS, _NO_AUTOPILOT = 1, 6, 8
 
 
@@ -83,9 +86,11 @@ class Receiver:
         self._lock = threading.RLock()
         self.faults = Faults()
         self.doubts = d.Doubts()
+        self.quarantine = Quarantine()
         self._gate = Gate(make_signer(config, clock), self.faults)
         if self._gate.signer is not None and self._gate.signer.notice:
             self.faults.note(SIGNING_STATE, OSError(self._gate.signer.notice))
+        self._known_messages = frozenset(message_types())
         self._encoder = FrameEncoder(config.system_id, config.component_id, self._gate.signer)
         self._frame_input = FrameInput(self._ports, folder, self.faults)
         self._disk = Disk()
@@ -118,11 +123,15 @@ class Receiver:
             out: list[ev.Event] = []
             now, utc = self.clock.monotonic_ns(), self.clock.utc_ns()
             for sender, frame in self._frame_input.frames(now, utc):
-                self._take_frame(frame, sender, now, utc, out)
+                try:
+                    self._take_frame(frame, sender, now, utc, out)
+                except Exception as error:  # noqa: BLE001  the edge of reception: no frame ends a flight
+                    self.quarantine.put_error(frame.system, f"a frame of {frame.name}", error)
             out += [*self._gate.reports(now), *self._contests(now)]
             self._keep(out)
-            self._do_due(now, out)
-            return out + self.doubts.reports(now) + self.faults.changes(now)
+            with self.quarantine.guard(d.NOBODY, "what is due to be sent and told"):
+                self._do_due(now, out)
+            return out + self.doubts.reports(now) + self.quarantine.reports(now) + self.faults.changes(now)
 
     @property
     def port_faults(self) -> dict[str, str]:
@@ -131,7 +140,7 @@ class Receiver:
             return dict(self.faults.present)
 
     def _take_frame(self, frame: Frame, sender: Sender, now: int, utc: int, out: list[ev.Event]) -> None:
-        if not frame.known or frame.system in (0, self.config.system_id):
+        if frame.msg_id not in self._known_messages or frame.system in (0, self.config.system_id):
             return
         if not self._gate.allows(frame):
             return
@@ -147,14 +156,17 @@ class Receiver:
             return
         known.port = port
         out += known.decoder.take(frame, now, utc)
-        self._take_answer(known, frame, now, out)
+        if frame.msg_id not in SCAN_IDS:
+            self._take_answer(known, frame, now, out)
 
     def _known(self, frame: Frame, sender: Sender) -> _Aircraft | None:
         """The aircraft a frame is of, made when it is first heard; None for a sender that is none, or one too many."""
+        known = self._aircraft.get(frame.system)
+        if known is not None:
+            return known
         if self.config.systems and frame.system not in self.config.systems:
             return None
-        known = self._aircraft.get(frame.system)
-        if known is None and _is_aircraft(frame):
+        if _is_aircraft(frame):
             if not self.config.systems and not self._room_for_one_more(sender):
                 self.doubts.note(d.NOBODY, d.AIRCRAFT)
                 return None
@@ -170,7 +182,7 @@ class Receiver:
     def _believed(self, aircraft: _Aircraft, frame: Frame, sender: Sender, now: int) -> bool:
         """Whether the sender may speak for the aircraft: with a key always, for its signature holds."""
         own = frame.msg_id >= FIRST_OWN_ID
-        before = aircraft.senders.speaker(sender.port)
+        before = aircraft.senders.speaker(sender.port) if own else None
         if self._gate.signer is None:
             if not aircraft.senders.allows(sender, frame.component, own, now):
                 return False
@@ -225,12 +237,18 @@ class Receiver:
         """Hand events to the recorders of their sessions."""
         for event in out:
             if isinstance(event, ev.Restarted):
-                with self.faults.watch(RECORDING):
+                with self.quarantine.guard(event.session.system, "its new session"), self.faults.watch(RECORDING):
                     self._begin(event.session)
-            elif isinstance(event, ev.ScanReceived | ev.EventMarked):
-                sessions = self._aircraft[event.session.system].sessions
-                if sessions is not None and not sessions.keep(event):
-                    self.doubts.note(event.session.system, d.EVENTS)
+            elif isinstance(event, _KEPT):
+                try:
+                    self._keep_one(event)
+                except Exception as error:  # noqa: BLE001  one scan that cannot be kept is not the next one's end
+                    self.quarantine.put_error(event.session.system, f"a {type(event).__name__} in the recording", error)
+
+    def _keep_one(self, event: ev.ScanReceived | ev.EventMarked) -> None:
+        sessions = self._aircraft[event.session.system].sessions
+        if sessions is not None and not sessions.keep(event):
+            self.doubts.note(event.session.system, d.EVENTS)
 
     def _begin(self, session: ev.Session) -> None:
         aircraft = self._aircraft[session.system]
@@ -316,6 +334,7 @@ class Receiver:
             if progress is not None:
                 out.append(progress)
         self._frame_input.flush()
+        self._look_after_disk()
         for what, count in (
             (d.BYTES, self._frame_input.refused_bytes),
             (d.DATAGRAMS, self._frame_input.datagrams_dropped),
@@ -324,6 +343,14 @@ class Receiver:
         with self.faults.watch(_DISK):
             journals = (r.journal for kept in self._kept() for r in kept.recorders.values())
             self._disk.sync([*self._frame_input.logs, *journals])
+
+    def _look_after_disk(self) -> None:
+        """Journals go on where the disk failed, and what it has lost is wanted again."""
+        for aircraft in self._aircraft.values():
+            if aircraft.sessions is not None:
+                aircraft.sessions.look_after()
+            if aircraft.backfill is not None:
+                aircraft.backfill.look_after()
 
     # ------------------------------------------------------------------------------------------ for the owner
 
@@ -395,7 +422,18 @@ class Receiver:
         with self._lock:
             trackers = [t for a in self._aircraft.values() for t in a.decoder.trackers.values()]
             made = counters(self.accounting(), self._frame_input.totals(), trackers, self._gate.rejected, self._written)
-            return made | self._unbelieved()
+            return made | self._unbelieved() | self._on_disk()
+
+    def _on_disk(self) -> dict[str, Any]:
+        """What the disk holds of what came down, for `ground --json`."""
+        books = [(a.sessions, b) for a in self._aircraft.values() for b in a.decoder.sessions]
+        states = [(kept.state(b) if kept is not None else None) for kept, b in books]
+        known = [state for state in states if state is not None]
+        return {
+            "scans_on_disk": sum(on_disk for on_disk, _ in known),
+            "scans_not_on_disk": sum(gone for _, gone in known),
+            "telemetry_bytes_refused": sum(log.refused for log in self._frame_input.logs),
+        }
 
     def _unbelieved(self) -> dict[str, Any]:
         """What came and was not used, for `ground --json`."""
@@ -406,6 +444,7 @@ class Receiver:
             "second_senders": [row for a in self._aircraft.values() for row in a.senders.table()],
             "scans_doubted": self.doubts.total(d.NUMBERS) + sum(a.decoder.waiting for a in self._aircraft.values()),
             "doubted": self.doubts.table(),
+            "quarantined": self.quarantine.table(),
         }
 
     def close(self) -> None:

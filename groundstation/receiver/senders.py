@@ -48,20 +48,6 @@ class Senders:
         self.contested = 0
 
     def allows(self, sender: Sender, component: int, own: bool, now_ns: int) -> bool:
-<<<<<<< HEAD
-        """Whether a frame may be used. own: it is one of the logger's own messages, which an autopilot never sends: one that
-        has the logger's component, too, and was heard first, has no say in them.
-        """
-        role = (_LOGGER if own else component, sender.port)
-        if not self._free(role, sender, now_ns):
-            speaker = self._speakers[role]
-            self.contested += 1
-            self._note(sender, speaker.sender, used=False)
-            return False
-        if own and role not in self._speakers:
-            self._note_second_port(sender, now_ns)
-        self._speakers[role] = _Speaker(sender, now_ns)
-=======
         """Whether a frame may be used. own: it is one of the logger's own messages."""
         usual = self._usual.get((sender, component, own))
         if usual is not None:
@@ -86,7 +72,6 @@ class Senders:
                 speaker.heard_ns = now_ns
         if len(self._usual) < _MOST_USUAL:
             self._usual[sender, component, own] = tuple(self._speakers[role] for role in roles)
->>>>>>> main
         return True
 
     def speaks(self, sender: Sender, now_ns: int) -> None:

@@ -51,6 +51,8 @@ class ClockSync:
     def __init__(self) -> None:
         self._asked: deque[int] = deque(maxlen=self.OUTSTANDING)
         self._samples: deque[ClockRelation] = deque(maxlen=self.WINDOW)
+        self.best: ClockRelation | None = None
+        """The best estimate so far; None before the first answer."""
 
     def ask(self, now_ns: int) -> int:
         """The ts1 of a new question."""
@@ -64,14 +66,11 @@ class ClockSync:
         self._asked.remove(asked_ns)
         trip = now_ns - asked_ns
         self._samples.append(ClockRelation(aircraft_ns - (asked_ns + trip // 2), trip))
+        self.best = min(self._samples, key=lambda s: s.round_trip_ns)
         return self.best
-
-    @property
-    def best(self) -> ClockRelation | None:
-        """The best estimate so far; None before the first answer."""
-        return min(self._samples, key=lambda s: s.round_trip_ns, default=None)
 
     def reset(self) -> None:
         """Forget everything: the aircraft's clock has started anew."""
         self._samples.clear()
+        self.best = None
         self._asked.clear()

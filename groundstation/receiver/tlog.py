@@ -5,21 +5,20 @@ kept too, wrapped into TUNNEL messages of system 0 that stock tools skip; `read_
 sees exactly the byte stream that came in.
 """
 
-import os
 import re
 import struct
 from collections.abc import Iterator
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 from daq.contract.channels import CHANNELS
-from daq.contract.durable import make_directories
 from daq.contract.errors import UserError
 from daq.contract.input_files import read_bytes
 from daq.contract.link.wire import layouts
 from daq.transport.mavlink_codec import Frame, FrameDecoder, FrameEncoder, Junk, frame_at
 from groundstation.receiver.decode import AircraftDecoder
 from groundstation.receiver.events import ScanReceived
+from groundstation.receiver.kept.lasting_log import LastingLog
 
 JUNK_PAYLOAD_TYPE = 44100
 """TUNNEL payload type of wrapped bytes, from the range of types in private use."""
@@ -39,13 +38,12 @@ class TlogWriter:
 
     def __init__(self, path: Path) -> None:
         try:
-            make_directories(path.parent)
-            self._file: IO[bytes] = path.open("ab")
+            self._file = LastingLog(path)
         except OSError as error:
             raise TlogError(f"{path}: telemetry log cannot be written ({error.strerror})") from error
         self.path = path
         self._wrapper = FrameEncoder(0, 0)
-        self._waiting = 0
+        self._sound = True
 
     def write(self, found: Frame | Junk, utc_ns: int) -> None:
         """Keep a frame, or bytes that are none."""
@@ -61,27 +59,34 @@ class TlogWriter:
             self._put(stamp + wrapped)
 
     def _put(self, record: bytes) -> None:
-        self._file.write(record)
-        self._waiting += len(record)
-        if self._waiting >= _FLUSH_BYTES:
+        self._file.append(record)
+        if self._file.waiting >= _FLUSH_BYTES and self._sound:
             self.flush()
 
     def flush(self) -> None:
         """Hand everything to the operating system."""
+        self._sound = False  # on a disk that fails it is tried once a second, not at each frame
         self._file.flush()
-        self._waiting = 0
+        self._sound = True
+
+    def look_after(self) -> None:
+        """Called now and then: as `LastingLog.look_after`, and everything handed to the operating system."""
+        self._sound = False
+        self._file.look_after()
+        self.flush()
+
+    @property
+    def refused(self) -> int:
+        """Bytes for which there was no room, neither on the disk nor in memory."""
+        return self._file.refused
 
     def descriptor(self) -> int:
         """The open file, for whoever syncs it."""
-        return self._file.fileno()
+        return self._file.descriptor()
 
     def close(self) -> None:
         """Close the file, its content on the disk."""
-        try:
-            self.flush()
-            os.fsync(self._file.fileno())
-        finally:
-            self._file.close()
+        self._file.close()
 
 
 def read_tlog(path: str | Path) -> Iterator[tuple[int, bytes]]:

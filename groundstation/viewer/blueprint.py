@@ -4,6 +4,7 @@ Thirty-second sliding windows that follow live data; for a recorded flight the w
 recording that is shown or written; `sideslip view FILE --save-blueprint PATH.rbl` saves it alone, for rerun's own use.
 """
 
+import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
@@ -11,6 +12,7 @@ from typing import Any, Literal
 import rerun as rr
 import rerun.blueprint as rrb
 
+from daq.contract.durable import write_bytes
 from daq.identification.airframe import EQUATIONS
 from groundstation.viewer import entities as e
 from groundstation.viewer.panes import fitted
@@ -134,5 +136,7 @@ def _identification(live: bool) -> rrb.Horizontal:
 
 def save_blueprint(path: Path, layout: Layout = "full") -> None:
     """Write the layout for live data as .rbl; OSError when the file cannot be written."""
-    path.open("wb").close()  # rerun itself does not say so
-    fitted(blueprint(layout), live=True).save(e.APPLICATION, str(path))
+    with tempfile.TemporaryDirectory() as folder:
+        made = Path(folder) / "layout.rbl"
+        fitted(blueprint(layout), live=True).save(e.APPLICATION, str(made))
+        write_bytes(path, made.read_bytes())

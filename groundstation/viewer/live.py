@@ -23,10 +23,10 @@ from groundstation.identification.session import LiveState
 from groundstation.receiver.events import LinkStatistics
 from groundstation.viewer import entities as e
 from groundstation.viewer.blueprint import Layout, blueprint
+from groundstation.viewer.gate import LOOPBACK, Gate, hidden_address
 from groundstation.viewer.panes import fitted
 from groundstation.viewer.scene import LinkSample, Scene
 
-LOOPBACK = "127.0.0.1"
 DEFAULT_PORT = 9876
 QUEUE_LENGTH = 600
 TICK_S: Mapping[str, float] = {"full": 0.1, "light": 1.0}
@@ -41,6 +41,7 @@ class ViewerError(UserError):
 class ViewOptions:
     """How to show: layout, gRPC port on loopback, memory the server may keep, and a file to write instead or too.
 
+    open_port: whether further viewers of this computer may attach to `port`; else only who is told the address.
     tick_s: how long pictures are collected before they are sent together; None as suits the layout. When flight time
     runs faster than the clock on the wall it should be as much shorter, or every packet holds minutes.
     """
@@ -50,6 +51,7 @@ class ViewOptions:
     memory_limit: str = "64MiB"
     rrd: Path | None = None
     serve: bool = True
+    open_port: bool = True
     tick_s: float | None = None
 
 
@@ -88,10 +90,15 @@ class LiveView:
         self._stream = rr.RecordingStream(e.APPLICATION, recording_id=run, batcher_config=config)
         sinks: list[rr.GrpcServerSink | rr.FileSink] = []
         self.url = ""
+        self._gate: Gate | None = None
         if options.serve:
-            server = rr.GrpcServerSink(bind_ip=LOOPBACK, port=options.port, server_memory_limit=options.memory_limit)
+            hidden, port = hidden_address(), free_port()
+            server = rr.GrpcServerSink(bind_ip=hidden, port=port, server_memory_limit=options.memory_limit)
             self.url = server.uri
             sinks.append(server)
+            if options.open_port:
+                self._gate = Gate(options.port, (hidden, port))
+                self.url = f"rerun+http://{LOOPBACK}:{options.port}/proxy"
         if options.rrd is not None:
             sinks.append(rr.FileSink(str(options.rrd), write_footer=False))
         if not sinks:
@@ -157,6 +164,8 @@ class LiveView:
             self._drop_oldest()
             self._queue.put_nowait(None)
         self._thread.join(FLUSH_TIMEOUT_S)
+        if self._gate is not None:
+            self._gate.close()
         self._stream.disconnect()
 
     def _put(self, job: Callable[[Scene], None]) -> None:

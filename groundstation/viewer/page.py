@@ -5,15 +5,25 @@ can be switched off in it. Here its links to other hosts are taken out, its requ
 sees them, and a Content-Security-Policy makes the browser refuse whatever were left. That takes the map's tiles away too.
 """
 
+import contextlib
 import re
+import socket
 import threading
 import urllib.error
+import urllib.parse
 import urllib.request
 from collections.abc import Sequence
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from http.server import BaseHTTPRequestHandler
 from typing import ClassVar
 
-LOOPBACK = "127.0.0.1"
+from groundstation.viewer.gate import COOKIE, HERE, LOOPBACK, BoundedServer, pump, refusal
+
+TOKEN = "token"
+"""Of the page's address."""
+DATA = "/rerun."
+"""Paths of the services that the page asks for data."""
+LARGEST_REQUEST = 1 << 16  # bytes: the page asks, it does not send
+_OWN_HEADERS = frozenset({"host", "connection", "cookie", "upgrade", "origin", "keep-alive"})
 FILES = ("/re_viewer.js", "/re_viewer_bg.wasm", "/favicon.ico", "/apple-touch-icon.png")
 """What the page is made of, besides itself; rerun's program has no other files that it needs."""
 
@@ -29,7 +39,10 @@ _KEEP_TO_THIS_COMPUTER = """<script>
         const ask = window.fetch.bind(window);
         const here = (address) => {
           const url = new URL(address, location.href);
-          return ["blob:", "data:"].includes(url.protocol) || ["127.0.0.1", "localhost", "[::1]"].includes(url.hostname);
+          return (
+            ["blob:", "data:"].includes(url.protocol) ||
+            ["127.0.0.1", "localhost", "[::1]", location.hostname].includes(url.hostname)
+          );
         };
         window.fetch = (what, how) =>
           here(what instanceof Request ? what.url : what)
@@ -63,14 +76,20 @@ def policy(data: Sequence[str]) -> str:
 
 
 class PageServer:
-    """Serves the page on a loopback port, from the files of a rerun program that serves them at `files` (http://...).
+    """Serves the page, from the files of a rerun program that serves them at `files` (http://...), and its data from `behind`.
 
-    data: origins the page may take its data from. Raises OSError when the port is taken.
+    data: other origins the page may take its data from. host: where to listen. key: token that every request has to show; beyond
+    loopback there must be one. Raises OSError when the port is taken.
     """
 
-    def __init__(self, port: int, files: str, data: Sequence[str]) -> None:
+    def __init__(
+        self, port: int, files: str, data: Sequence[str], behind: tuple[str, int], host: str = LOOPBACK, key: str = ""
+    ) -> None:
         class Handler(_Handler):
             source = files
+            backend = behind
+            token = key
+            names = HERE if host == LOOPBACK else HERE | {host.lower()}
             headers_of_page: ClassVar = {
                 "Content-Security-Policy": policy(data),
                 "Referrer-Policy": "no-referrer",
@@ -78,8 +97,7 @@ class PageServer:
                 "X-DNS-Prefetch-Control": "off",
             }
 
-        self._server = ThreadingHTTPServer((LOOPBACK, port), Handler)
-        self._server.daemon_threads = True
+        self._server = BoundedServer((host, port), Handler)
         self._thread = threading.Thread(target=self._server.serve_forever, args=(0.1,), name="viewer-page", daemon=True)
         self._thread.start()
 
@@ -94,12 +112,21 @@ class _Handler(BaseHTTPRequestHandler):
     """Answers for the page and its files, and for nothing else."""
 
     source = ""
+    backend = ("", 0)
+    token = ""
+    names: ClassVar[frozenset[str]] = HERE
     headers_of_page: ClassVar[dict[str, str]] = {}
     timeout = _ASK_S
     server_version = "sideslip"
 
     def do_GET(self) -> None:
-        path = self.path.partition("?")[0]
+        path, _, query = self.path.partition("?")
+        shown = tuple(urllib.parse.parse_qs(query).get(TOKEN, ()))
+        if not self._welcome(shown):
+            return
+        if self.token and shown and path == "/":
+            self._remember(query)
+            return
         if path != "/" and path not in FILES:
             self.send_error(404)
             return
@@ -118,6 +145,49 @@ class _Handler(BaseHTTPRequestHandler):
             self.send_error(503, "the viewer's program is being started anew; load the page again")
         except (ConnectionError, TimeoutError):
             self.close_connection = True  # the browser has gone
+
+    def do_POST(self) -> None:
+        self._pass_on()
+
+    def do_OPTIONS(self) -> None:
+        self._pass_on()
+
+    def _pass_on(self) -> None:
+        """A request for the flight's data, to the server that has it; of a connection the last."""
+        self.close_connection = True
+        if not self._welcome() or not self.path.startswith(DATA):
+            return
+        length = self.headers.get("Content-Length", "0")
+        if not length.isdigit() or int(length) > LARGEST_REQUEST or "Transfer-Encoding" in self.headers:
+            self.send_error(413)
+            return
+        body = self.rfile.read(int(length))
+        kept = [f"{n}: {v}" for n, v in self.headers.items() if n.lower() not in _OWN_HEADERS]
+        host = f"Host: {self.backend[0]}:{self.backend[1]}"
+        head = "\r\n".join([f"{self.command} {self.path} HTTP/1.1", host, *kept, "Connection: close"]) + "\r\n\r\n"
+        with contextlib.suppress(OSError), socket.create_connection(self.backend, _ASK_S) as server:
+            server.sendall(head.encode("latin-1") + body)
+            pump(self.connection, server)
+
+    def _welcome(self, shown: tuple[str, ...] = ()) -> bool:
+        """Whether to answer; says why not."""
+        headers = {name.lower(): value for name, value in self.headers.items()}
+        if len(self.headers.get_all("Host", [])) > 1:
+            headers["host"] = ","
+        why = refusal(headers, self.names, self.token, tokens=shown)
+        if why is not None:
+            self.close_connection = True
+            self.send_error(why.value)
+        return why is None
+
+    def _remember(self, query: str) -> None:
+        """The token out of the address into a cookie, which goes with every request of this page and no other site's."""
+        rest = [(n, v) for n, v in urllib.parse.parse_qsl(query) if n != TOKEN]
+        self.send_response(303)
+        self.send_header("Location", "/?" + urllib.parse.urlencode(rest))
+        self.send_header("Set-Cookie", f"{COOKIE}={self.token}; HttpOnly; SameSite=Strict; Path=/")
+        self.send_header("Content-Length", "0")
+        self.end_headers()
 
     def _send(self, head: dict[str, str]) -> None:
         self.send_response(200)

@@ -6,7 +6,10 @@ from typing import TYPE_CHECKING, Any
 
 from daq.contract.recordings.messages import LogLevel
 from groundstation.flight import Flight, read_flight
+from groundstation.flight.marks import marks_of
+from groundstation.viewer.beside import beside
 from groundstation.viewer.blueprint import Layout
+from groundstation.viewer.glyphs import drawable
 from groundstation.viewer.live import ViewerError
 from groundstation.viewer.replay import write_rrd
 from groundstation.viewer.scene import LinkSample
@@ -46,11 +49,41 @@ def as_rrd(file: Path, target: Path, layout: Layout = "full", calibration: Path 
     return target
 
 
+def both_as_rrd(
+    first: Path, second: Path, target: Path, layout: Layout, by: str, calibration: Path | None = None
+) -> tuple[Path, str]:
+    """Two files as one view, the second laid on the first in time; the path, and how the second was moved."""
+    a, b = (_flight(f, calibration) for f in (first, second))
+    found = beside(a, b, by)
+    marks = [(t + found.shift, f"{b.name}: {text}", level) for t, text, level in _events(b)]
+    write_rrd(
+        found.flight,
+        target,
+        layout=layout,
+        events=sorted([*_events(a), *marks]),
+        status=found.text,
+        whose=drawable(b.name),
+    )
+    return target, found.text
+
+
+def _flight(file: Path, calibration: Path | None) -> Flight:
+    """A flight, or a raw recording calibrated."""
+    if file.is_dir() or (file.suffix == ".mcap" and is_raw(file)):
+        from groundstation.calibration.recording import calibrate_recording
+
+        return calibrate_recording(file, calibration, salvage=True)
+    return read_flight(file)
+
+
 def is_raw(file: Path) -> bool:
     """Whether a .mcap file holds scans as counts, told by its first bytes; a flight does not."""
     from daq.contract.scan import SCAN_TOPIC
 
-    return file.is_file() and SCAN_TOPIC.encode() in file.read_bytes()[:65536]
+    if not file.is_file():
+        return False
+    with file.open("rb") as opened:
+        return SCAN_TOPIC.encode() in opened.read(65536)
 
 
 def _raw(file: Path, target: Path, layout: Layout, calibration: Path | None) -> Path:
@@ -122,6 +155,9 @@ def _events(flight: Flight) -> list[tuple[float, str, str]]:
         found.append((float(e["time"]), f"event ({e['origin']}): {e['text']}", "INFO"))
     for m in _listed(flight, "manoeuvres", ("start", "title")):
         found.append((float(m["start"]), f"manoeuvre: {m['title']}", "INFO"))
+    marks = marks_of(flight)
+    found += [(m.start, f"mode: {m.name}", "INFO") for m in marks.modes if abs(m.start) <= _LATEST_S]
+    found += [(m.time, f"message ({m.origin}): {m.text}", "INFO") for m in marks.messages if abs(m.time) <= _LATEST_S]
     return sorted(found)
 
 

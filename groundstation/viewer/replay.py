@@ -10,6 +10,7 @@ import rerun as rr
 
 from daq.identification.airframe import EQUATIONS
 from groundstation.flight import Flight
+from groundstation.flight.rerun_file import rerun_file
 from groundstation.identification.history import history_of
 from groundstation.live.readouts import READOUTS
 from groundstation.viewer import entities as e
@@ -33,26 +34,38 @@ def write_rrd(
     events: Events = (),
     link: Iterable[tuple[float, LinkSample]] = (),
     status: str = "",
+    whose: str = "model",
 ) -> None:
-    """Write a flight as .rrd with its blueprint inside.
+    """Write a flight as .rrd with its blueprint inside. whose: what the columns `<name>_model` are of.
 
     states: sensor group -> (time [s], state in words). events: (time [s], text, level). link: (time [s], quality).
     status: the status page as Markdown.
     Raises ViewerError when the file cannot be written.
     """
-    try:
-        path.open("wb").close()  # rerun itself would go on without a file
-    except OSError as error:
-        raise ViewerError(f"{path}: cannot be written ({error.strerror})") from error
     run = f"{drawable(flight.name)}-{uuid.uuid4().hex[:8]}"
     stream = rr.RecordingStream(e.APPLICATION, recording_id=run)
     said, heard = list(events), list(link)
     lanes = {group: list(history) for group, history in (states or {}).items()}
     filled = filled_entities(flight, lanes, said, heard, status)
     page = blueprint(layout, live=False, identified=any(f.startswith(e.IDENTIFICATION) for f in filled))
-    stream.save(str(path), default_blueprint=fitted(page, live=False, filled=filled))
-    scene = Scene(stream, tuple(flight.columns))
-    scene.flight(flight)
+    try:
+        with rerun_file(stream, path, fitted(page, live=False, filled=filled)):
+            scene = Scene(stream, tuple(flight.columns), whose)
+            scene.flight(flight)
+            _show(scene, flight, lanes, said, heard, status)
+    except OSError as error:
+        raise ViewerError(f"{path}: cannot be written ({error.strerror or error})") from error
+
+
+def _show(
+    scene: Scene,
+    flight: Flight,
+    lanes: Mapping[str, Sequence[tuple[float, str]]],
+    said: Sequence[tuple[float, str, str]],
+    heard: Sequence[tuple[float, LinkSample]],
+    status: str,
+) -> None:
+    """What goes with the flight's columns."""
     for group, history in lanes.items():
         for time, state in history:
             scene.states(time, {group: state})
@@ -62,8 +75,6 @@ def write_rrd(
         scene.link(time, sample)
     if status:
         scene.status(float(flight.time[0]), status)
-    stream.flush()
-    stream.disconnect()
 
 
 def filled_entities(

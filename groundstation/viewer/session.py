@@ -1,10 +1,12 @@
 """The views of a session: one picture an aircraft, with its page or window; none of them can end or delay the session."""
 
+import secrets
 import time
 from collections.abc import Callable
 
 from groundstation.live.config import ViewConfig
-from groundstation.viewer.live import LOOPBACK, LiveView, ViewerError, ViewOptions, port_is_free
+from groundstation.viewer.gate import LOOPBACK
+from groundstation.viewer.live import LiveView, ViewerError, ViewOptions, port_is_free
 from groundstation.viewer.window import NativeWindow, WebPage, Window
 
 _RESTART_S = 5.0
@@ -19,6 +21,7 @@ class SessionViews:
 
     def __init__(self, config: ViewConfig, window: Window, say: Callable[[str], None]) -> None:
         self._config, self._window, self._say = config, window, say
+        self._token = secrets.token_urlsafe(16) if config.token or config.host != LOOPBACK else ""
         self._views: list[LiveView] = []
         self._shown: list[WebPage | NativeWindow] = []
         self._pages: dict[int, str] = {}  # index of a page: the aircraft's name
@@ -32,10 +35,14 @@ class SessionViews:
         name = f"aircraft {system}"
         try:
             port = _free_from(self._config.port + len(self._views))
-            view = LiveView(f"aircraft{system}", ViewOptions(self._config.layout, port, self._config.memory_limit))
+            options = ViewOptions(
+                self._config.layout, port, self._config.memory_limit, open_port=not self._token or self._window != "web"
+            )
+            view = LiveView(f"aircraft{system}", options)
             self._views.append(view)
             if self._window == "web":
-                page = WebPage(view.url, _free_from(self._config.web_port + len(self._pages)), wait=False)
+                web_port = _free_from(self._config.web_port + len(self._pages))
+                page = WebPage(view.url, web_port, wait=False, host=self._config.host, token=self._token)
                 self._pages[len(self._shown)] = name
                 self._shown.append(page)
                 self._say(f"{name}: {page.url}")

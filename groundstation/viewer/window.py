@@ -9,6 +9,7 @@ import contextlib
 import ctypes
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -17,8 +18,9 @@ import urllib.parse
 from pathlib import Path
 from typing import Literal
 
-from groundstation.viewer.live import LOOPBACK, ViewerError, free_port, port_is_free
-from groundstation.viewer.page import DIRECT, PageServer
+from groundstation.viewer.gate import LOOPBACK, hidden_address
+from groundstation.viewer.live import ViewerError, free_port, port_is_free
+from groundstation.viewer.page import DIRECT, TOKEN, PageServer
 
 Window = Literal["web", "native", "none"]
 DEFAULT_WEB_PORT = 9090
@@ -59,30 +61,48 @@ def _start(command: list[str]) -> "subprocess.Popen[bytes]":
     return subprocess.Popen(command, stdout=quiet, stderr=quiet, env=os.environ | _PROXIES, preexec_fn=end_with_parent)  # noqa: PLW1509
 
 
+def this_computer() -> str:
+    """The name by which others in the network may reach this computer."""
+    return socket.gethostname()
+
+
 class WebPage:
     """The rerun web viewer on loopback, as a child process, showing a live server or a recording.
 
     source: the gRPC address of a live view, or an .rrd file that this page serves itself. wait: until it answers.
     """
 
-    def __init__(self, source: str | Path, port: int = DEFAULT_WEB_PORT, *, wait: bool = True) -> None:
+    def __init__(
+        self,
+        source: str | Path,
+        port: int = DEFAULT_WEB_PORT,
+        *,
+        wait: bool = True,
+        host: str = LOOPBACK,
+        token: str = "",
+    ) -> None:
+        if host != LOOPBACK and not token:
+            raise ViewerError(f"the page on {host} can be reached from elsewhere: it needs a token")
         if not port_is_free(port):
             raise ViewerError(f"web port {LOOPBACK}:{port} is in use; give another with --web-port")
-        own_port = free_port()
-        self._command = [rerun_binary(), "--serve-web", "--bind", LOOPBACK, "--port", str(own_port)]
+        own_port, hidden = free_port(), hidden_address()
+        self._command = [rerun_binary(), "--serve-web", "--bind", hidden, "--port", str(own_port)]
         files_port = free_port()
         self._command += ["--web-viewer-port", str(files_port), "--server-memory-limit", "512MB"]
         live = not isinstance(source, Path)
         if not live:
             self._command.append(str(source))
-        data = str(source) if live else f"rerun+http://{LOOPBACK}:{own_port}/proxy"
-        query = urllib.parse.urlencode({"url": data, "renderer": "webgl", "hide_welcome_screen": "1"})
-        self.address = f"http://{LOOPBACK}:{port}/"
+        behind = urllib.parse.urlsplit(str(source)).netloc if live else f"{hidden}:{own_port}"
+        shown = this_computer() if host not in (LOOPBACK, "localhost") and host.startswith("0.") else host
+        asked = {"url": f"rerun+http://{shown}:{port}/proxy", "renderer": "webgl", "hide_welcome_screen": "1"}
+        query = urllib.parse.urlencode({TOKEN: token, **asked} if token else asked)
+        self.address = f"http://{shown}:{port}/"
         self.url = f"{self.address}?{query}"
-        origin = f"http://{urllib.parse.urlsplit(data).netloc}"
+        name, _, number = behind.rpartition(":")
         self._process = _start(self._command)
         try:
-            self._server = PageServer(port, f"http://{LOOPBACK}:{files_port}", (origin,))
+            files = f"http://{hidden}:{files_port}"
+            self._server = PageServer(port, files, (f"http://{shown}:{port}",), (name, int(number)), host, token)
         except OSError as error:
             self._end_process()
             raise ViewerError(f"web port {LOOPBACK}:{port} cannot be used ({error.strerror})") from error

@@ -117,7 +117,7 @@ def test_checks_and_matches_draw_measured_beside_computed(result: Estimates, tmp
     reconstructed = found.results["cdfp_ld4"].flights[0].reconstructed
     np.testing.assert_allclose(axes[1].lines[1].get_ydata(), np.degrees(reconstructed[:, 1]))
     proof = ss.match(result.model, LD4)
-    assert "match" in proof.summary().splitlines()[1]
+    assert "match" in proof.summary().splitlines()[2]
     assert len(proof.plot()) == len(result.model.outputs)
     with pytest.raises(UserError, match="1 axes for 5 panels"):
         proof.plot(ax=axes[0])

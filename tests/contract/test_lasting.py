@@ -2,19 +2,17 @@
 
 import os
 import pty
-import socket
+import re
 import threading
 import time
 import tty
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 
-from daq.telemetry.link import open_port as aboard
 from daq.transport import reconnecting_port
-from daq.transport.ports import BytePort, PortError, SerialPort, TcpServerPort, UdpPort
+from daq.transport.ports import BytePort, PortError, SerialPort, TcpServerPort
 from daq.transport.reconnecting_port import FIRST_RETRY_NS, LONGEST_RETRY_NS, ReconnectingPort, open_lasting
 from groundstation.receiver.ports.link import open_port
 
@@ -155,7 +153,7 @@ def test_pauses_grow_and_opening_happens_beside_the_caller() -> None:
 
     port = ReconnectingPort(refuse, None, why="unplugged", now_ns=clock)
     while len(asked) < 8:
-        with pytest.raises(OSError, match=r"away \((unplugged|not yet)\)"):
+        with pytest.raises(OSError, match=r"away \(unplugged\)"):
             port.read()
     pauses = [b - a for a, b in zip(asked, asked[1:], strict=False)]
     assert pauses[0] >= FIRST_RETRY_NS
@@ -175,6 +173,51 @@ def test_a_wrong_port_is_one_sentence(text: str, said: str) -> None:
     with pytest.raises(PortError, match=said) as refusal:
         open_port(text)
     assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("serial:{folder}/ttyRadio:57600", "No such file"),
+        ("udp:no-such-host.invalid:14550", "not known|Temporary failure|No address|no answer yet"),
+    ],
+)
+def test_an_aircraft_waits_for_what_is_not_there_yet(
+    text: str, why: str, tmp_path: Path, closing: list[BytePort]
+) -> None:
+    def absent(device: str, baud: int) -> SerialPort:
+        return SerialPort(Path(device).open("rb"))
+
+    port = open_lasting(text.format(folder=tmp_path), absent, wait=True)
+    closing.append(port)
+    with pytest.raises(OSError, match="away") as refusal:
+        port.write(b"\xfd")
+    assert re.search(why, str(refusal.value))
+
+
+def test_a_radio_that_is_plugged_in_late_joins(tmp_path: Path, closing: list[BytePort]) -> None:
+    name = tmp_path / "ttyLate"
+
+    def serial(device: str, baud: int) -> SerialPort:
+        return SerialPort(os.fdopen(os.open(device, os.O_RDWR | os.O_NOCTTY), "r+b", buffering=0))
+
+    port = open_lasting(f"serial:{name}:57600", serial, wait=True)
+    closing.append(port)
+    assert "away (" in away(port)
+    master, slave = pty.openpty()
+    tty.setraw(slave)
+    name.symlink_to(os.ttyname(slave))
+    soon(lambda: port.write(b"beat") == 4)
+    assert os.read(master, 10) == b"beat"
+    os.close(master)
+    os.close(slave)
+
+
+def test_waiting_does_not_hide_a_listener_that_another_program_has(closing: list[BytePort]) -> None:
+    server = TcpServerPort("127.0.0.1", 0)
+    closing.append(server)
+    with pytest.raises(PortError, match="is another program using it"):
+        open_lasting(f"tcpin:{server.address[1]}", lambda *_: pytest.fail("no serial port"), wait=True)
 
 
 def test_busy_listener_is_one_sentence(closing: list[BytePort]) -> None:
@@ -205,53 +248,3 @@ def test_closing_does_not_wait_for_a_host_that_does_not_answer(monkeypatch: pyte
     closer.join()
     assert not waits
     assert closed.wait(20.0), "what is opened too late is closed at once"
-
-
-@pytest.mark.parametrize(
-    ("text", "why"),
-    [
-        ("serial:/dev/nowhere:57600", "No such file"),
-        ("udp:no-such-host.invalid:14550", "has not answered yet"),
-        ("tcp:no-such-host.invalid:5760", "has not answered yet"),
-    ],
-)
-def test_a_patient_port_that_is_not_there_says_so_at_every_use(text: str, why: str) -> None:
-    port = aboard(text, patient=True)
-    assert isinstance(port, ReconnectingPort)
-    assert why in port.absence
-    with pytest.raises(OSError, match="opened again as soon as it is back"):
-        port.write(b"x")
-    port.close()
-
-
-def test_a_patient_listener_waits_for_its_number(closing: list[BytePort]) -> None:
-    other = UdpPort(local=("127.0.0.1", 0))
-    number = other.address[1]
-    port = quick(aboard(f"udpin:{number}", patient=True))
-    closing.append(port)
-    assert "is another program using it" in port.absence
-    other.close()
-    soon(lambda: port.write(b"x") and port.is_open)
-
-
-def test_a_description_that_cannot_be_understood_ends_even_the_patient() -> None:
-    with pytest.raises(PortError, match="cannot be understood"):
-        aboard("radio:5", patient=True)
-
-
-def test_a_name_that_resolves_later_joins(monkeypatch: pytest.MonkeyPatch, closing: list[BytePort]) -> None:
-    heard = UdpPort(local=("127.0.0.1", 0))
-    asked, resolves = socket.getaddrinfo, threading.Event()
-
-    def lookup(host: str, *rest: Any, **more: Any) -> Any:
-        if host == "station.example" and not resolves.is_set():
-            raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
-        return asked("127.0.0.1" if host == "station.example" else host, *rest, **more)
-
-    monkeypatch.setattr(socket, "getaddrinfo", lookup)
-    port = quick(aboard(f"udp:station.example:{heard.address[1]}", patient=True))
-    closing += [port, heard]
-    soon(lambda: "Name or service not known" in away(port))
-    resolves.set()
-    soon(lambda: port.write(b"late"))
-    soon(lambda: b"late" in heard.read())

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from daq.contract.channels import CHANNELS, GROUP_NAMES, Channel, Rate
-from daq.contract.link.dialect import generate, sideslip_dialect
+from daq.contract.link.dialect import build, generate, sideslip_dialect
 from daq.contract.link.wire import (
     MAX_FAST_PAYLOAD,
     SCAN_FAST_ID,
@@ -29,11 +29,25 @@ from tests.link_rig import random_scan
 SENT = tuple(c for c in CHANNELS if c.downlink != "none")
 
 
-def test_definition_and_module_are_what_the_generator_makes() -> None:
-    xml = generate.definition()
-    assert generate.DEFINITION.read_text() == xml
-    assert generate.MODULE.read_text() == generate.module_text(xml)
+def test_definitions_are_what_the_generator_makes() -> None:
+    assert build.DEFINITION.read_text() == generate.definition()
     assert generate.WITH_STANDARD.read_text() == generate.definition_with_standard()
+
+
+def test_a_module_of_another_definition_is_made_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A pull that changes the XML must not leave an editable install with yesterday's messages."""
+    monkeypatch.setattr(build, "HERE", tmp_path)
+    monkeypatch.setattr(build, "DEFINITION", Path(shutil.copy(build.DEFINITION, tmp_path)))
+    build.ensure_module()
+    module = tmp_path / build.MODULE
+    first = module.read_text()
+    build.ensure_module()
+    changed = build.DEFINITION.read_text().replace("LOGGER_STATUS", "LOGGER_STATE")
+    build.DEFINITION.write_text(changed)
+    build.ensure_module()
+    assert "MAVLINK_MSG_ID_LOGGER_STATUS" in first
+    assert "MAVLINK_MSG_ID_LOGGER_STATE" in module.read_text()
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["sideslip.xml", build.MODULE]
 
 
 @pytest.mark.parametrize(("language", "made"), [("Python3", "sideslip.py"), ("WLua", "sideslip.lua")])

@@ -18,7 +18,8 @@ from daq.contract.scan import GroupStatus, Scan, SensorState
 from daq.recorder.config import RecorderConfig
 from daq.recorder.storage import RealStorage, in_memory
 from daq.sensors.config import ImuConfig, SensorsConfig
-from daq.service.preflight import Preflight, RadioReport, Verdict, run_preflight
+from daq.service.checks import Verdict
+from daq.service.preflight import Preflight, RadioReport, run_preflight
 from daq.service.radio_probe import listen
 from daq.service.run import PreflightRefusal, _opening, without_sequencer
 from daq.transport.mavlink_codec import FrameDecoder, frames_of

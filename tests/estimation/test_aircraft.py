@@ -22,12 +22,12 @@ from estimation.aircraft.handbook import Shape, beliefs, flap_effectiveness, lif
 from estimation.aircraft.of_flight import aircraft_of
 from estimation.aircraft.schema import aircraft_from_text
 from estimation.commands.aircraft import aircraft as verb
-from estimation.commands.aircraft_review import review
 from estimation.commands.estimate import estimate
 from estimation.commands.gap import gap
 from estimation.commands.match import match
 from estimation.errors import AircraftError, ModelError
 from estimation.models import load_model, write_model
+from estimation.session.aircraft_review import review
 from groundstation.cli.data import import_
 from groundstation.flight import AIRCRAFT_FILE, Flight, Provenance, read_flight
 from tests.estimation.cessna import CESSNA_172, PUBLISHED, SHAPE

@@ -11,11 +11,11 @@ from click.testing import CliRunner
 
 from estimation.aircraft import load_aircraft
 from estimation.commands.estimate import estimate
-from estimation.commands.truth import read_truth
 from estimation.errors import EstimationError
 from estimation.models import load_model
 from estimation.report.estimate_tables import mean_table
 from estimation.session import runner
+from estimation.session.truth import read_truth
 from groundstation.flight import Flight, write_flight
 from tests.estimation.truth import TRUE
 

@@ -10,7 +10,8 @@ import pytest
 from click.testing import CliRunner
 
 from estimation.aircraft import load_aircraft
-from estimation.commands.estimate import estimate, session_lines
+from estimation.answers.estimate_lines import session_lines
+from estimation.commands.estimate import estimate
 from estimation.commands.match import match
 from estimation.errors import EstimationError
 from estimation.models import load_model, write_model

@@ -1,13 +1,18 @@
 """`sideslip ground` when something is in the way: one sentence, exit status 2, and nothing that was there is touched."""
 
+from collections.abc import Sequence
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 import sideslip
+from daq.contract.errors import UserError
 from estimation.aircraft import load_aircraft
 from estimation.models import load_model
 from estimation.models.load import write_model
+from groundstation.cli.live import _estimate
+from groundstation.cli.services import Services
 
 
 def ended(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[object, str]:
@@ -70,3 +75,29 @@ def test_a_model_to_be_held_against_flight_is_looked_for_at_the_start(
     assert code == 2
     assert "lateral" in said
     assert "\n" not in said
+
+
+def test_an_estimate_is_made_by_what_the_command_is_given(tmp_path: Path) -> None:
+    """In this process, of the manoeuvres where there are some; what is wrong with it costs the session nothing."""
+    asked: list[object] = []
+
+    def estimate(flights: Sequence[Path], model: str, methods: str, report: Path) -> list[str]:
+        asked.append((list(flights), model, methods, report))
+        if model == "none":
+            raise UserError("no such model")
+        return ["recommended: ml"]
+
+    services = Services(
+        lambda *_: pytest.fail("no aircraft is asked for"), lambda _: pytest.fail("no recipe"), estimate
+    )
+    handed = [
+        SimpleNamespace(manoeuvres_path=tmp_path / "m.mcap", path=tmp_path / "f.mcap"),
+        SimpleNamespace(manoeuvres_path=None, path=tmp_path / "g.mcap"),
+    ]
+    told: list[str] = []
+    for model in ("lateral", "none"):
+        settings = SimpleNamespace(handover=SimpleNamespace(model=model, methods="ml"))
+        _estimate(handed, settings, tmp_path, told.append, services, show=False)
+    flights = [tmp_path / "m.mcap", tmp_path / "g.mcap"]
+    assert asked == [(flights, model, "ml", tmp_path / "report") for model in ("lateral", "none")]
+    assert told == ["recommended: ml", "the estimate could not be made: no such model"]

@@ -17,7 +17,7 @@ import numpy as np
 
 from daq.contract.manoeuvre import Manoeuvre
 from estimation.aircraft import load_aircraft
-from estimation.commands.design import write_manoeuvre
+from estimation.answers.designs import write_manoeuvre
 from estimation.design.design import Design, Task, design
 from estimation.design.predict import fly, information
 from estimation.estimators.output_error import OutputErrorOptions, output_error, prepared

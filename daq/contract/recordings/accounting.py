@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from daq.contract.durable import make_directories, replacing
+from daq.contract.plain_words import visible
 from daq.contract.ranges import Range, count, ranges, shown, subtract
 from daq.contract.recordings.messages import Statistics
 from daq.contract.recordings.reading import Recording, Segment, by_session, join, read_segments
@@ -326,7 +327,9 @@ def _write_recovered(recording: Recording, out: Path) -> None:
 
 
 def _recovered_info(recording: Recording, verification: Verification) -> RecordingInfo:
-    origin = "; ".join(f"{p.name} sha256 {hashlib.sha256(p.read_bytes()).hexdigest()}" for p in recording.files)
+    origin = "; ".join(
+        f"{visible(p.name)} sha256 {hashlib.sha256(p.read_bytes()).hexdigest()}" for p in recording.files
+    )
     lost = json.dumps([list(r) for r in verification.unexplained])
     details = {**recording.info.details, "recovered_from": origin, _LOST_TO_DAMAGE: lost}
     return replace(recording.info, details=details)

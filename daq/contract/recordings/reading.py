@@ -12,6 +12,9 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from daq.contract.input_files import read_bytes
+from daq.contract.plain_words import visible
+from daq.contract.recordings.apart import sessions_apart
 from daq.contract.recordings.mcap_records import Attachment, Metadata
 from daq.contract.recordings.messages import (
     EVENT_TOPIC,
@@ -165,10 +168,7 @@ def read_parts(path: Path) -> list[Segment]:
 
     Raises RecordingError when the file cannot be opened or is not an MCAP file at all.
     """
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise RecordingError(f"{path}: cannot be read ({error.strerror or error})") from error
+    data = read_bytes(path, "recording", RecordingError)
     if not data:
         raise RecordingError(f"{path}: the file is empty")
     parts = [_Part(path, 0)]
@@ -190,9 +190,25 @@ def read_parts(path: Path) -> list[Segment]:
             found[-1] = replace(segment, at_byte=found[-1].at_byte, damages=(*found[-1].damages, *segment.damages))
         else:
             found.append(segment)
+    found = [piece for segment in found for piece in _by_line(segment)]
     if all(s.empty for s in found) and not data.startswith(b"\x89MCAP"):
         raise RecordingError(f"{path}: not an MCAP file, and nothing of ours in it")
     return found
+
+
+def _by_line(segment: Segment) -> list[Segment]:
+    """A segment as it is, or taken apart where scans of another session stand among its own: those have lost their head."""
+    own, *others = sessions_apart(segment.entries) or [()]
+    if not others:
+        return [segment]
+    at = next((d.at_byte for d in segment.damages if d.at_byte > segment.at_byte), segment.at_byte)
+    strange = [
+        replace(segment, info=None, metadata=(), entries=e, at_byte=at + n, size=0, kept={}, foreign={}, closed=False, damages=(
+            Damage(at, 0, f"{sum(x.topic == SCAN_TOPIC for x in e)} scans of another session stand here"),
+        ))
+        for n, e in enumerate(others, start=1)
+    ]  # fmt: skip
+    return [replace(segment, entries=own), *strange]
 
 
 def _schemas(walk: Walk) -> dict[str, tuple[str, bytes]]:
@@ -353,7 +369,7 @@ def by_session(segments: Iterable[Segment]) -> dict[str, list[Segment]]:
             known.setdefault(session, []).append(segment)
     for segment in lost:
         homes = [k for k, group in known.items() if _continues(group, segment)]
-        alone = f"{segment.path.stem}@{segment.at_byte}" if segment.at_byte else segment.path.stem
+        alone = f"{visible(segment.path.stem)}@{segment.at_byte}" if segment.at_byte else visible(segment.path.stem)
         known.setdefault(homes[0] if len(homes) == 1 else alone, []).append(segment)
     return known
 
@@ -416,7 +432,9 @@ def join(path: Path, segments: list[Segment]) -> Recording:
     if not known and not entries:
         raise RecordingError(f"{path}: {_why_not_raw(segments)}")
     info = (
-        known[0] if known else RecordingInfo(session=path.stem, source="unknown", role="recovered", software="unknown")
+        known[0]
+        if known
+        else RecordingInfo(session=visible(path.stem), source="unknown", role="recovered", software="unknown")
     )
     details = {k: v for i in known for k, v in i.details.items()}
     attachments = {k: v for i in reversed(known) for k, v in i.attachments.items()}

@@ -9,13 +9,12 @@ import tempfile
 import time
 import tomllib
 from collections.abc import Iterator, Mapping
-from functools import cache, lru_cache
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 from daq.contract.errors import UserError
-from estimation.aircraft import Aircraft, unknown_aircraft
-from estimation.aircraft.of_flight import aircraft_of
+from estimation.aircraft import Aircraft
 from estimation.campaign.conditions import measured
 from estimation.campaign.errors import CampaignError
 from estimation.campaign.keys import versions
@@ -25,6 +24,8 @@ from estimation.estimators.registry import find
 from estimation.estimators.result import Estimate, Result, finite
 from estimation.models import Model, load_model
 from estimation.models.base import ParameterRole
+from estimation.resolve import which_aircraft
+from estimation.threads import one_thread
 from groundstation.flight import Flight, read_flight
 
 CHECK = "check"
@@ -38,9 +39,9 @@ class OtherSoftwareError(UserError):
 def do(work: Work) -> list[Row]:
     """All rows of a piece of work. OtherSoftwareError where this process is not fit for it; nothing else is raised."""
     _refuse_other_software(work.versions)
-    _one_thread()
     try:
-        return list(_KINDS[work.kind](work))
+        with one_thread():
+            return list(_KINDS[work.kind](work))
     except UserError as error:
         return failed(work, str(error))
     except Exception as error:  # noqa: BLE001  the edge of a worker: one flight is never the end of a campaign
@@ -58,19 +59,6 @@ def _refuse_other_software(wanted: Mapping[str, str]) -> None:
             raise OtherSoftwareError(
                 f"a worker has {name} {versions()[name]}, this machine {version}: install the same on both"
             )
-
-
-@cache
-def _one_thread() -> None:
-    """One thread of linear algebra a process: matrices of a fit are small, threads only wait for one another.
-
-    The environment says so before a worker of ours starts; a worker that others started is told here.
-    """
-    try:
-        from threadpoolctl import threadpool_limits
-    except ModuleNotFoundError:  # without the extra there is no engine either, and the command has set the environment
-        return
-    threadpool_limits(1)
 
 
 def _run_row(work: Work, piece: str, status: str, why: str, **more: Any) -> Row:
@@ -163,12 +151,13 @@ def _checked(work: Work, flight: Flight, about: Row) -> Iterator[Row]:
 def _estimated(work: Work, method: str, flight: Flight, craft: Aircraft, about: Row) -> Iterator[Row]:
     from estimation.session import runner
     from estimation.session.sanity_checks import DoubtKind
+    from estimation.session.structured import Wish
 
     begin = time.thread_time()
     try:
         model = model_of(work.subjects[0], craft)
         about = {**about, "model": model.name}
-        session = runner.estimate(model, [flight], craft, [method], extras=_extras(work, method))
+        session = runner.estimate(model, [flight], craft, [method], extras=_extras(work, method), structure=Wish.OFF)
     except UserError as error:
         yield _run_row(work, method, FAILED, str(error), **about)
         return
@@ -340,16 +329,9 @@ def bytes_of(source: Source) -> bytes:
 
 
 def _aircraft(subject: Subject, flight: Flight, work: Work) -> Aircraft:
-    from estimation.models.load import asks_for_aircraft
-
-    if subject.aircraft_text:
-        craft = aircraft_from_text(subject.aircraft_text, subject.aircraft)
-    elif subject.model_text and not any(find(m).needs_aircraft for m in work.pieces if m != CHECK):
-        craft = unknown_aircraft(flight.provenance.aircraft or "not stated")
-    elif asks_for_aircraft(subject.model) or flight.provenance.aircraft:
-        craft = aircraft_of([flight])
-    else:
-        craft = unknown_aircraft("not stated")
+    given = aircraft_from_text(subject.aircraft_text, subject.aircraft) if subject.aircraft_text else None
+    needed = not subject.model_text or any(find(m).needs_aircraft for m in work.pieces if m != CHECK)
+    craft = which_aircraft([flight], given, needed=needed)
     return craft if subject.mass is None else craft.with_values(mass=subject.mass)
 
 

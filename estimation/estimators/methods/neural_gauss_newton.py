@@ -52,7 +52,7 @@ def _form(name: str, title: str, improved: bool, rank: int, look: Look) -> Estim
 def _refuses(model: "Model") -> str:
     from estimation.estimators.neural_gauss_newton.formulated import refusal
 
-    return refusal(model.name)
+    return refusal(model.name, model.parameter_names)
 
 
 ESTIMATORS = (

@@ -26,6 +26,7 @@ from estimation.models.base import InputTransform, Model, Signal
 from estimation.models.expressions import parse
 
 ENTRY_POINTS = "sideslip.effects"
+LARGEST_NUMBER = 1e12  # of a bound or size, in any SI unit: no quantity of an aircraft comes near it
 BUILT_IN: tuple[Effect, ...] = (
     *DERIVATIVES,
     *NONLINEAR,
@@ -147,6 +148,23 @@ def _effect(table: Mapping[str, Any]) -> Effect:
     return effect
 
 
+def _parameter(table: Mapping[str, Any]) -> EffectParameter:
+    """An unknown of the file. Raises ValueError where its numbers are none, or do not enclose anything."""
+    made = EffectParameter(**table)
+    numbers = {"typical": made.typical, "lower": made.lower, "upper": made.upper}
+    numbers |= {} if isinstance(made.none, str) else {"none": made.none}
+    for key, value in numbers.items():
+        if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= LARGEST_NUMBER:
+            raise ValueError(
+                f"parameter {str(made.name)[:80]!r}: {key} = {str(value)[:40]!r} is not a number up to {LARGEST_NUMBER:g}"
+            )
+    if not made.lower < made.upper or not made.typical > 0.0:
+        raise ValueError(f"parameter {str(made.name)[:80]!r}: lower must be below upper, and typical above 0")
+    if not all(isinstance(text, str) for text in (made.name, made.unit, made.meaning)):
+        raise ValueError(f"parameter {str(made.name)[:80]!r}: name, unit and meaning are texts")
+    return made
+
+
 def _form(table: Mapping[str, Any], effect: str) -> Form:
     """A form of the file, called as its effect is where it has no label."""
     data = dict(table)
@@ -161,7 +179,7 @@ def _form(table: Mapping[str, Any], effect: str) -> Form:
     return Form(
         label=data.pop("label", effect),
         equation=str(data.pop("equation", "")),
-        parameters=tuple(EffectParameter(**p) for p in data.pop("parameters")),
+        parameters=tuple(_parameter(p) for p in data.pop("parameters")),
         terms=terms,
         lines=tuple(data.pop("lines", ())),
         outputs=dict(data.pop("outputs", {})),

@@ -1,5 +1,6 @@
 """The search for a shape: screen, fit, ask the flights left out, measure what is closed, look for a plain formula."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -17,6 +18,7 @@ from estimation.gap.likelihood.baseline import Baseline, fit_baseline
 from estimation.gap.records.flight_records import FlightRecords
 from estimation.gap.tests_of_fit.calibration import Round
 from estimation.gap.tests_of_fit.measure import Floors, rms_over_noise
+from estimation.gap.tests_of_fit.measured_again import MeasuredAgain
 from estimation.gap.tests_of_fit.nulls import InputErrors
 from estimation.gap.tests_of_fit.omnibus import examine
 
@@ -143,10 +145,15 @@ def _best(
         else:
             fits[i] = fitted
     term = max(best_term(round_), least) if fits else 0.0
+    again = MeasuredAgain(baseline, task.seed)
     for i in sorted(fits, key=lambda k: -fits[k].gain):
         fitted = fits[i]
         if fitted.gain < criteria.named_share * term:
             why = f"explains only {fitted.gain / term:.0%} of what a nameless term or swing does"
+            tried.append(Tried(ranking.places[i], fitted.gain, why))
+            continue
+        if float(ranking.scores[i]) * math.sqrt(again.share(fitted.gain, fitted.fit)) < ranking.threshold:
+            why = "gains nearly as much where only the controls are measured again"
             tried.append(Tried(ranking.places[i], fitted.gain, why))
             continue
         others = left_out(baseline, fitted, flown)

@@ -11,9 +11,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from daq.contract.durable import make_directories
 from estimation.engine.kernel import Array
 from estimation.gap.answer.result import GapResult, Histories
 from estimation.gap.errors import GapError
+from groundstation.flight.rerun_file import rerun_file
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -51,17 +53,15 @@ def write_gap_recording(result: GapResult, path: Path) -> Path:
     stream = rr.RecordingStream(APPLICATION)
     units = {s.name: shown_unit(s.unit) for s in result.model_before.outputs}
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        stream.save(str(path), default_blueprint=_blueprint(result, units))
-    except (OSError, RuntimeError) as error:
-        raise GapError(f"{path}: cannot be written ({error})") from error
-    for name, text in (("verdict", _verdict(result)), ("where", _where(result)), ("scores", _scores(result))):
-        stream.log(name, rr.TextDocument(drawable(text), media_type=rr.MediaType.MARKDOWN), static=True)
-    for h, place in zip(result.histories, _places(result), strict=True):
-        for c, name in enumerate(result.outputs):
-            _channel(stream, place, h, c, name, *units[name])
-    stream.flush()
-    stream.disconnect()
+        make_directories(path.parent)
+        with rerun_file(stream, path, _blueprint(result, units)):
+            for name, text in (("verdict", _verdict(result)), ("where", _where(result)), ("scores", _scores(result))):
+                stream.log(name, rr.TextDocument(drawable(text), media_type=rr.MediaType.MARKDOWN), static=True)
+            for h, place in zip(result.histories, _places(result), strict=True):
+                for c, name in enumerate(result.outputs):
+                    _channel(stream, place, h, c, name, *units[name])
+    except OSError as error:
+        raise GapError(f"{path}: cannot be written ({error.strerror or error})") from error
     return path
 
 

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from estimation.gap.search.search_state import Finding, Setting
 from estimation.gap.search.select import Choice
 from estimation.gap.tests_of_fit.calibration import Round, by_name
 from estimation.gap.tests_of_fit.measure import predictive_cost
+from estimation.gap.tests_of_fit.measured_again import MeasuredAgain
 from estimation.gap.tests_of_fit.omnibus import Omnibus
 
 
@@ -27,9 +29,18 @@ def accept(
     nameless = max((s.gain for s in omnibus.leading if s.kind == "term"), default=0.0)
     shape = shapes() if any(c.score >= round_.threshold for c in choice.candidates) else 0.0
     nameless = max(nameless, shape)
+    again = MeasuredAgain(round_.baseline, setting.options.seed)
     for candidate in choice.candidates:
         if candidate.score < round_.threshold:
             break
+        centred = candidate.score * math.sqrt(again.share(candidate.gain, candidate.fit))
+        if centred < round_.threshold:
+            left = f"{centred:.1f} of {round_.threshold:.1f} is left"
+            why = f"gains nearly as much where only the controls are measured again ({left})"
+            refused.add(candidate.hypothesis.key)
+            said.append(Rejected(candidate.hypothesis.label, why))
+            continue
+        candidate = replace(candidate, score=centred)
         child, why = confirmed(setting, round_, candidate, nameless)
         if child is not None:
             doubted = doubtful(candidate, shape, round_.threshold, round_.criteria)

@@ -127,10 +127,15 @@ class NullFlyer:
 
     def fly(self, index: int, rng: np.random.Generator) -> Array | None:
         """(N, ny) residual of one null of one record at the fitted parameters; None where it diverges."""
-        problem, local, modelled = self.problem, self.fit.locals[index], self.modelled[index]
-        if modelled is None:
-            return None
-        driven, coarse, interval = self.driven[index], problem.coarse[index], self.intervals[index]
+        modelled = self.modelled[index]
+        observed = None if modelled is None else self.observed(index, rng, self.driven[index])
+        return None if observed is None or modelled is None else observed - modelled.draw(rng)
+
+    def observed(self, index: int, rng: np.random.Generator, driven: Segment) -> Array | None:
+        """(N, ny) measured outputs of one null of one record, NaN where the record has none; None where it diverges. driven: its
+        inputs with the middles between samples."""
+        problem, local = self.problem, self.fit.locals[index]
+        coarse, interval = problem.coarse[index], self.intervals[index]
         shaken = driven.u.copy()
         self._loosen_surfaces(shaken, rng)
         self._disturb(shaken, 0.5 * interval, rng)
@@ -146,9 +151,9 @@ class NullFlyer:
         self._wander(noise, interval, rng)
         at, output, size = self.jumps[index]
         np.add.at(noise, (at, output), size * rng.standard_normal(size.size))
-        residual = motion.y + noise - modelled.draw(rng)
-        residual[~np.isfinite(coarse.z)] = np.nan
-        return residual
+        observed = motion.y + noise
+        observed[~np.isfinite(coarse.z)] = np.nan
+        return np.asarray(observed)
 
     def _wander(self, noise: Array, h: float, rng: np.random.Generator) -> None:
         """Add what filtered attitudes do to the noise of the outputs (N, ny), h [s] apart: gyro noise and its integral, slow

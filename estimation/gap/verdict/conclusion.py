@@ -89,7 +89,7 @@ def concluded(setting: Setting, search: SearchState, check: KinematicCheck) -> G
                 about = standing_round(setting, search, kept)
                 standing, rest = about.baseline, examine(about)
                 left = rms_over_noise(standing.problem, standing.fit, setting.scatter)
-        follower = settled(found.follower, standing) if late is None else late.follower
+        follower = settled(found.follower, standing, setting.options.seed) if late is None else late.follower
         found, decision = replace(found, follower=follower), as_unknown(decision) if follower else decision
     if instead is None and event is None:
         beside = names_beside(setting, search, standing, found, decision)

@@ -1,5 +1,6 @@
 """Lags and swings as something that a model can be fitted with, beside names or without any."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -12,6 +13,7 @@ from estimation.gap.likelihood.baseline import Baseline
 from estimation.gap.likelihood.fitting import Fit
 from estimation.gap.search.confirm import fit_hypothesis
 from estimation.gap.tests_of_fit.hypotheses import Hypothesis
+from estimation.gap.tests_of_fit.measured_again import MeasuredAgain
 from estimation.models.base import Signal
 
 Follower = Memory | Swing
@@ -70,15 +72,23 @@ def _unnamed(title: str, form: Form) -> Hypothesis:
     return Hypothesis(Effect(form.label, title, Group.UNSTEADY, "", "", "", "", {}, "", (form,)), form)
 
 
-def settled(follower: Follower | None, baseline: Baseline) -> Follower | None:
+def settled(follower: Follower | None, baseline: Baseline, seed: int) -> Follower | None:
     """A lag as it is; a swing with frequency and damping as fitted beside a model, and none where the fit ends in something that
-    does not ring. As linear theory has it where that fit runs away."""
-    if not isinstance(follower, Swing):
-        return follower
-    flown = Flown.of(baseline.problem, baseline.fit)
-    hypothesis, start = swing_of(follower, flown)
+    does not ring. None too where it gains nearly as much with only the controls measured again. As linear theory has it where
+    the fit runs away."""
+    if follower is None:
+        return None
+    hypothesis, start = hypothesis_of(follower, Flown.of(baseline.problem, baseline.fit))
     _, found = fit_hypothesis(baseline.problem, baseline.fit, hypothesis, start)
+    if not found.diverged and not stands(follower, baseline, found, seed):
+        return None
     return as_fitted(follower, found, baseline.criteria)
+
+
+def stands(follower: Follower, baseline: Baseline, found: Fit, seed: int) -> bool:
+    """Whether a fitted lag or swing is significant by what of its gain is its own."""
+    share = MeasuredAgain(baseline, seed).share(2.0 * (baseline.fit.cost - found.cost), found)
+    return follower.score * math.sqrt(share) > follower.threshold
 
 
 def as_fitted(follower: Follower, found: Fit, criteria: Criteria) -> Follower | None:

@@ -20,7 +20,7 @@ from estimation.gap.search.confirm import fit_hypothesis
 from estimation.gap.search.search_state import Finding, SearchState, Setting
 from estimation.gap.tests_of_fit.calibration import Round
 from estimation.gap.verdict.decide import Decision
-from estimation.gap.verdict.followers import Follower, as_fitted, hypothesis_of
+from estimation.gap.verdict.followers import Follower, as_fitted, hypothesis_of, stands
 from estimation.gap.verdict.nameless import standing_round
 
 
@@ -54,6 +54,8 @@ def _late_rest(setting: Setting, search: SearchState, kept: Sequence[Finding], a
     fitted = as_fitted(follower, beside, setting.options.criteria)
     if fitted is None or beside.diverged:
         return None if fitted is None else LateRest(fitted, len(kept))
+    if not stands(follower, first, beside, setting.options.seed):
+        return None
     needed = 0
     for finding in kept:
         problem, after = _with_name(problem, beside, finding)

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.contract.durable import make_directories, whole, write_bytes
 from estimation.errors import EstimationError
 from estimation.estimators.estimator import Look
 from estimation.estimators.registry import find, names
@@ -55,7 +56,7 @@ class Picture:
         kind = self.uri.partition(";")[0].rpartition("/")[2].removesuffix("+xml")
         if path.suffix.lower() != f".{kind}":
             raise EstimationError(f"{path}: this figure is written as {kind.upper()}; end the name in .{kind}")
-        path.write_bytes(base64.b64decode(self.uri.partition(",")[2]))
+        write_bytes(path, base64.b64decode(self.uri.partition(",")[2]))
         return path
 
     def __repr__(self) -> str:
@@ -78,6 +79,22 @@ def styled() -> Iterator[None]:
 
     with mpl.rc_context(STYLE):
         yield
+
+
+def save_figure(figure: "Figure", path: Path, dpi: int) -> None:
+    """Write a figure as a file whose ending chooses the format, whole or not at all; its folder is made.
+
+    Raises EstimationError for an ending that matplotlib knows no format of.
+    """
+    kind = path.suffix.lower().removeprefix(".")
+    known = figure.canvas.get_supported_filetypes()
+    if kind not in known:
+        raise EstimationError(
+            f"{path}: no known format of a figure; end the name in one of {' '.join('.' + k for k in known)}"
+        )
+    make_directories(path.parent)
+    with whole(path) as new:
+        figure.savefig(new, dpi=dpi, format=kind)
 
 
 def picture(figure: "Figure", name: str, caption: str, points: int = 0) -> Picture:

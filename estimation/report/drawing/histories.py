@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from estimation.report.drawing.figures import save_figure
+
 if TYPE_CHECKING:
     from estimation.estimators.result import Result
     from estimation.models.base import Model
@@ -74,5 +76,4 @@ def _draw(model: "Model", columns: Sequence[tuple[str, Array, Array, dict[str, A
         axes[0][j].set_title(literal(name), fontsize=10)
         axes[-1][j].set_xlabel("time [s]")
     axes[0][0].legend(fontsize=8)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=110)
+    save_figure(figure, path, dpi=110)

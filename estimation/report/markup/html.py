@@ -8,6 +8,7 @@ from typing import Any
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup, escape
 
+from daq.contract.durable import write_text
 from daq.contract.plain_words import printed
 from estimation.report.markup.fold import label, needs_width, pieces, words
 from estimation.report.names import html as symbol
@@ -54,9 +55,7 @@ def write_page(path: Path, template: str, *, templates: Path = HERE, **context: 
 
 def replace_text(path: Path, text: str) -> None:
     """Write a page so that a reader finds the old one or the new one, whole."""
-    partial = path.with_name(path.name + ".part")
-    partial.write_text(text, encoding="utf-8")
-    partial.replace(path)
+    write_text(path, text)
 
 
 def back_link() -> str:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
+from daq.contract.durable import replacing_folder, whole
 from estimation.models.base import Model
 from estimation.simulation.jsbsim.aircraft import aircraft_as_loaded
 from estimation.simulation.jsbsim.components import chains_of, states_of, surfaces_read
@@ -52,12 +53,13 @@ def export_aircraft(
     target = folder / name
     if target.exists() and (target / f"{source.stem}.xml").resolve() == source:
         raise SimulationError(f"{target}: that is the aircraft to start from; choose another --out")
-    shutil.rmtree(target, ignore_errors=True)
-    shutil.copytree(source.parent, target)
-    (target / source.name).unlink()
     made.root.set("name", name)
     ET.indent(made.root)
-    ET.ElementTree(made.root).write(target / f"{name}.xml", encoding="utf-8", xml_declaration=True)
+    with replacing_folder(target) as new:
+        shutil.copytree(source.parent, new, dirs_exist_ok=True)
+        (new / source.name).unlink()
+        with whole(new / f"{name}.xml") as file:
+            ET.ElementTree(made.root).write(file, encoding="utf-8", xml_declaration=True)
     return Exported(target / f"{name}.xml", made.terms, found.left_out), made, found
 
 

@@ -6,7 +6,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 from xml.etree import ElementTree as ET
 
-from daq.contract.input_files import check_file
+from daq.contract.input_files import read_xml
 from estimation.aircraft import GRAVITY
 from estimation.simulation.oracle import SimulationError
 
@@ -18,7 +18,6 @@ STILL_EARTH = f"""<planet name="still"><semimajor_axis unit="M">{RADIUS}</semima
 <semiminor_axis unit="M">{RADIUS}</semiminor_axis><rotation_rate unit="RAD/SEC">0.0</rotation_rate>
 <GM unit="M3/SEC2">{GRAVITY * RADIUS**2}</GM><J2>0.0</J2></planet>"""
 PREFIX = "jsbsim:"  # of a simulation or an aircraft that is JSBSim's
-LARGEST = 10_000_000  # bytes of an aircraft file that is read
 
 
 def library() -> Any:
@@ -59,14 +58,7 @@ def aircraft_file(which: str) -> Path:
 
 def tree_of(path: Path) -> ET.Element:
     """The root of an aircraft's XML. Raises SimulationError where it is none, or is declared in a way that could swell."""
-    check_file(path, "aircraft of JSBSim", SimulationError, LARGEST)
-    text = path.read_text(encoding="utf-8", errors="replace")
-    if "<!ENTITY" in text:
-        raise SimulationError(f"{path}: declares entities, which an aircraft has no need of; remove them")
-    try:
-        return ET.fromstring(text)
-    except ET.ParseError as error:
-        raise SimulationError(f"{path}: no XML ({error})") from error
+    return read_xml(path, "aircraft of JSBSim", SimulationError)
 
 
 def loaded(

@@ -4,6 +4,7 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
+from daq.contract.durable import write_text
 from estimation.aircraft import Aircraft
 from firmware_sim.toml_text import toml_text
 
@@ -30,7 +31,7 @@ def calibration_of(aircraft: Aircraft, directory: Path, folder: Path) -> Path:
     copy = folder / "calibration"
     copy.mkdir(parents=True, exist_ok=True)
     for name, text in {**texts, **moved}.items():
-        (copy / name).write_text(text, encoding="utf-8")
+        write_text(copy / name, text)
     return copy
 
 

@@ -4,11 +4,13 @@ import csv
 import math
 from bisect import bisect_right
 from collections import deque
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.contract.durable import whole_text
 from firmware_sim.hardware.sensing.instruments import GRID_S, HISTORY_S, TruthSource
 from firmware_sim.world.truth import TRUTH_COLUMNS, Truth
 
@@ -52,7 +54,8 @@ class TruthFile:
         self.path = path
         self._source = source
         self._rows: deque[list[float]] = deque(maxlen=round(2.0 * HISTORY_S / GRID_S))
-        self._file = path.open("w", newline="", encoding="utf-8")
+        self._closing = ExitStack()
+        self._file = self._closing.enter_context(whole_text(path))
         self._writer = csv.writer(self._file)
         self._writer.writerow(TRUTH_COLUMNS)
 
@@ -81,4 +84,4 @@ class TruthFile:
 
     def close(self) -> None:
         """End the file."""
-        self._file.close()
+        self._closing.close()

@@ -36,11 +36,13 @@ _LONGEST_TEXT = 2**24  # bytes of a text in the footer
 
 @dataclass
 class ParquetColumns:
-    """Columns of a Parquet file by name. numeric: (N,) with NaN where empty; dates: (N,) [s] after the first; words: cells of
+    """Columns of a Parquet file by name. numeric: (N,) with NaN where empty; dates: (N,) [s] after the first,
+    durations and times of day as they are [s]; firsts: the first date of each [s since 1970]; words: cells of
     columns of text that were asked for, none of the others; footer: the application's own metadata."""
 
     numeric: dict[str, Array] = field(default_factory=dict)
     dates: dict[str, Array] = field(default_factory=dict)
+    firsts: dict[str, float] = field(default_factory=dict)
     words: dict[str, list[str]] = field(default_factory=dict)
     footer: dict[bytes, bytes] = field(default_factory=dict)
 
@@ -100,7 +102,11 @@ def _keep(out: ParquetColumns, name: str, column: Any, wanted: bool) -> None:
         stamps = column.cast(pa.int64())
         first = pc.min(stamps).as_py() or 0
         scale = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[column.type.unit]
-        out.dates[name] = _floats(pc.subtract(stamps, first)) * scale
+        out.dates[name], out.firsts[name] = _floats(pc.subtract(stamps, first)) * scale, first * scale
+        return
+    if pa.types.is_duration(column.type) or pa.types.is_time(column.type):
+        whole = column.cast(pa.int32()).cast(pa.int64()) if pa.types.is_time32(column.type) else column.cast(pa.int64())
+        out.dates[name] = _floats(whole) * {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[column.type.unit]
         return
     if pa.types.is_dictionary(column.type):
         column = column.unify_dictionaries()

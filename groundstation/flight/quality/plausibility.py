@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.contract.channels import COLUMN_BY_NAME
+from groundstation.flight.windows import line, summed, windows
 
 Array = NDArray[np.float64]
 Columns = Mapping[str, Array]
@@ -25,7 +26,9 @@ LEFT = 1.0 / 3.0  # of what is not explained as it is, at most, may be left then
 _GRAVITY_IN = {"g": 1.0, "ft/s2": 32.174, "mg (or cm/s2)": 990.0}
 _ANGLES = ("phi", "theta", "psi", "alpha", "beta", "delta_e", "delta_a", "delta_r", "cmd_e", "cmd_a", "cmd_r")
 _RATES = ("p", "q", "r")
-_SPEED_UNITS = {"knots": 3600 / 1852, "km/h": 3.6, "mph": 1 / 0.44704, "ft/s": 1 / 0.3048}
+_LONG_UNITS = {"min": 60.0, "h": 3600.0, "days (of Excel or MATLAB)": 86400.0}
+_USUAL_STEP = (0.004, 1.0)  # s between samples of flight dynamics
+_SPEED_UNITS = {"knots": 3600 / 1852, "km/h": 3.6, "mph": 1 / 0.44704, "ft/s": 1 / 0.3048, "cm/s": 100.0}
 
 # column -> (unit, lowest and highest median that this unit gives)
 _OTHER_UNITS: dict[str, tuple[tuple[str, float, float], ...]] = {
@@ -51,6 +54,10 @@ class Suspicion:
         return f"{', '.join(self.columns)}: {self.what}"
 
 
+PULL_AGREES = 0.25
+"""Of the normal force that pitch rate, speed and attitude make, by which az may differ: angle of attack, and its change."""
+
+
 def suspicions(time: Array, columns: Columns) -> list[Suspicion]:
     """What is odd about columns (N,) whose values look like another unit or sign; empty when nothing is suspicious."""
     present = {n: v for n, v in columns.items() if n in COLUMN_BY_NAME and np.isfinite(v).sum() >= 2}
@@ -59,6 +66,7 @@ def suspicions(time: Array, columns: Columns) -> list[Suspicion]:
         _gravity(present),
         _angles(present),
         _rates(present),
+        _speed(present),
         _others(present),
         _attitude_rate(time, present),
         _pressure_speed(present),
@@ -100,7 +108,9 @@ def _time(time: Array) -> Iterator[Suspicion]:
             ("time",), f"{interval:g} s from sample to sample is too slow for flight dynamics; check the time unit"
         )
     elif interval < 1e-4:
-        yield Suspicion(("time",), f"{interval:.3g} s from sample to sample; is the column in min or h?")
+        units = [u for u, scale in _LONG_UNITS.items() if _USUAL_STEP[0] <= interval * scale <= _USUAL_STEP[1]]
+        likely = " or ".join(units) if units else "min, h or days"
+        yield Suspicion(("time",), f"{interval:.3g} s from sample to sample; is the column in {likely}?")
 
 
 def _shuffled(time: Array) -> bool:
@@ -117,7 +127,7 @@ def _gravity(c: Columns) -> Iterator[Suspicion]:
     if not all(a in c for a in ("ax", "ay", "az")):
         return
     size = _median(np.sqrt(c["ax"] ** 2 + c["ay"] ** 2 + c["az"] ** 2))
-    if not 0.75 * GRAVITY < size < 1.3 * GRAVITY:
+    if not 0.75 * GRAVITY < size < 1.3 * GRAVITY and not _pulled(c):
         nearest = min(_GRAVITY_IN, key=lambda u: abs(np.log(max(size, 1e-9) / _GRAVITY_IN[u])))
         unit = nearest if 0.8 < size / _GRAVITY_IN[nearest] < 1.25 else None
         if unit is None and size < 0.3 * GRAVITY:
@@ -129,6 +139,19 @@ def _gravity(c: Columns) -> Iterator[Suspicion]:
         yield Suspicion(
             ("az",), "positive in the mean, but with z down level flight has -9.8 m/s2; turn it with sign = -1"
         )
+
+
+def _pulled(c: Columns) -> bool:
+    """Whether the aircraft turned its flight path as az says: a trim that pulls two g is no other unit."""
+    if not all(n in c for n in ("q", "V", "phi", "theta")):
+        return False
+    with np.errstate(invalid="ignore"):
+        made = -(GRAVITY * np.cos(c["theta"]) * np.cos(c["phi"]) + c["q"] * c["V"])
+        known = np.isfinite(made) & np.isfinite(c["az"])
+    if not known.any():
+        return False
+    ratio = float(np.median(c["az"][known])) / (float(np.median(made[known])) or np.nan)
+    return abs(ratio - 1.0) < PULL_AGREES
 
 
 def _angles(c: Columns) -> Iterator[Suspicion]:
@@ -153,6 +176,15 @@ def _rates(c: Columns) -> Iterator[Suspicion]:
                 yield Suspicion((name,), f"reaches {worst:.4g} rad/s, beyond {high:g}; is it in deg/s?")
 
 
+def _speed(c: Columns) -> Iterator[Suspicion]:
+    if "V" not in c:
+        return
+    high, middle = COLUMN_BY_NAME["V"].plausible[1], _median(c["V"])
+    if middle > high:
+        unit = "cm/s" if middle / 100.0 <= high else "mm/s"
+        yield Suspicion(("V",), f"median {middle:.4g} m/s, beyond {high:g}; is it in {unit}?")
+
+
 def _others(c: Columns) -> Iterator[Suspicion]:
     for name, values in c.items():
         if name in (*_ANGLES, *_RATES, "ax", "ay", "az", "V", "V_cas"):
@@ -170,7 +202,12 @@ def _others(c: Columns) -> Iterator[Suspicion]:
 
 
 def _attitude_rate(time: Array, c: Columns) -> Iterator[Suspicion]:
-    """Attitude against what the gyro turns: their ratio is 1, or 57.3 where one is in degrees, or -1."""
+    """Attitude against what the gyro turns: their ratio is 1, or 57.3 where one is in degrees, or -1; one ratio of all three that
+    is another is the clock's."""
+    if (runs := _clock_ratio(time, c)) is not None:
+        told = f"runs {max(runs, 1 / runs):.3g} times too {'slowly' if runs < 1 else 'fast'}"
+        yield Suspicion(("time",), f"{told} for attitude to be what the gyros turn: check the time unit")
+        return
     for angle, rate in (("phi", "p"), ("theta", "q"), ("psi", "r")):
         if angle not in c or rate not in c:
             continue
@@ -184,6 +221,22 @@ def _attitude_rate(time: Array, c: Columns) -> Iterator[Suspicion]:
             yield Suspicion((rate,), f"turns {1 / abs(slope):.0f} times as far as {angle} moves; is {rate} in deg/s?")
         elif -2 < slope < -0.5:
             yield Suspicion((rate,), f"turns against {angle}; one of them has the wrong sign (sign = -1)")
+
+
+def _clock_ratio(time: Array, c: Columns) -> float | None:
+    """How many times too fast time runs by every angle and its gyro alike; None where they do not agree on one, or it is a ratio
+    that another unit of the angles makes."""
+    slopes = []
+    for angle, rate in (("phi", "p"), ("theta", "q"), ("psi", "r")):
+        if angle in c and rate in c:
+            turning = c[rate] if angle != "psi" else _heading_rate(c)
+            slopes.append(_integral_slope(time, c[angle], turning) or 0.0)
+    sound = [s for s in slopes if s > 0.0]
+    if len(sound) < 2 or max(sound) > 1.2 * min(sound):
+        return None
+    middle = float(np.median(sound))
+    usual = (0.5 < middle < 2.0) or (0.5 < middle / _DEG < 2.0) or (0.5 < middle * _DEG < 2.0)
+    return None if usual else 1.0 / middle
 
 
 def _heading_rate(c: Columns) -> Array:
@@ -203,8 +256,8 @@ def _sideways(time: Array, c: Columns) -> Iterator[Suspicion]:
     alpha = c["alpha"] if "alpha" in c and float(np.nanmax(np.abs(c["alpha"]))) < 1 else np.zeros_like(c["V"])
     v, force, weight = c["V"] * c["beta"], c["ay"], GRAVITY * np.sin(c["phi"]) * np.cos(c["theta"])
     yawing, rolling = c["V"] * c["r"] * np.cos(alpha), c["V"] * c["p"] * np.sin(alpha)
-    windows = list(_windows(time, v, yawing, rolling, force, weight))
-    slope, agreement = _line([(v + _summed(t, r - p), _summed(t, f + g)) for t, v, r, p, f, g in windows])
+    parts = list(windows(time, v, yawing, rolling, force, weight))
+    slope, agreement = line([(v + summed(t, r - p), summed(t, f + g)) for t, v, r, p, f, g in parts])
     if agreement > 0.8 and slope > 0 and "p_dynamic" not in c:
         units = [u for u, factor in _SPEED_UNITS.items() if abs(1 / (slope * factor) - 1) < 0.08]
         if units:
@@ -216,9 +269,9 @@ def _sideways(time: Array, c: Columns) -> Iterator[Suspicion]:
     bank: tuple[str, ...] = ("phi", "p") if (_integral_slope(time, c["phi"], c["p"]) or 0.0) >= 0.0 else ("phi",)
     rolled = -1.0 if "p" in bank else 1.0
     turned: Turned = {  # the force is the smallest part, and tells no sign of its own
-        ("beta",): ("ay, r and phi", [(_summed(t, r - p) - v, _summed(t, f + g)) for t, v, r, p, f, g in windows]),
-        bank: ("ay, r and beta", [(v + _summed(t, r - rolled * p), _summed(t, f - g)) for t, v, r, p, f, g in windows]),
-        ("r",): ("ay, phi and beta", [(v - _summed(t, r + p), _summed(t, f + g)) for t, v, r, p, f, g in windows]),
+        ("beta",): ("ay, r and phi", [(summed(t, r - p) - v, summed(t, f + g)) for t, v, r, p, f, g in parts]),
+        bank: ("ay, r and beta", [(v + summed(t, r - rolled * p), summed(t, f - g)) for t, v, r, p, f, g in parts]),
+        ("r",): ("ay, phi and beta", [(v - summed(t, r + p), summed(t, f + g)) for t, v, r, p, f, g in parts]),
     }
     yield from _turned("sideways", agreement if slope > 0 else 0.0, turned)
 
@@ -233,12 +286,12 @@ def _upwards(time: Array, c: Columns) -> Iterator[Suspicion]:
         return
     w, pitching = c["V"] * np.sin(c["alpha"]), c["V"] * np.cos(c["alpha"]) * c["q"]
     force = c["az"] + GRAVITY * np.cos(c["theta"]) * np.cos(bank) - rolling * c["V"] * slip
-    windows = list(_windows(time, w, pitching, force))
-    slope, agreement = _line([(w - _summed(t, q), _summed(t, f)) for t, w, q, f in windows])
+    parts = list(windows(time, w, pitching, force))
+    slope, agreement = line([(w - summed(t, q), summed(t, f)) for t, w, q, f in parts])
     pitch: tuple[str, ...] = ("q", "theta") if (_integral_slope(time, c["theta"], c["q"]) or 0.0) >= 0.0 else ("q",)
     turned: Turned = {
-        ("alpha",): ("az and q", [(-w - _summed(t, q), _summed(t, f)) for t, w, q, f in windows]),
-        pitch: ("az and alpha", [(w + _summed(t, q), _summed(t, f)) for t, w, q, f in windows]),
+        ("alpha",): ("az and q", [(-w - summed(t, q), summed(t, f)) for t, w, q, f in parts]),
+        pitch: ("az and alpha", [(w + summed(t, q), summed(t, f)) for t, w, q, f in parts]),
     }
     yield from _turned("vertical", agreement if slope > 0 else 0.0, turned)
 
@@ -246,7 +299,7 @@ def _upwards(time: Array, c: Columns) -> Iterator[Suspicion]:
 def _turned(motion: str, agreement: float, turned: Turned) -> Iterator[Suspicion]:
     """The columns that, turned, would make a motion agree. agreement: share of it explained as it is. An angle and its rate that
     agree with each other, as of a left-handed roll, are turned together."""
-    found = [(columns, others, *_line(pairs)) for columns, (others, pairs) in turned.items()]
+    found = [(columns, others, *line(pairs)) for columns, (others, pairs) in turned.items()]
     columns, others, slope, share = max(found, key=lambda f: f[3] if abs(f[2] - 1.0) < 0.25 else 0.0)
     if share > AGREE and abs(slope - 1.0) < 0.25 and (1.0 - share) < LEFT * (1.0 - agreement):
         wrong = "is its sign" if len(columns) == 1 else f"are the signs of {' and '.join(columns)}"
@@ -255,38 +308,10 @@ def _turned(motion: str, agreement: float, turned: Turned) -> Iterator[Suspicion
         )
 
 
-def _summed(time: Array, values: Array) -> Array:
-    """Integral by the trapezoidal rule, from 0."""
-    return np.concatenate([[0.0], np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(time))])
-
-
-def _windows(time: Array, *values: Array) -> Iterator[tuple[Array, ...]]:
-    """Stretches of 4 s in which all is measured and time rises."""
-    start = 0
-    while start < time.size - 10:
-        stop = int(np.searchsorted(time, time[start] + 4.0))
-        part = [v[start:stop] for v in (time, *values)]
-        start = max(stop, start + 1)
-        if part[0].size >= 10 and all(np.all(np.isfinite(v)) for v in part) and np.all(np.diff(part[0]) > 0):
-            yield tuple(part)
-
-
-def _line(pairs: Iterable[tuple[Array, Array]]) -> tuple[float, float]:
-    """Slope of y against x, and the share of y it explains, with a straight line in time removed from each window."""
-    top = bottom = rest = 0.0
-    for x, y in pairs:
-        trend = np.vander(np.linspace(-1.0, 1.0, x.size), 2)
-        x, y = (v - trend @ np.linalg.lstsq(trend, v, rcond=None)[0] for v in (x, y))
-        top, bottom, rest = top + float(x @ y), bottom + float(x @ x), rest + float(y @ y)
-    if bottom <= 0 or rest <= 0:
-        return 0.0, 0.0
-    return top / bottom, top * top / (bottom * rest)
-
-
 def _integral_slope(time: Array, angle: Array, rate: Array) -> float | None:
     """Slope of the angle against the integrated rate over windows of 4 s with their lines removed; None without motion."""
-    pairs = [(_summed(t, b), np.unwrap(a) if np.ptp(a) < 7 else a) for t, a, b in _windows(time, angle, rate)]
-    slope, agreement = _line(pairs)
+    pairs = [(summed(t, b), np.unwrap(a) if np.ptp(a) < 7 else a) for t, a, b in windows(time, angle, rate)]
+    slope, agreement = line(pairs)
     return slope if agreement >= 0.7 else None  # else the two do not show the same motion
 
 

@@ -66,7 +66,9 @@ def repeats(flight: Flight, column: str) -> Repeats:
     values = flight[column]
     nothing = np.zeros(len(flight), bool)
     known = values[np.isfinite(values)]
-    if known.size < FEWEST or np.ptp(known) == 0.0:
+    if (
+        known.size < FEWEST or np.ptp(known) == 0.0 or flight.held(column) is not None
+    ):  # a command rests, and is no sensor
         return Repeats(column, 0.0, nothing, nothing, nothing, 0.0)
     step = quantum(known)
     same = _same(flight, values)

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.contract.channels import COLUMN_BY_NAME
+from groundstation.flight.contradictions import contradictions
 from groundstation.flight.flight import GAP_FACTOR, Flight
 from groundstation.flight.manoeuvres import CONTROLS, find_manoeuvres
 from groundstation.flight.notes import NoteKind
@@ -63,7 +64,7 @@ def quality_report(flight: Flight) -> tuple[Finding, ...]:
         time_order, time_gaps, sample_interval, dropouts, stale_samples, clipping, spikes, plausible_values, calibrated_range,
         time_skew, noise_level, excitation,
     )  # fmt: skip
-    return tuple(check(flight) for check in checks)
+    return (*(check(flight) for check in checks), *contradicting(flight))
 
 
 def worst(findings: tuple[Finding, ...]) -> Verdict:
@@ -294,6 +295,14 @@ def time_skew(flight: Flight) -> Finding:
 
 def _skew_words(skew: Skew) -> str:
     return f"{skew.late} after {skew.early} {skew.delay * 1e3:+.0f} ms (+-{skew.std * 1e3:.0f})"
+
+
+def contradicting(flight: Flight) -> tuple[Finding, ...]:
+    """What the flight says twice and differently, one finding each: fail where it moves derivatives. None where nothing does."""
+    return tuple(
+        Finding("contradictions", "fail" if c.stops else "warn", f"{c.text}{f' (moves {c.moves})' if c.moves else ''}")
+        for c in contradictions(flight)
+    )
 
 
 def noise_level(flight: Flight) -> Finding:

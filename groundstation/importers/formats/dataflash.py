@@ -9,16 +9,20 @@ import math
 import re
 import struct
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from daq.contract.input_files import read_bytes
 from groundstation.importers.errors import ImportDataError
+from groundstation.importers.formats.dataflash_text import SAID, is_text, read_text_log
+from groundstation.importers.modes import dataflash_marks
 from groundstation.importers.series import Array, Log, Series
 
 _HEAD = b"\xa3\x95"
+MOST_BETWEEN_HEADS = 1000
+"""Bytes to a head of a message on average in a log whose beginning is lost: chance makes one in 64 kB."""
 _FMT, _FMT_SIZE = 128, 89
 _DESCRIPTION = struct.Struct("<BB4s16s64s")
 
@@ -44,6 +48,8 @@ _NUMPY = {
 """Struct code -> what numpy calls it."""
 
 
+TIME_UNITS = {"TimeUS": 1e-6, "TimeMS": 1e-3}
+"""First field of a message that is its time since boot -> seconds; TimeMS in logs before ArduPilot 3.3."""
 MOST_INSTANCES = 256
 """Of one sensor: ArduPilot numbers them in one byte."""
 
@@ -63,7 +69,7 @@ class _Message:
     @property
     def timed(self) -> bool:
         """Whether the message carries the time at which it was logged."""
-        return bool(self.fields) and self.fields[0] == "TimeUS" and _LETTERS[self.letters[0]][1] is not None
+        return bool(self.fields) and self.fields[0] in TIME_UNITS and _LETTERS[self.letters[0]][1] is not None
 
     def column(self, index: int) -> Array:
         """All values of one field (N,), in its unit. A field of text is none."""
@@ -83,16 +89,33 @@ class _Message:
 def read_dataflash(path: Path) -> Log:
     """All numeric fields of all timed messages. Raises ImportDataError when the file is not a dataflash log."""
     data = read_bytes(path, error=ImportDataError)
-    if not data.startswith(_HEAD):
+    if is_text(data):
+        return with_velocities(read_text_log(path, data))
+    headless = not data.startswith(_HEAD)
+    if headless and data.count(_HEAD) * MOST_BETWEEN_HEADS < max(len(data), 10 * MOST_BETWEEN_HEADS):
         raise ImportDataError(f"{path}: not an ArduPilot dataflash log (it does not begin with a message head)")
     messages, skipped = _gathered(data)
+    if headless and not messages:
+        raise ImportDataError(
+            f"{path}: the beginning of this ArduPilot log is lost, and with it the descriptions of its messages (FMT): nothing "
+            "of the rest can be read; copy the log from the card anew"
+        )
     series = dict(_series(messages))
     if not series:
         raise ImportDataError(f"{path}: no timed messages in this dataflash log")
+    lost = "; its first bytes are lost, and messages described only there" if headless else ""
+    notes = (f"{skipped} bytes of the log are damaged and left out{lost}",) if skipped or lost else ()
+    end = max(float(s.time[-1]) for s in series.values())
+    marks = dataflash_marks(_said(messages), end)
+    return with_velocities(Log("dataflash", series, notes=notes, parameters=_parameters(messages), marks=marks))
+
+
+def with_velocities(log: Log) -> Log:
+    """The log with VN and VE [m/s] beside each GPS's speed and course."""
+    series = dict(log.series)
     for name in [n for n in series if n.endswith(".Spd") and n.startswith("GPS")]:
         _velocity(name.rsplit(".", 1)[0], series)
-    notes = (f"{skipped} bytes of the log are damaged and left out",) if skipped else ()
-    return Log("dataflash", series, notes=notes, parameters=_parameters(messages))
+    return replace(log, series=series)
 
 
 def _gathered(data: bytes) -> tuple[dict[int, _Message], int]:
@@ -188,6 +211,19 @@ def _parameters(messages: dict[int, _Message]) -> dict[str, float]:
     return found
 
 
+def _said(messages: dict[int, _Message]) -> dict[str, list[tuple[float, dict[str, object]]]]:
+    """What the autopilot says beside its samples: message -> (time [s], fields)."""
+    found: dict[str, list[tuple[float, dict[str, object]]]] = {}
+    for message in messages.values():
+        if message.name in SAID and message.timed:
+            time = (message.column(0) * TIME_UNITS[message.fields[0]]).tolist()
+            rows = [
+                dict(zip(message.fields, r, strict=True)) for r in message.layout.iter_unpack(bytes(message.bodies))
+            ]
+            found.setdefault(message.name, []).extend(zip(time, rows, strict=True))
+    return found
+
+
 def _series(messages: dict[int, _Message]) -> Iterator[tuple[str, Series]]:
     named: set[str] = set()
     for kind, message in messages.items():
@@ -195,7 +231,7 @@ def _series(messages: dict[int, _Message]) -> Iterator[tuple[str, Series]]:
             continue
         label = f"{message.name}({kind})" if message.name in named else message.name  # two types of one name are damage
         named.add(message.name)
-        time = message.column(0) * 1e-6
+        time = message.column(0) * TIME_UNITS[message.fields[0]]
         instance = _instance_field(message)
         which = np.zeros(time.size) if instance is None else message.column(instance)
         numbers = np.unique(which)

@@ -32,15 +32,23 @@ _FEWEST_ROWS = 2
 
 def read_matlab(path: Path, layout: FileFormat) -> list[Table]:
     """The records of a MATLAB file, in order. Raises ImportDataError for a file that cannot be read or holds none."""
+    return tables_of(path, *read_variables(path), layout)
+
+
+def read_variables(path: Path) -> tuple[dict[str, Any], int]:
+    """The variables of a MATLAB file, and how many could not be read. Raises ImportDataError for a file that is none."""
     data = read_bytes(path, error=ImportDataError)
     if _HDF5 in (data[:8], data[512:520]):
         from groundstation.importers.formats.matlab_v73 import read_v73
 
-        variables, left_out = read_v73(path)
-    else:
-        from groundstation.importers.formats.matlab_v5 import read_v5
+        return read_v73(path)
+    from groundstation.importers.formats.matlab_v5 import read_v5
 
-        variables, left_out = read_v5(path, data)
+    return read_v5(path, data)
+
+
+def tables_of(path: Path, variables: Mapping[str, Any], left_out: int, layout: FileFormat) -> list[Table]:
+    """The records among the variables of a MATLAB file. Raises ImportDataError where there is none."""
     notes = (f"{left_out} variables that only MATLAB can read, or damaged, left out",) if left_out else ()
     records = _records(_chosen(path, variables, layout.variable))[:MOST_RECORDS]
     tables = [table for table in (_table(record, notes) for record in records) if table.numeric]

@@ -7,7 +7,6 @@ import re
 from collections import Counter
 from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
-from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +18,7 @@ from daq.contract.plain_words import listed, one_line, plain_name
 from groundstation.flight.files.parquet_columns import MOST_COLUMNS, read_parquet
 from groundstation.flight.files.plain_csv import plain_columns
 from groundstation.importers.errors import ImportDataError
+from groundstation.importers.formats.table_time import stamps_of, without_sentinels
 from groundstation.importers.mapping import FileFormat, Map, Source, Time
 from groundstation.importers.series import Log, Series
 from groundstation.importers.units import conversion, find_unit
@@ -40,6 +40,8 @@ _CELLS_AT_ONCE = 400_000  # turned into numbers together: 30 MB as text
 
 
 _TIME_NAMES = ("time", "t", "Time", "TIME", "time_s")
+DATE_NAMES = ("date", "Date", "DATE")
+"""Columns that hold the day beside a time of day."""
 
 
 def _bare(header: str) -> str:
@@ -50,12 +52,13 @@ def _bare(header: str) -> str:
 
 @dataclass(frozen=True)
 class Table:
-    """A table as read: columns of numbers (N,), of dates (N,) [s] after the first and of words by header, units of a row below
-    the header, and notes. Cells of words are kept only of a column that can be the time."""
+    """A table as read: columns of numbers (N,), of dates (N,) [s] after the first (firsts: [s since 1970]) and of words,
+    units of a row below the header, and notes. Cells of words are kept only of a column that can be the time."""
 
     numeric: dict[str, Array]
     words: dict[str, list[str]]
     dates: dict[str, Array] = field(default_factory=dict)
+    firsts: dict[str, float] = field(default_factory=dict)
     units: dict[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
@@ -64,7 +67,7 @@ def read_table(path: Path, layout: FileFormat, time: Time | None = None) -> Tabl
     """A CSV or Parquet table. time: where it is, as far as that is stated. Raises ImportDataError."""
 
     def can_be_time(name: str) -> bool:
-        return name == time.column if time else _bare(name) in _TIME_NAMES
+        return name in (time.column, time.date) if time else _bare(name) in (*_TIME_NAMES, *DATE_NAMES)
 
     if path.suffix.lower() != ".parquet":
         try:
@@ -73,11 +76,12 @@ def read_table(path: Path, layout: FileFormat, time: Time | None = None) -> Tabl
             raise ImportDataError(f"{path}: not a readable table ({error}); is it a CSV?") from error
     found = read_parquet(path, ImportDataError, can_be_time)
     numeric = {name: np.where(np.isinf(values), np.nan, values) for name, values in found.numeric.items()}
-    return Table(numeric, found.words, found.dates)
+    return Table(numeric, found.words, found.dates, found.firsts)
 
 
 def _read_csv(path: Path, layout: FileFormat, can_be_time: Callable[[str], bool], needs_time: bool) -> Table:
     text = _NOTHING.sub("", _text(path).replace("\r\n", "\n").replace("\r", "\n") + "\n")
+    text, cut = _without_cut_line(text, layout)
     first_lines = list(itertools.islice(_lines(text), _LONGEST_PREAMBLE + _ALIKE))
     last = text[text.rfind("\n", 0, -1) + 1 : -1]
     above = layout.header_line - 1 if layout.header_line else _lines_above_header(first_lines, last, layout)
@@ -89,7 +93,7 @@ def _read_csv(path: Path, layout: FileFormat, can_be_time: Callable[[str], bool]
     rows = _cells(itertools.chain([top], lines), delimiter)
     header = [h.strip() for h in (list(layout.names) or next(rows))]
     _check_header(path, header)
-    if needs_time and not any(map(can_be_time, header)):
+    if needs_time and not any(can_be_time(h) and h not in DATE_NAMES for h in header):
         raise ImportDataError(
             f"{path}: no column 'time', or the one named for it; found {listed(header, 12)}; "
             "name the time column in a mapping file (--map), or the rate where there is none: [time] rate_hz = 50"
@@ -104,6 +108,7 @@ def _read_csv(path: Path, layout: FileFormat, can_be_time: Callable[[str], bool]
         raise ImportDataError(f"{path}: no table with a header line and rows in it")
     units = _unit_row(header, start[0])
     passed_over = (f"{above} lines above the column names passed over",) if above and not layout.header_line else ()
+    passed_over = (*passed_over, *cut)
     decimal = layout.decimal or _decimal(delimiter, start)
     below = above + (not layout.names) + layout.skip_after_header + bool(units)
     plain = _plain(text, header, below, delimiter, decimal)
@@ -199,6 +204,22 @@ def _lines(text: str) -> Iterator[str]:
     return (line[0] for line in _LINE.finditer(text))
 
 
+def _without_cut_line(text: str, layout: FileFormat) -> tuple[str, tuple[str, ...]]:
+    """The text without a last line that has fewer cells than the two before it, as a program that died leaves it; and a note."""
+    ends = [len(text)]
+    for _ in range(3):
+        ends.append(text.rfind("\n", 0, max(ends[-1] - 1, 0)) + 1)
+    lines = [text[b : a - 1] for a, b in itertools.pairwise(ends)]
+    if ends[-1] == 0 or not all(lines):
+        return text, ()
+    delimiter = layout.delimiter or _delimiter(lines[1])
+    counts = [len(row) for row in _cells(lines, delimiter)]
+    if len(counts) < 3 or not counts[0] < counts[1] == counts[2]:
+        return text, ()
+    note = f"the last line is cut off ({counts[0]} of {counts[1]} cells): left out"
+    return text[: ends[1]], (note,)
+
+
 def _plain(text: str, header: list[str], above: int, delimiter: str, decimal: str) -> list[Array] | None:
     """The columns below so many lines, where they are nothing but numbers."""
     if '"' in text or delimiter == " " or len(set(header)) < len(header):
@@ -239,6 +260,7 @@ def _text(path: Path) -> str:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError:
         text = data.decode("latin-1")
+    text = text.rstrip("\0")  # blocks that a power cut left unwritten
     if "\0" in text:
         raise ImportDataError(f"{path}: not a text file; a CSV is expected")
     return text
@@ -329,13 +351,15 @@ def header_map(table: Table, given: Container[str] = ()) -> tuple[Map, tuple[str
     """
     columns: dict[str, tuple[Source, ...]] = {}
     time = None
-    segment = None
+    segment = date = None
     notes = []
     for name in [*table.numeric, *table.words, *table.dates]:
         match = _HEADER_UNIT.match(name)
         bare, unit = (match["name"], match["unit"]) if match else (name, table.units.get(name, ""))
         if bare == "time" or (time is None and bare in _TIME_NAMES):
             time = Time(column=name, unit=unit or "s")
+        elif bare in DATE_NAMES and name in table.words:
+            date = name
         elif bare == "segment":
             segment = name
         elif bare in COLUMN_BY_NAME and bare not in given:
@@ -348,6 +372,10 @@ def header_map(table: Table, given: Container[str] = ()) -> tuple[Map, tuple[str
                     f"header {plain_name(name)!r}: {plain_name(unit)!r} is not a unit known here; taken as {si or 'it stands'}"
                 )
             columns[bare] = (Source(column=name, unit=unit if unit and known else si),)
+    if time is None and len(table.dates) == 1:
+        time = Time(column=next(iter(table.dates)))
+    if time is not None and date is not None and time.column in table.words:
+        time = time.model_copy(update={"date": date})
     return Map(format=1, time=time, segment=segment, columns=columns), tuple(notes)
 
 
@@ -358,17 +386,17 @@ def table_log(path: Path, table: Table, time: Time | None) -> Log:
             f"{path}: no column 'time'; found {listed([*table.numeric, *table.words, *table.dates], 12)}; "
             "name the time column in a mapping file (--map), or the rate where there is none: [time] rate_hz = 50"
         )
-    if time.column in table.dates and time.unit == "iso":
-        seconds = table.dates[time.column] + time.offset
-    else:
-        seconds = _seconds(path, table.numeric, {**table.words, **{name: [] for name in table.dates}}, time)
-    numeric = dict(table.numeric)
-    if time.restarts:
-        seconds, numeric[RECORD] = _in_a_row(path, seconds)
-    series = {name: Series(seconds, values) for name, values in numeric.items() if name != time.column}
-    text_columns = tuple(w for w in (*table.words, *table.dates) if w != time.column)
+    found = stamps_of(path, table.numeric, table.words, table.dates, time)
+    aside = {time.column, time.date}
+    numeric, absent = without_sentinels({n: v for n, v in table.numeric.items() if n not in aside}, plain_name)
+    if found.record is not None:
+        numeric[RECORD] = found.record
+    series = {name: Series(found.seconds, values) for name, values in numeric.items()}
+    text_columns = tuple(w for w in (*table.words, *table.dates) if w not in aside)
     units = {**_header_units(series), **table.units}
-    return Log("table", series, common=True, notes=table.notes, text_columns=text_columns, units=units)
+    notes = (*table.notes, *found.notes, *absent)
+    origin = found.origin + table.firsts.get(time.column or "", 0.0)
+    return Log("table", series, common=True, notes=notes, text_columns=text_columns, units=units, origin=origin)
 
 
 def _header_units(names: Iterable[str]) -> dict[str, str]:
@@ -379,54 +407,3 @@ def _header_units(names: Iterable[str]) -> dict[str, str]:
 
 RECORD = "record number"
 """Counts the records of a file in which time begins anew."""
-
-
-def _in_a_row(path: Path, seconds: Array) -> tuple[Array, Array]:
-    """Records one after the other in time, a second apart, and the number of each."""
-    step = np.diff(seconds)
-    back = step <= 0
-    if not back.any():
-        raise ImportDataError(f"{path}: restarts = true, but time never begins anew")
-    number = np.concatenate([[0.0], np.cumsum(back)])
-    shift = np.concatenate([[0.0], np.cumsum(np.where(back, 1.0 - step, 0.0))])
-    return seconds + shift, number
-
-
-def _seconds(path: Path, numeric: dict[str, Array], words: dict[str, list[str]], time: Time) -> Array:
-    if time.column is None:
-        rows = len(next(iter(numeric.values()), np.zeros(0)))
-        return np.arange(rows) / float(time.rate_hz or 1.0) + time.offset
-    if time.column not in numeric and time.column not in words:
-        raise ImportDataError(f"{path}: no column {time.column!r} for the time; found {listed([*numeric, *words], 12)}")
-    if time.unit == "iso":
-        return _dates(path, words, time) + time.offset
-    if time.column in words:
-        bad = next((w for w in words[time.column] if _numbers([w], ".")[1]), "")
-        raise ImportDataError(
-            f'{path}: time column {time.column!r} holds {one_line(bad, 60)!r}, not a number; dates need unit = "iso"'
-        )
-    unit = find_unit(time.unit)
-    if unit is None or unit.si != "s":
-        raise ImportDataError(f"{path}: time unit {time.unit!r} is not known; s, ms, us, ns, min, h or iso")
-    values = numeric[time.column]
-    if not np.isfinite(values).any():
-        raise ImportDataError(f"{path}: time column {time.column!r} holds no number")
-    # large integer stamps (us since 1970) lose digits as seconds in double precision: count from the first
-    first = np.nanmin(values) if unit.scale < 1 and np.nanmin(values) * unit.scale > 1e6 else 0.0
-    return np.asarray((values - first) * unit.scale + time.offset)
-
-
-def _dates(path: Path, words: dict[str, list[str]], time: Time) -> Array:
-    stamps = []
-    for cell in words.get(time.column or "", []):
-        try:
-            stamps.append(datetime.fromisoformat(cell))
-        except ValueError:
-            raise ImportDataError(
-                f"{path}: time column {time.column!r}: {one_line(cell, 60)!r} is not a date like 2026-11-21T03:15:00.25"
-            ) from None
-    if not stamps:
-        raise ImportDataError(
-            f"{path}: time column {time.column!r} is a number, not a date; state its unit instead of iso"
-        )
-    return np.array([(s - stamps[0]).total_seconds() for s in stamps])

@@ -1,7 +1,6 @@
 """MAVLink telemetry log (.tlog): 8-byte big-endian microseconds before each message. Series are named 'MESSAGE.field'.
 
-Time is the aircraft's own (time_usec or time_boot_ms of the message) where it has one, else the receiver's, moved to the
-aircraft's clock by the smallest difference seen. Only one system is imported, the one with the most messages.
+Only one system is imported, the one with the most messages; see `tlog_series` for names and time.
 """
 
 import math
@@ -11,7 +10,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import fastcrc
 import numpy as np
@@ -20,43 +18,55 @@ from numpy.typing import NDArray
 from daq.contract.input_files import read_bytes
 from daq.transport.mavlink_codec import padded
 from groundstation.importers.errors import ImportDataError
-from groundstation.importers.series import Array, Log, Series
+from groundstation.importers.formats.tlog_series import LONGEST_ARRAY, Received, by_boot
+from groundstation.importers.series import Log
 
 _MAGIC = (0xFD, 0xFE)
 _NEXT = re.compile(rb"\0[\x00-\x0e](?s:.{6})[\xfd\xfe]")
 """How a record begins: a stamp before the year 2100, whose first two bytes are small, and the first byte of a frame."""
 _OUR_FRAME = 44100
 _GROUND_STATION = 255
-LONGEST_ARRAY = 32
-"""Elements of an array field that become series (the 32 outputs of ACTUATOR_OUTPUT_STATUS); longer ones are blocks of bytes."""
-# Values that mean "not known" in the message definitions, by message and field.
-_NOT_KNOWN = {
-    ("SYS_STATUS", "voltage_battery"): 65535,
-    ("SYS_STATUS", "current_battery"): -1,
-    ("GPS_RAW_INT", "vel"): 65535,
-    ("GPS_RAW_INT", "cog"): 65535,
-    ("GPS_RAW_INT", "eph"): 65535,
-    ("GPS_RAW_INT", "epv"): 65535,
-    ("GLOBAL_POSITION_INT", "hdg"): 65535,
-}
-_FIX_3D = 3
-_PARAM_VALUE = 22
 _NUMPY = {"b": "i1", "B": "u1", "h": "i2", "H": "u2", "i": "i4", "I": "u4", "q": "i8", "Q": "u8", "f": "f4", "d": "f8"}
 """Letter of the struct -> what numpy calls it."""
 _V1_EXTRA, _V2_EXTRA, _SIGNATURE = 8, 12, 13
 
 
-def read_tlog(path: Path) -> Log:
-    """All numeric fields of the standard messages of one aircraft. Raises ImportDataError when nothing can be read."""
+def read_tlog(path: Path) -> list[Log]:
+    """All numeric fields of the standard messages of one aircraft, a log for each boot of its autopilot. Raises ImportDataError
+    when nothing can be read."""
     found = _gathered(read_bytes(path, error=ImportDataError))
-    if not found.systems:
-        raise ImportDataError(f"{path}: no MAVLink message in it; is it a telemetry log (.tlog)?")
-    systems = Counter({s: n for s, n in found.systems.items() if s != _GROUND_STATION})
+    systems: Counter[int] = Counter()
+    for (system, _, _), rows in found.rows.items():
+        systems[system] += len(rows.stamps)
     if not systems:
+        raise ImportDataError(f"{path}: no MAVLink message in it; is it a telemetry log (.tlog)?")
+    aircraft = Counter({s: n for s, n in systems.items() if s != _GROUND_STATION})
+    if not aircraft:
         raise ImportDataError(f"{path}: only ground-station messages in this log")
-    system = systems.most_common(1)[0][0]
-    series = _series({kind: rows for (of, kind), rows in found.rows.items() if of == system})
-    others = sorted(set(systems) - {system})
+    system = aircraft.most_common(1)[0][0]
+    received = [
+        Received(layouts()[kind].name, component, rows.table(kind), np.array(rows.stamps), np.array(rows.places))
+        for (of, component, kind), rows in found.rows.items()
+        if of == system
+    ]
+    notes = _notes(found, sorted(set(aircraft) - {system}), system)
+    stated = _parameters([r for r in received if r.name == "PARAM_VALUE"])
+    boots = by_boot(received)
+    logs = []
+    for number, boot in enumerate(boots, start=1):
+        told = [f"boot {number} of {len(boots)} in this log: a record of its own"] if len(boots) > 1 else []
+        detail = {"system": str(system), "component": str(boot.component)}
+        said = (*(notes if number == 1 else ()), *told, *boot.notes)
+        seen = boot.contradictions
+        logs.append(
+            Log(
+                "tlog", boot.series, notes=said, detail=detail, parameters=stated, contradictions=seen, marks=boot.marks
+            )
+        )
+    return logs
+
+
+def _notes(found: "_Found", others: list[int], system: int) -> list[str]:
     notes = []
     if found.ours:
         notes.append(
@@ -67,12 +77,11 @@ def read_tlog(path: Path) -> Log:
         notes.append(f"messages of systems {', '.join(map(str, others))} left out; system {system} is imported")
     if found.skipped:
         notes.append(f"{found.skipped} bytes of the log are damaged and left out")
-    stated = _parameters(found.rows.get((system, _PARAM_VALUE)))
-    return Log("tlog", series, notes=tuple(notes), detail={"system": str(system)}, parameters=stated)
+    return notes
 
 
 @dataclass(frozen=True)
-class _Layout:
+class Layout:
     """A message of the dialect: name, numpy type of a whole payload, numeric fields with their number of elements."""
 
     name: str
@@ -83,22 +92,26 @@ class _Layout:
 
 @dataclass
 class _Rows:
-    """Messages of one kind from one system: time received [s] and payloads, one after the other."""
+    """Messages of one kind from one component: time received [s], place in the file and payloads, one after the other."""
 
     stamps: list[float] = field(default_factory=list)
+    places: list[int] = field(default_factory=list)
     payloads: bytearray = field(default_factory=bytearray)
+
+    def table(self, kind: int) -> NDArray[np.void]:
+        """The payloads as records of their fields."""
+        return np.frombuffer(self.payloads, layouts()[kind].dtype)
 
 
 @dataclass
 class _Found:
-    rows: dict[tuple[int, int], _Rows] = field(default_factory=dict)  # by system and message id
-    systems: Counter[int] = field(default_factory=Counter)
+    rows: dict[tuple[int, int, int], _Rows] = field(default_factory=dict)  # by system, component and message id
     ours: int = 0
     skipped: int = 0
 
 
 @cache
-def _layouts() -> Mapping[int, _Layout]:
+def layouts() -> Mapping[int, Layout]:
     """The messages of the dialect that ArduPilot and PX4 share, by id."""
     from pymavlink.dialects.v20 import ardupilotmega
 
@@ -115,7 +128,7 @@ def _layouts() -> Mapping[int, _Layout]:
             types.append((name, f"<{_NUMPY[letter]}", (many,) if many > 1 else ()))
             if many <= LONGEST_ARRAY:
                 fields.append((name, many))
-        out[number] = _Layout(made.msgname, np.dtype(types), tuple(fields), made.crc_extra)
+        out[number] = Layout(made.msgname, np.dtype(types), tuple(fields), made.crc_extra)
     return out
 
 
@@ -144,7 +157,7 @@ def _take(data: bytes, at: int, size: int, found: _Found) -> bool:
     is_v1 = data[first] == 0xFE
     head = 6 if is_v1 else 10
     kind = data[first + 5] if is_v1 else int.from_bytes(data[first + 7 : first + 10], "little")
-    layout = _layouts().get(kind)
+    layout = layouts().get(kind)
     if layout is None:
         follows = first + size
         found.ours += kind == _OUR_FRAME
@@ -153,11 +166,11 @@ def _take(data: bytes, at: int, size: int, found: _Found) -> bool:
     checksum = fastcrc.crc16.mcrf4xx(data[first + 1 : end] + bytes([layout.crc_extra]))
     if checksum != data[end] | data[end + 1] << 8:
         return False
-    system = data[first + 3] if is_v1 else data[first + 5]
-    rows = found.rows.setdefault((system, kind), _Rows())
+    system, component = (data[first + 3], data[first + 4]) if is_v1 else (data[first + 5], data[first + 6])
+    rows = found.rows.setdefault((system, component, kind), _Rows())
+    rows.places.append(at)
     rows.stamps.append(int.from_bytes(data[at : at + 8], "big") * 1e-6)
     rows.payloads += padded(data[first + head : end], layout.dtype.itemsize)
-    found.systems[system] += 1
     return True
 
 
@@ -170,48 +183,10 @@ def _frame_size(data: bytes, at: int) -> int:
     return data[at + 1] + _V2_EXTRA + (_SIGNATURE if data[at + 2] & 1 else 0)
 
 
-def _parameters(rows: _Rows | None) -> dict[str, float]:
+def _parameters(received: list[Received]) -> dict[str, float]:
     """The autopilot's parameters, each as last stated, as ArduPilot sends them (PX4 packs whole numbers otherwise)."""
-    if rows is None:
-        return {}
-    table = np.frombuffer(rows.payloads, _layouts()[_PARAM_VALUE].dtype)
-    pairs = zip(table["param_id"].tolist(), table["param_value"].tolist(), strict=True)
-    return {name.decode("ascii", "replace"): value for name, value in pairs if math.isfinite(value)}
-
-
-def _series(found: dict[int, _Rows]) -> dict[str, Series]:
-    """Each numeric field of the messages of one system, on the aircraft's clock."""
-    tables = {kind: np.frombuffer(rows.payloads, _layouts()[kind].dtype) for kind, rows in found.items()}
-    stamps = {kind: np.array(rows.stamps) for kind, rows in found.items()}
-    own = {kind: _own_time(table) for kind, table in tables.items()}
-    behind = [float(np.nanmin(stamps[k] - t)) for k, t in own.items() if np.isfinite(t).any()]
-    offset = min(behind, default=min(float(s[0]) for s in stamps.values()))
-    series: dict[str, Series] = {}
-    for kind, table in tables.items():
-        layout = _layouts()[kind]
-        time = np.where(np.isfinite(own[kind]), own[kind], stamps[kind] - offset)
-        for name, many in layout.fields:
-            for i in range(many):
-                label = f"{layout.name}.{name}" + (f"[{i}]" if many > 1 else "")
-                series[label] = _known(layout.name, name, table, time, table[name][:, i] if many > 1 else table[name])
-    return series
-
-
-def _known(message: str, field_name: str, table: NDArray[np.void], time: Array, values: NDArray[Any]) -> Series:
-    """The samples of which the definition of the message does not say that they are none."""
-    with np.errstate(invalid="ignore"):  # a signalling NaN
-        numbers = values.astype(float)
-    good = numbers != _NOT_KNOWN.get((message, field_name), np.nan)
-    if message == "GPS_RAW_INT" and field_name in ("lat", "lon", "alt"):
-        good &= table["fix_type"] >= _FIX_3D
-    return Series(time, numbers) if good.all() else Series(time[good], numbers[good])
-
-
-def _own_time(table: NDArray[np.void]) -> Array:
-    """Time of each message on the aircraft's clock since boot [s], NaN where it has none; a time since 1970 is none."""
-    names = table.dtype.names or ()
-    if "time_boot_ms" in names:
-        return np.asarray(table["time_boot_ms"] * 1e-3)
-    if "time_usec" in names:
-        return np.where(table["time_usec"] < 1e15, table["time_usec"] * 1e-6, np.nan)
-    return np.full(len(table), np.nan)
+    found: dict[str, float] = {}
+    for one in received:
+        pairs = zip(one.table["param_id"].tolist(), one.table["param_value"].tolist(), strict=True)
+        found |= {name.decode("ascii", "replace"): value for name, value in pairs if math.isfinite(value)}
+    return found

@@ -11,13 +11,19 @@ import numpy as np
 
 from daq.contract.input_files import read_bytes
 from daq.contract.plain_words import LONGEST_NAME, one_line
+from groundstation.flight.marks import Mark, Marks, Mode, changes
 from groundstation.importers.errors import ImportDataError
 from groundstation.importers.formats.attitude import euler_from_quaternion
-from groundstation.importers.formats.ulog_scan import MAGIC, sound_messages
+from groundstation.importers.formats.ulog_scan import MAGIC, Sound, sound_messages
+from groundstation.importers.modes import PX4_NAVIGATION, armings, words
 from groundstation.importers.series import Log, Series
 
 _DAMAGE = (KeyError, IndexError, ValueError, TypeError, OSError, AttributeError)
 """What pyulog raises on bytes that are not what was written."""
+
+
+PX4_ARMED = 2
+"""vehicle_status.arming_state ARMING_STATE_ARMED."""
 
 
 def read_ulog(path: Path) -> Log:
@@ -66,4 +72,19 @@ def read_ulog(path: Path) -> Log:
         lost = sound.dropped_ms / 1000
         notes.append(f"the logger of this ULog reports {sound.dropouts} dropouts, together {lost:.3g} s")
     system = one_line(str(log.msg_info_dict.get("ver_sw", "")), LONGEST_NAME)
-    return Log("ulog", series, notes=tuple(notes), detail={"firmware": system} if system else {})
+    detail = {"firmware": system} if system else {}
+    return Log(
+        "ulog", series, notes=tuple(notes), detail=detail, parameters=sound.parameters, marks=_marks(series, sound)
+    )
+
+
+def _marks(series: dict[str, Series], sound: Sound) -> Marks:
+    """Modes and arming by vehicle_status, messages as the logger kept them."""
+    mode, arming = series.get("vehicle_status.nav_state"), series.get("vehicle_status.arming_state")
+    end = max(float(s.time[-1]) for s in series.values())
+    modes: tuple[Mode, ...] = ()
+    if mode is not None:
+        names = [PX4_NAVIGATION.get(int(n), f"mode {n:g}") if np.isfinite(n) else "unknown" for n in mode.values]
+        modes = changes(mode.time.tolist(), names, end)
+    events = armings(arming.time.tolist(), (arming.values == PX4_ARMED).tolist()) if arming is not None else ()
+    return Marks(modes, events, tuple(Mark(t, words(text)) for t, text in sound.logged))

@@ -7,10 +7,11 @@ searching for the next message that an earlier one announced, and what the impor
 Format: PX4 user guide, "ULog File Format".
 """
 
+import math
 import re
 import struct
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +32,8 @@ MOST_BYTES = 2**16
 """Of one sample of a topic: the length of a message is a 16-bit number."""
 MOST_FIELDS = 100_000
 """Of all topics of a log together; a PX4 log has some 10,000."""
+MOST_LOGGED = 20_000
+"""Messages in words, and parameters."""
 DEEPEST = 16
 """Formats within formats; PX4 has two."""
 
@@ -43,12 +46,15 @@ _BLOCK = 2**16  # bytes searched at once for the next message of a known topic
 @dataclass(frozen=True)
 class Sound:
     """The sound messages of a ULog. stream: a ULog of formats, subscriptions and data only; skipped: bytes of damage;
-    dropouts: how many its logger reports, together dropped_ms long."""
+    dropouts: how many its logger reports, together dropped_ms long. logged: messages in words with their time [s]; parameters:
+    each as last stated."""
 
     stream: bytes
     skipped: int
     dropouts: int
     dropped_ms: int
+    logged: tuple[tuple[float, str], ...] = ()
+    parameters: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +68,14 @@ def sound_messages(data: bytes) -> Sound:
     """Look at each message of a ULog once. `data` begins with MAGIC."""
     scan = _Scan(data)
     scan.run()
-    return Sound(b"".join([data[:HEADER], *scan.head, *scan.body]), scan.skipped, scan.dropouts, scan.dropped_ms)
+    return Sound(
+        b"".join([data[:HEADER], *scan.head, *scan.body]),
+        scan.skipped,
+        scan.dropouts,
+        scan.dropped_ms,
+        tuple(scan.logged),
+        scan.parameters,
+    )
 
 
 class _Scan:
@@ -71,6 +84,8 @@ class _Scan:
         self.head: list[bytes] = []
         self.body: list[bytes] = []
         self.skipped = self.dropouts = self.dropped_ms = 0
+        self.logged: list[tuple[float, str]] = []
+        self.parameters: dict[str, float] = {}
         self._formats: dict[str, tuple[_Field, ...]] = {}
         self._topics = np.zeros(
             (2, 2**16), np.int64
@@ -152,10 +167,28 @@ class _Scan:
                 self.head.append(_message(kind, (body[:16] + bytes(40))[:40]))
             case "I" if b" ver_sw" in body[:40]:
                 self.head.append(_message(kind, body))
+            case "L" | "C" if len(self.logged) < MOST_LOGGED:
+                self._logged(body[1:] if chr(kind) == "L" else body[3:])
+            case "P" if len(self.parameters) < MOST_LOGGED:
+                self._parameter(body)
             case "O":
                 self.dropouts += 1
                 self.dropped_ms += int.from_bytes(body[:2], "little")
         return True
+
+    def _logged(self, body: bytes) -> None:
+        """A message in words: time [us], text."""
+        if len(body) > 8:
+            self.logged.append((int.from_bytes(body[:8], "little") * 1e-6, body[8:].decode("utf-8", "replace")))
+
+    def _parameter(self, body: bytes) -> None:
+        """Length of the key, `int32_t NAME` or `float NAME`, value."""
+        kind, _, name = body[1 : 1 + body[0]].decode("latin-1").partition(" ")
+        raw = body[1 + body[0] : 5 + body[0]]
+        if len(raw) == 4 and name and kind in ("int32_t", "float"):
+            value = float(struct.unpack("<i" if kind == "int32_t" else "<f", raw)[0])
+            if math.isfinite(value):
+                self.parameters[name] = value
 
     def _format(self, body: bytes) -> bool:
         name, colon, text = body.partition(b":")
@@ -188,11 +221,11 @@ class _Scan:
     def _expanded(self, fields: tuple[_Field, ...], depth: int) -> tuple[int, int]:
         """Bytes and number of plain fields in `fields`; MOST_BYTES when they are too many, or a format holds itself."""
         size = count = 0
-        for field in fields:
-            one = (_SIZES[field.kind], 1) if field.kind in _SIZES else (MOST_BYTES, 0)
-            if field.kind in self._formats and depth:
-                one = self._expanded(self._formats[field.kind], depth - 1)
-            size, count = size + field.count * one[0], count + field.count * one[1]
+        for part in fields:
+            one = (_SIZES[part.kind], 1) if part.kind in _SIZES else (MOST_BYTES, 0)
+            if part.kind in self._formats and depth:
+                one = self._expanded(self._formats[part.kind], depth - 1)
+            size, count = size + part.count * one[0], count + part.count * one[1]
             if size >= MOST_BYTES:
                 return MOST_BYTES, count
         return size, count

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from daq.contract.durable import replacing
+from daq.contract.link.scan_map import ScanMap
 from daq.contract.recordings.messages import Event, MessageError, decode_event, encode_event
 from daq.contract.recordings.recording import (
     Entry,
@@ -172,6 +173,13 @@ class SessionRecorder:
         if self.papers is None or self._attachments is not None:
             return 0
         return self.papers.archive_bytes
+
+    def state(self, received: ScanMap) -> tuple[int, int]:
+        """Scans in the journal on the disk, and of those received so many that are not in it."""
+        on_disk = self.journal.on_disk
+        return on_disk, len(
+            received.minus(self.journal.received).minus(self.journal.complete)
+        ) + self.journal.scans_waiting
 
     def info(self) -> RecordingInfo:
         """Identity of the recording, as far as the aircraft has told."""

@@ -10,15 +10,16 @@ import struct
 import zlib
 from array import array
 from collections.abc import Iterator
+from contextlib import suppress
 from enum import IntEnum
 from pathlib import Path
 from typing import IO, NamedTuple
 
 import numpy as np
 
-from daq.contract.durable import make_directories
 from daq.contract.link.scan_map import ScanMap
 from daq.contract.scan import Scan, ScanDecodeError, decode_scan, encode_scan
+from groundstation.receiver.kept.lasting_log import LastingLog
 
 _HEAD = struct.Struct("<BIII")  # kind, number, length, CRC-32 over the three and the data
 _CRC_OF = struct.Struct("<BII")
@@ -56,20 +57,53 @@ class SessionLog:
     """Scans by number, the complete form preferred, and the other records in order."""
 
     def __init__(self, path: Path) -> None:
-        make_directories(path.parent)
         self.path = path
         self.received = ScanMap()
         self.complete = ScanMap()
-        self._file: IO[bytes] = path.open("ab")
+        self._file = LastingLog(path)
+        self._take_stock()
+
+    # ------------------------------------------------------------------------------------------ writing
+
+    def _take_stock(self) -> None:
+        """Know what the file holds, and leave it so that records can follow."""
+        self.received, self.complete = ScanMap(), ScanMap()
         end = 0
         for record in self._records():
             self._note(record.kind, record.number)
             end = record.end
         self._file.truncate(end)  # a torn last record, or a file that is no journal
         if end == 0:
-            self._file.write(_MAGIC)
+            self._file.append(_MAGIC)
 
-    # ------------------------------------------------------------------------------------------ writing
+    def look_after(self) -> None:
+        """Called now and then: write what waits for the disk; go on in a new file where the old one is gone, with what it
+        had where that can be read. `received` and `complete` then say what is there. Raises OSError while there is no disk."""
+        if not self._file.look_after():
+            waiting = self._file.take_waiting()
+            self._take_stock()
+            for record in waiting:
+                if record != _MAGIC:
+                    self._file.append(record)
+                    kind, number, *_ = _HEAD.unpack_from(record)
+                    self._note(Kind(kind), number)
+        self._file.flush()
+
+    @property
+    def scans_waiting(self) -> int:
+        """Scans that are in memory only, because the disk has not taken them yet."""
+        kinds = (record[0] for record in self._file.records_waiting if record != _MAGIC)
+        return sum(kind in (Kind.RECEIVED, Kind.COMPLETE) for kind in kinds)
+
+    @property
+    def on_disk(self) -> int:
+        """Scans whose record is in the file."""
+        return len(self.complete) + len(self.received.minus(self.complete)) - self.scans_waiting
+
+    @property
+    def waiting(self) -> int:
+        """Bytes that the disk has not taken yet."""
+        return self._file.waiting
 
     def _note(self, kind: Kind, number: int) -> None:
         if kind is Kind.RECEIVED:
@@ -79,9 +113,9 @@ class SessionLog:
 
     def _append(self, kind: Kind, number: int, data: bytes) -> None:
         crc = zlib.crc32(_CRC_OF.pack(kind, number, len(data)) + data)
-        self._file.write(_HEAD.pack(kind, number, len(data), crc) + data)
-        self._note(kind, number)
-        self._file.flush()  # on a full disk it stays in memory, and goes with the next that succeeds
+        if self._file.append(_HEAD.pack(kind, number, len(data), crc) + data):
+            self._note(kind, number)
+        self._file.flush()  # on a full disk it waits in memory, and goes with the next that succeeds
 
     def add_received(self, scan: Scan) -> None:
         """Keep a scan as received; one completed by a later part replaces it."""
@@ -107,21 +141,18 @@ class SessionLog:
 
     def descriptor(self) -> int:
         """The open file, for whoever syncs it."""
-        return self._file.fileno()
+        return self._file.descriptor()
 
     def close(self) -> None:
         """Close the file, its content on the disk."""
-        try:
-            self._file.flush()
-            os.fsync(self._file.fileno())
-        finally:
-            self._file.close()
+        self._file.close()
 
     # ------------------------------------------------------------------------------------------ reading
 
     def _records(self) -> Iterator[_Record]:
-        """All sound records in order; a damaged stretch is passed over."""
-        self.flush()
+        """All sound records of the file in order; a damaged stretch is passed over. What waits is not among them."""
+        with suppress(OSError):
+            self.flush()
         with self.path.open("rb") as file:
             size = os.fstat(file.fileno()).st_size
             if file.read(len(_MAGIC)) != _MAGIC:

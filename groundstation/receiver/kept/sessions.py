@@ -7,6 +7,7 @@ from types import MappingProxyType
 from groundstation.receiver import events as ev
 from groundstation.receiver.faults import Faults
 from groundstation.receiver.kept.recording import SessionRecorder
+from groundstation.receiver.link_accounting import SessionAccounting
 
 _MAX_OPEN = 8
 RECORDING = "recording"
@@ -20,6 +21,7 @@ class Sessions:
         self._faults = faults
         self._open: dict[ev.Session, SessionRecorder] = {}
         self._put_away: list[Path] = []
+        self._of_those_put_away: dict[ev.Session, tuple[int, int]] = {}
 
     @property
     def recorders(self) -> Mapping[ev.Session, SessionRecorder]:
@@ -31,6 +33,7 @@ class Sessions:
         if session not in self._open:
             if len(self._open) >= _MAX_OPEN:
                 recorder = self._open.pop(next(iter(self._open)))
+                self._of_those_put_away[recorder.session] = (recorder.journal.on_disk, 0)
                 self._put_away += self._written(recorder)
                 self._close(recorder)
             self._open[session] = SessionRecorder(self._folder, session)
@@ -38,14 +41,31 @@ class Sessions:
 
     def keep(self, event: ev.Event) -> bool:
         """Hand an event to the recorder of its session; False when it refuses it, because there were too many."""
+        if isinstance(event, ev.ScanReceived):
+            try:
+                (self._open.get(event.session) or self.recorder(event.session)).scan(event)
+            except OSError as error:  # cleared by `look_after`, which says that the disk takes it again
+                self._faults.note(RECORDING, error)
+            return True
         with self._faults.watch(RECORDING):
-            if isinstance(event, ev.ScanReceived):
-                self.recorder(event.session).scan(event)
-            elif isinstance(event, ev.EventMarked):
+            if isinstance(event, ev.EventMarked):
                 return self.recorder(event.session).event(event)
             elif isinstance(event, ev.LinkStatistics) and event.session in self._open:
                 self._open[event.session].link(event)
         return True
+
+    def look_after(self) -> None:
+        """Bring what waits to the disk, or say what hinders it."""
+        for recorder in self._open.values():
+            with self._faults.watch(RECORDING):
+                recorder.journal.look_after()
+
+    def state(self, books: SessionAccounting) -> tuple[int, int] | None:
+        """Scans of a session that are on the disk, and that came down and are not; None for a session put away."""
+        recorder = self._open.get(books.session)
+        if recorder is None:
+            return self._of_those_put_away.get(books.session)
+        return recorder.state(books.received)
 
     def note(self, session: ev.Session, text: str) -> None:
         """Put an event of the reception itself into a session's recording."""

@@ -154,7 +154,9 @@ class BackfillClient:
 
     def _wanted_numbers(self, busy: set[int]) -> Iterable[int]:
         if self.mode == "lost":
-            candidates: Iterable[int] = (n for a, b in self._books.accounting().missing for n in range(a, b + 1))
+            gone = self.not_on_disk().ranges()
+            ranges = sorted([*self._books.accounting().missing, *gone])
+            candidates: Iterable[int] = (n for a, b in ranges for n in range(a, b + 1))
         elif self._summary is None:
             return
         else:
@@ -163,6 +165,18 @@ class BackfillClient:
         for n in candidates:
             if n not in busy and n not in self.unavailable and n not in held:
                 yield n
+
+    def not_on_disk(self) -> ScanMap:
+        """Scans that came down and that the disk has lost or never took: the aircraft may still have them."""
+        journal = self._recorder.journal
+        return self._books.received.minus(journal.received).minus(journal.complete)
+
+    def look_after(self) -> None:
+        """Called now and then: where the disk has lost scans that were held in full, they are wanted again."""
+        held = self._recorder.journal.complete
+        if len(held) < len(self._books.backfilled):
+            self._books.backfilled = self._books.backfilled.both(held)
+            self._cursor, self.agreed = None, False
 
     def _from_cursor(self, first: int, last: int) -> Iterable[int]:
         """Numbers from the first that is neither held nor given up; a long flight is not gone through again."""

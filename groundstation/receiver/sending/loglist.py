@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
+from daq.contract.durable import open_log
 from groundstation.receiver.timeline import NS
 
 DATA_BYTES = 90
@@ -48,8 +49,7 @@ class LogFetcher:
         entry = self.entries[number]
         self.done.discard(number)
         self.close()
-        path.parent.mkdir(parents=True, exist_ok=True)
-        self._file = path.open("ab")
+        self._file = open_log(path)
         self._number, self._size, self._at = number, entry.size, self._file.tell()
         self._asked_ns = None
         self._check_end()

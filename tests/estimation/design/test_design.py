@@ -11,7 +11,7 @@ import pytest
 
 from daq.contract.manoeuvre import ManoeuvreError, load_manoeuvre
 from estimation.aircraft import load_aircraft
-from estimation.commands.design import with_effects, write_manoeuvre
+from estimation.answers.designs import with_effects, write_manoeuvre
 from estimation.design import measured_inputs
 from estimation.design.condition import trimmed
 from estimation.design.design import Design, Task, design

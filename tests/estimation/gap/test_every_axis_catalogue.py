@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from estimation.commands.design import with_effects
+from estimation.answers.designs import with_effects
 from estimation.engine.data import FlightData, Segment
 from estimation.engine.simulate import simulate
 from estimation.engine.transforms import apply_transforms

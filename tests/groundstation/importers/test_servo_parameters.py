@@ -12,7 +12,7 @@ from groundstation.importers.errors import ImportDataError
 from groundstation.importers.formats.dataflash import read_dataflash
 from groundstation.importers.formats.tlog import read_tlog
 from groundstation.importers.run import import_data
-from sideslip.importing import import_
+from sideslip.cli import cli
 
 PARAMETERS = [("SERVO1_TRIM", 1500.0), ("SERVO1_TRIM", 1540.0), ("SERVO1_MIN", 1100.0), ("SERVO1_REVERSED", 1.0)]
 MAP = """format = 1
@@ -87,7 +87,7 @@ def test_an_output_of_px4_has_no_parameter(tmp_path: Path) -> None:
 
 def test_the_recipe_prints_what_the_parameters_say(tmp_path: Path) -> None:
     log, mapping = flown(tmp_path, "")
-    done = CliRunner().invoke(import_, [str(log), "--map", str(mapping), "--recipe"])
+    done = CliRunner().invoke(cli, ["import", str(log), "--map", str(mapping), "--recipe"])
     assert done.exit_code == 0, done.output
     assert "servo output RCOU.C1: 1100 to 1900, most often 1500; its parameters say MIN 1100, TRIM 1540" in done.output
 
@@ -98,7 +98,7 @@ def test_a_telemetry_log_states_them_in_param_value(tmp_path: Path) -> None:
     frames += [link.servo_output_raw_encode(1_000_000 * i, 0, 1500 + i, *[0] * 7) for i in range(3)]
     path = tmp_path / "x.tlog"
     path.write_bytes(b"".join((10**15 + i).to_bytes(8, "big") + f.pack(link) for i, f in enumerate(frames)))
-    assert dict(read_tlog(path).parameters) == {"SERVO1_TRIM": 1540.0, "SERVO1_MIN": 1100.0, "SERVO1_REVERSED": 1.0}
+    assert dict(read_tlog(path)[0].parameters) == {"SERVO1_TRIM": 1540.0, "SERVO1_MIN": 1100.0, "SERVO1_REVERSED": 1.0}
 
 
 def test_dataflash_parameters_are_read(tmp_path: Path) -> None:
@@ -109,3 +109,20 @@ def test_dataflash_parameters_are_read(tmp_path: Path) -> None:
         "SERVO1_MIN": 1100.0,
         "SERVO1_REVERSED": 1.0,
     }
+
+
+def test_a_throw_is_laid_on_the_travel_that_the_log_states(tmp_path: Path) -> None:
+    log, mapping = flown(tmp_path, "", [*PARAMETERS, ("SERVO1_MAX", 1880.0)])
+    mapping.write_text(mapping.read_text().replace("travel = [[1100, -20.0], [1900, 20.0]]", "throw = [18.0, -21.0]"))
+    flight = import_data(log, mapping)
+    output = 1100.0 + 20 * np.arange(41)
+    expected = np.where(output < 1540, 18.0 * (1540 - output) / 440, -21.0 * (output - 1540) / 340)
+    np.testing.assert_allclose(flight["delta_e"], np.radians(expected), atol=1e-9)
+    assert any(n.text == "servo a: travel from 1100 to 1880, by the parameters of the log" for n in flight.notes)
+
+
+def test_a_throw_without_the_parameters_is_a_sentence(tmp_path: Path) -> None:
+    log, mapping = flown(tmp_path, "trim = 1500\n")
+    mapping.write_text(mapping.read_text().replace("travel = [[1100, -20.0], [1900, 20.0]]", "throw = [18.0, -21.0]"))
+    with pytest.raises(ImportDataError, match="has a throw and no travel, and the log does not state SERVO1_MAX"):
+        import_data(log, mapping)

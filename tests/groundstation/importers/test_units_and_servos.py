@@ -12,7 +12,7 @@ from groundstation.flight import Flight, FlightError, read_flight, write_flight
 from groundstation.importers.errors import ImportDataError
 from groundstation.importers.mapping import examples, load_map
 from groundstation.importers.run import import_data
-from groundstation.importers.series import Log, Series
+from groundstation.importers.series import Log, Series, held_at
 from groundstation.importers.servos import Servo, with_servos
 
 Columns = dict[str, np.ndarray]
@@ -98,7 +98,11 @@ def test_lag_is_that_of_a_first_order_servo() -> None:
     log = Log("x", {"C1": Series(time, np.where(time < 0.1, 1520.0, 1900.0))})
     made, absent = with_servos(log, {"a": servo(lag=0.1), "b": servo(column="C9")})
     step = np.radians(22.0) * (1 - np.exp(-np.clip(time - 0.1, 0, None) / 0.1))
-    np.testing.assert_allclose(made.series["servo.a"].values, step, atol=1e-9)
+    moved = made.series["servo.a"]
+    assert moved.command
+    np.testing.assert_allclose(
+        held_at(moved, time - 0.01), step, atol=1e-9
+    )  # dated back by half of the 20 ms between records
     assert absent == ("C9",)
 
 

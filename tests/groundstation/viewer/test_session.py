@@ -94,7 +94,8 @@ def test_a_page_does_not_outlive_a_ground_station_that_is_killed() -> None:
 
 
 def test_rerun_s_program_is_told_of_no_way_out_of_this_computer() -> None:
-    page = WebPage("rerun+http://127.0.0.1:9/proxy", free_port())
+    port = free_port()
+    page = WebPage("rerun+http://127.0.0.1:9/proxy", port)
     try:
         rows = Path(f"/proc/{page.pid}/environ").read_bytes().decode().split("\0")
         with urllib.request.urlopen(page.address) as answer:
@@ -104,7 +105,7 @@ def test_rerun_s_program_is_told_of_no_way_out_of_this_computer() -> None:
     given = dict(row.split("=", 1) for row in rows if "=" in row)
     assert {given[name] for name in ("ALL_PROXY", "HTTPS_PROXY", "HTTP_PROXY", "https_proxy")} == {"http://127.0.0.1:9"}
     assert "default-src 'none'" in policy
-    assert "connect-src 'self' blob: data: http://127.0.0.1:9;" in policy
+    assert f"connect-src 'self' blob: data: http://127.0.0.1:{port};" in policy
     assert "googleapis" not in text
     assert "gstatic" not in text
 

@@ -1,27 +1,22 @@
-"""Make the dialect definition and the Python module from it; run as `python -m daq.contract.link.dialect.generate`.
+"""Make the dialect definition; run as `python -m daq.contract.link.dialect.generate`.
 
 Three sources: standard messages from the XML files that pymavlink ships, `own_messages.xml`, and the scan messages
-laid out by `daq.contract.link.wire`. Three files result, all kept in the tree: `sideslip.xml`, which needs nothing else;
-`sideslip_dialect.py`, made from it by pymavlink's mavgen with a table of the other standard messages' checksums
-appended, so that a foreign but sound frame is told from a damaged one; and `sideslip_with_standard.xml`, our messages on
-top of all of ArduPilot's, for ground stations that need those (docs/mavlink.md).
+laid out by `daq.contract.link.wire`. Two files result, both in git: `sideslip.xml`, which needs nothing else and from
+which `build` makes the Python module; and `sideslip_with_standard.xml`, our messages on top of all of ArduPilot's, for
+ground stations that need those (docs/mavlink.md).
 """
 
-import contextlib
-import io
 import sys
-import tempfile
 import xml.etree.ElementTree as ET
 from importlib import import_module
 from pathlib import Path
 from xml.sax.saxutils import escape, quoteattr
 
 from daq.contract.channels import BUILT_IN_CHANNELS
+from daq.contract.link.dialect.build import DEFINITION
 from daq.contract.link.wire import Layout, layouts
 
 HERE = Path(__file__).parent
-DEFINITION = HERE / "sideslip.xml"
-MODULE = HERE / "sideslip_dialect.py"
 WITH_STANDARD = HERE / "sideslip_with_standard.xml"
 OWN = HERE / "own_messages.xml"
 
@@ -65,34 +60,6 @@ def _document(include: str, messages: list[str]) -> str:
     return f"{head}  <messages>\n{body}\n  </messages>\n</mavlink>\n"
 
 
-def module_text(xml: str) -> str:
-    """The text of `sideslip_dialect.py` made from a definition."""
-    from pymavlink.generator import mavgen, mavparse
-
-    with tempfile.TemporaryDirectory() as folder:
-        source = Path(folder) / "sideslip.xml"
-        source.write_text(xml)
-        target = Path(folder) / "sideslip_dialect.py"
-        options = mavgen.Opts(
-            str(target), wire_protocol=mavparse.PROTOCOL_2_0, language="Python3", validate=False, strict_units=False
-        )
-        with contextlib.redirect_stdout(io.StringIO()):
-            made = mavgen.mavgen(options, [str(source)])
-        if made is False or not target.exists():
-            raise RuntimeError(f"{source.name}: mavgen did not accept the definition")
-        text = target.read_text()
-    return text + "\n\n" + _foreign_table()
-
-
-def _foreign_table() -> str:
-    """Checksum seed and payload length of standard messages that the dialect does not define."""
-    known = {int(m.attrib["id"]) for m in _standard_messages().values() if m.attrib["name"] in STANDARD}
-    everything = import_module("pymavlink.dialects.v20.ardupilotmega").mavlink_map
-    rows = {i: (t.crc_extra, t.unpacker.size) for i, t in sorted(everything.items()) if i not in known}
-    lines = "\n".join(f"    {i}: {row}," for i, row in rows.items())
-    return f"# Other standard messages: id -> (CRC_EXTRA, payload length)\nFOREIGN_MESSAGES = {{\n{lines}\n}}\n"
-
-
 def _standard_messages() -> dict[str, ET.Element]:
     folder = Path(str(import_module("pymavlink.dialects.v20").__file__)).parent
     found = {}
@@ -129,11 +96,9 @@ def _layout_text(layout: Layout) -> str:
 
 def main() -> int:
     """Rewrite the files."""
-    xml = definition()
-    DEFINITION.write_text(xml)
+    DEFINITION.write_text(definition())
     WITH_STANDARD.write_text(definition_with_standard())
-    MODULE.write_text(module_text(xml))
-    print(f"{DEFINITION.name}, {WITH_STANDARD.name} and {MODULE.name} written")
+    print(f"{DEFINITION.name} and {WITH_STANDARD.name} written; the module follows on the next import")
     return 0
 
 

@@ -1,0 +1,75 @@
+"""The Python module of the dialect, made from `sideslip.xml` by pymavlink's mavgen when the package is built.
+
+The module is not in git: a wheel holds it, an editable install makes it in the source tree (`setup.py` calls this file for
+both), and a source tree that nobody installed, or whose XML has changed since, makes it on first use. A table of the
+other standard messages' checksums is appended, so that a foreign but sound frame is distinguished from a damaged one.
+Imports nothing but the standard library until it has to build.
+"""
+
+import contextlib
+import io
+import tempfile
+import zlib
+from pathlib import Path
+
+HERE = Path(__file__).parent
+DEFINITION = HERE / "sideslip.xml"
+MODULE = "sideslip_dialect.py"
+
+
+def ensure_module() -> None:
+    """Make the module beside the definition unless one made from this very definition is there.
+
+    Raises ImportError, with what to do, where it is missing and the folder cannot be written.
+    """
+    module = HERE / MODULE
+    mark = _mark(DEFINITION.read_bytes())
+    with contextlib.suppress(OSError), module.open() as stream:
+        if stream.readline() == mark:
+            return
+    try:
+        write_module(HERE)
+    except OSError as error:
+        raise ImportError(
+            f"{module}: the MAVLink dialect is not built and cannot be written ({error.strerror}); install the package with pip"
+        ) from error
+
+
+def write_module(folder: Path) -> Path:
+    """Make the module in `folder`, whole or not at all; several processes may do so at once."""
+    text = module_text(DEFINITION.read_bytes())
+    with tempfile.NamedTemporaryFile("w", dir=folder, prefix=".dialect", suffix=".tmp", delete=False) as stream:
+        stream.write(text)
+    Path(stream.name).chmod(0o644)
+    return Path(stream.name).replace(folder / MODULE)
+
+
+def module_text(definition: bytes) -> str:
+    """The text of the module made from a definition; its first line says from which."""
+    from pymavlink.generator import mavgen, mavparse
+
+    with tempfile.TemporaryDirectory() as folder:
+        source, target = Path(folder) / "sideslip.xml", Path(folder) / MODULE
+        source.write_bytes(definition)
+        options = mavgen.Opts(
+            str(target), wire_protocol=mavparse.PROTOCOL_2_0, language="Python3", validate=False, strict_units=False
+        )
+        with contextlib.redirect_stdout(io.StringIO()):
+            made = mavgen.mavgen(options, [str(source)])
+        if made is False or not target.exists():
+            raise RuntimeError(f"{source.name}: mavgen did not accept the definition")
+        messages = {message.id for message in mavparse.MAVXML(str(source), mavparse.PROTOCOL_2_0).message}
+        return f"{_mark(definition)}{target.read_text()}\n\n{_foreign_table(messages)}"
+
+
+def _mark(definition: bytes) -> str:
+    return f"# Made from sideslip.xml, crc32 {zlib.crc32(definition):08x}, by build.py. Not in git.\n"
+
+
+def _foreign_table(defined: set[int]) -> str:
+    """Checksum seed and payload length of standard messages that the dialect does not define."""
+    from pymavlink.dialects.v20.ardupilotmega import mavlink_map
+
+    rows = {i: (t.crc_extra, t.unpacker.size) for i, t in sorted(mavlink_map.items()) if i not in defined}
+    lines = "\n".join(f"    {i}: {row}," for i, row in rows.items())
+    return f"# Other standard messages: id -> (CRC_EXTRA, payload length)\nFOREIGN_MESSAGES = {{\n{lines}\n}}\n"

@@ -1,0 +1,77 @@
+"""Options that verbs share, each declared once; files and folders that they name are tried before the verb begins."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+
+from daq.contract.outputs import tried_file, tried_folder, tried_picture
+
+Decorated = TypeVar("Decorated", bound=Callable[..., Any] | click.Command)
+Option = Callable[[Decorated], Decorated]
+
+STRETCHES = (
+    "Use only these stretches, each with initial states of its own: 2:12,15:25 [s], mode:MANUAL, "
+    "'V > 12 and abs(phi) < 0.5'."
+)
+_PATH = click.Path(path_type=Path)
+
+
+def json_option(text: str = "Write the answer as JSON.", name: str = "json_path") -> Option[Any]:
+    """`--json PATH`; name: of the verb's argument."""
+    return click.option("--json", name, type=_PATH, callback=tried_file, help=text)
+
+
+def report_option(text: str = "Write an HTML page with tables and figures.") -> Option[Any]:
+    """`--report FOLDER` as `report_folder`."""
+    return click.option("--report", "report_folder", type=_PATH, callback=tried_folder, help=text)
+
+
+def figure_option(text: str, *more: str) -> Option[Any]:
+    """`--figure PATH` as `figure_path`; more: other names of the option."""
+    return click.option(*more, "--figure", "figure_path", type=_PATH, callback=tried_picture, help=text)
+
+
+def aircraft_option(
+    text: str = "Built-in aircraft or an AIRCRAFT.toml", default: str = "the one the flights carry or name"
+) -> Option[Any]:
+    """`--aircraft NAME|FILE`; default: what is taken where it is not given, in words."""
+    return click.option("--aircraft", help=f"{text}  [default: {default}]." if default else f"{text}.")
+
+
+def model_option(
+    text: str = "lateral, lateral-simple, longitudinal, six-dof, a MODEL.toml, or module:Class.",
+    default: str | None = "lateral",
+    kind: click.ParamType | None = None,
+) -> Option[Any]:
+    """`--model NAME|FILE|CLASS`; kind: where it is not any text."""
+    return click.option("--model", type=kind, default=default, show_default=True, help=text)
+
+
+def simulation_option() -> Option[Any]:
+    """`--simulation KIND:WHICH`."""
+    text = (
+        "A simulation of your own as base: jsbsim:AIRCRAFT (name or folder), ardupilot:FILE.json, gazebo:FILE.sdf,"
+        " module:function or MODEL.toml."
+    )
+    return click.option("--simulation", help=text)
+
+
+def seed_option(
+    text: str = "Of every random draw: same seed, same answer.", default: int | None = 1, least: int | None = None
+) -> Option[Any]:
+    """`--seed N`; least: the smallest that is taken."""
+    kind = click.INT if least is None else click.IntRange(min=least)
+    return click.option("--seed", type=kind, default=default, show_default=True, help=text)
+
+
+def segments_option(text: str = STRETCHES) -> Option[Any]:
+    """`--segments STRETCHES`."""
+    return click.option("--segments", help=text)
+
+
+def histories_option(what: str) -> Option[Any]:
+    """`--histories FOLDER` as `histories_folder`; what: is beside each flight."""
+    text = f"Write each flight with what the model {what} beside it, for sideslip view."
+    return click.option("--histories", "histories_folder", type=_PATH, callback=tried_folder, help=text)

@@ -1,0 +1,113 @@
+"""Which stretches of a flight an analysis uses, and which model: the richest that the channels and the inputs allow."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from estimation.session.flights import select_segments
+from estimation.session.recipe import Recipe
+from groundstation.flight import Flight
+from groundstation.flight.airborne import airborne
+from groundstation.flight.errors import FlightError
+from groundstation.flight.manoeuvres import CONTROLS, Manoeuvre, cut, find_manoeuvres
+from groundstation.flight.marks import marks_of
+
+BY_HAND = ("MANUAL",)
+"""Modes in which the pilot alone moves the surfaces: elsewhere an autopilot moves them with the motion, which hides damping."""
+ENOUGH = 5.0
+"""[s] of a mode with inputs in it that are worth an estimate."""
+MOSTLY = 0.6
+"""Share of a flight in manoeuvres from which on the rest is not worth a cut."""
+MOVED = 0.01
+"""[rad] of a control, from its 5th to its 95th percentile, that is an input and no trimming."""
+LONGEST_TEXT = 400
+
+RICHEST = ("six-dof", "lateral", "longitudinal", "lateral-simple")
+"""Models in the order in which they are tried: the first that is possible, whose inputs were moved and whose estimate is
+recommended."""
+NEEDS_MOVED = {
+    "six-dof": (("delta_a", "delta_r"), ("delta_e",)),
+    "lateral": (("delta_a", "delta_r"),),
+    "lateral-simple": (("delta_a", "delta_r"),),
+    "longitudinal": (("delta_e",),),
+}
+"""Model -> of each group of controls one must have moved."""
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """flight: its stretches as segments. by: how they were chosen, as `--segments` takes it where it can. notes: what was left
+    out; hint: what would be better."""
+
+    flight: Flight
+    by: str
+    notes: tuple[str, ...] = ()
+    hint: str = ""
+
+    def to_json(self) -> list[dict[str, Any]]:
+        """As in `answer.json`: each stretch with its time."""
+        time = self.flight.time
+        return [
+            {"flight": self.flight.name, "by": self.by, "from": float(time[s.start]), "to": float(time[s.stop - 1])}
+            for s in self.flight.segments
+        ]
+
+
+def choose_stretches(flight: Flight) -> Chosen:
+    """By mode where the pilot flew by hand, else by manoeuvres, else all that was flown."""
+    modes = {m.name.upper() for m in marks_of(flight).modes}
+    hint = ""
+    for mode in BY_HAND:
+        if mode not in modes:
+            continue
+        try:
+            part = select_segments(flight, f"mode:{mode}")
+        except FlightError:
+            continue  # never in it on the wings, or for a moment only
+        if _duration(part) >= ENOUGH and moved(part):
+            return Chosen(part, f"mode:{mode}", _new_notes(flight, part))
+    if modes:
+        known = ", ".join(sorted(modes))
+        hint = (
+            f"{flight.name}: no inputs in MANUAL (its modes are {known:.{LONGEST_TEXT}}); an autopilot that moves the "
+            "surfaces with the motion hides damping: fly the inputs by hand"
+        )
+    flown = airborne(flight)
+    notes = (flown.text,) if flown.text else ()
+    whole = flight if flown.flying.all() else flight.part(flown.flying)
+    found = find_manoeuvres(whole)
+    if found and sum(m.stop - m.start for m in found) < MOSTLY * _duration(whole):
+        return Chosen(cut(whole, found, flight.name), _times(found), notes, hint)
+    return Chosen(whole, "all that was flown", notes, hint)
+
+
+def _times(found: Sequence[Manoeuvre]) -> str:
+    return "manoeuvres " + ",".join(f"{m.start:.2f}:{m.stop:.2f}" for m in found)[:LONGEST_TEXT]
+
+
+def _new_notes(before: Flight, after: Flight) -> tuple[str, ...]:
+    known = {n.text for n in before.notes}
+    return tuple(n.text for n in after.notes if n.text not in known and "left out" in n.text)
+
+
+def _duration(flight: Flight) -> float:
+    """Time in segments [s]."""
+    return float(sum(flight.time[s.stop - 1] - flight.time[s.start] for s in flight.segments))
+
+
+def moved(flight: Flight) -> tuple[str, ...]:
+    """Controls that were moved."""
+    found = []
+    for name in CONTROLS:
+        values = flight[name][np.isfinite(flight[name])] if flight.measured(name) else np.zeros(0)
+        if values.size and float(np.subtract(*np.percentile(values, [95, 5]))) >= MOVED:
+            found.append(name)
+    return tuple(found)
+
+
+def models_to_try(recipe: Recipe, controls: Sequence[str]) -> list[str]:
+    """Models that the channels allow and the inputs can tell, the richest first."""
+    able = {m.model for m in recipe.models if m.able}
+    return [m for m in RICHEST if m in able and all(set(group) & set(controls) for group in NEEDS_MOVED[m])]

@@ -1,0 +1,266 @@
+"""The stages of an analysis after the import: contradictions, air data, stretches, model, estimate, gap, and the page."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from daq.contract.errors import UserError
+from daq.contract.outputs import write_json
+from estimation.analysis.choice import RICHEST, Chosen, choose_stretches, models_to_try, moved
+from estimation.analysis.outcome import Analysis, recommended, verdict_of
+from estimation.analysis.stages import Stage, Stages
+from estimation.analysis.unknown_aircraft import without_aircraft
+from estimation.session.recipe import AIR, AIRSPEED, RECONSTRUCTION, Recipe, recipe
+from groundstation.flight import Flight, read_flight
+from groundstation.flight.contradictions import contradictions
+from groundstation.flight.marks import marks_of
+
+METHODS_MEASURED = ("ml", "fem", "ls")
+METHODS_RECONSTRUCTED = ("ml",)
+"""Where angles are reconstructed others take them for known, which they are not."""
+FEWEST_FOR_GAP = 2
+"""Flights, those held out included, of which one tells what another lacks."""
+MOST_NEXT = 12
+
+Tell = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class Given:
+    """flights: imported, to be estimated from; holdout: kept out of every fit; key: of all that the import depends on."""
+
+    flights: tuple[Flight, ...]
+    holdout: tuple[Flight, ...]
+    key: str
+    repeated: bool
+
+
+def analyse_flights(given: Given, aircraft: str | None, aircraft_key: str, stages: Stages, tell: Tell) -> Analysis:
+    """Everything after the import; writes `answer.json` and `index.html` into the folder of the stages.
+
+    aircraft: as `--aircraft`; aircraft_key: of what its file says. tell: told what is being done, and the share of the whole.
+    """
+    tell("contradictions", 0.15)
+    seen = [{"flight": f.name, **c.to_json()} for f in given.flights for c in contradictions(f)]
+    air = [_with_air(f, given.key, stages, tell) for f in (*given.flights, *given.holdout)]
+    tell("stretches", 0.3)
+    chosen = [choose_stretches(f) for f, _ in air]
+    training, held = chosen[: len(given.flights)], chosen[len(given.flights) :]
+    found = recipe(training[0].flight)
+    about = {"air": [s.key for _, s in air], "by": [c.by for c in chosen], "aircraft": aircraft_key}
+    alone = aircraft is None and not any(f.provenance.aircraft for f in given.flights)
+    estimate = without = None
+    if alone:
+        tell("what can be said without an aircraft file", 0.4)
+        stage = stages.run(
+            "without_aircraft",
+            about,
+            lambda: without_aircraft([c.flight for c in training], found, [s.content for _, s in air]),
+        )
+        without = stage.content
+    else:
+        stage = _estimated(training, found, aircraft, about, stages, tell)
+        estimate = stage.content or None
+    gap = None if alone else _gap(training, held, estimate, aircraft, {**about, "estimate": stage.key}, stages, tell)
+    repeated = [n for n, done in (("import", given.repeated), ("air", any(s.repeated for _, s in air))) if done]
+    repeated += [n for n, s in (("without aircraft" if alone else "estimate", stage), ("gap", gap)) if s and s.repeated]
+    content = _content(given, training, seen, found, estimate, gap, without)
+    answer = Analysis(content, _pages(stages.folder, estimate, gap), tuple(repeated))
+    write_json(answer.to_json(), stages.folder / "answer.json")
+    answer.report(stages.folder)
+    tell("done", 1.0)
+    return answer
+
+
+def _with_air(flight: Flight, key: str, stages: Stages, tell: Tell) -> tuple[Flight, Stage]:
+    """The flight with reconstructed air data where no vane measured them and they can be had."""
+    path = stages.path(f"air_{flight.name}.mcap")
+    have = {c for c in flight.columns if flight.measured(c)}
+    if have.issuperset(AIR) or not (have.issuperset(RECONSTRUCTION) and have & set(AIRSPEED)):
+        return flight, stages.run(f"air_{flight.name}", [key, "as measured"], dict)
+
+    def work() -> dict[str, Any]:
+        from estimation.answers.reconstruction import reconstruct
+
+        tell(f"air data of {flight.name}", 0.2)
+        made = reconstruct(flight, path)
+        return {"said": list(made.lines()), **made.to_json()}
+
+    try:
+        stage = stages.run(f"air_{flight.name}", [key, "reconstructed"], work, path)
+    except UserError as error:
+        why = str(error)
+        return flight, stages.run(f"air_{flight.name}", [key, why], lambda: {"said": [why]})
+    return (replace(read_flight(path), name=flight.name), stage) if path.is_file() else (flight, stage)
+
+
+def _estimated(
+    training: Sequence[Chosen],
+    found: Recipe,
+    aircraft: str | None,
+    about: Mapping[str, Any],
+    stages: Stages,
+    tell: Tell,
+) -> Stage:
+    """The estimate of the richest model whose estimate is recommended; of the richest, where none is."""
+    flights = [c.flight for c in training]
+    models = models_to_try(found, sorted({c for f in flights for c in moved(f)}))
+
+    def work() -> dict[str, Any]:
+        from estimation.answers.estimates import Estimates, estimate
+
+        methods = METHODS_RECONSTRUCTED if any(f.reconstructed for f in flights) else METHODS_MEASURED
+        first: Estimates | None = None
+        tried: list[str] = []
+        for i, model in enumerate(models):
+            tell(f"estimate of {model}", 0.35 + 0.3 * i / len(models))
+            answer = estimate(flights, model, methods, aircraft=aircraft, joint=len(flights) > 1)
+            best = recommended(answer.to_json())
+            if best.get("method", "none") != "none":
+                return _kept(answer, stages.folder, tried)
+            tried.append(f"{model}: {best.get('why', 'nothing recommended')}")
+            first = first or answer
+        return _kept(first, stages.folder, tried[1:]) if first is not None else {}
+
+    return stages.run("estimate", {**about, "models": models}, work)
+
+
+def _kept(answer: Any, folder: Path, tried: Sequence[str]) -> dict[str, Any]:
+    """The estimate as JSON, its page and its model as files."""
+    answer.report(folder / "estimate")
+    answer.save(folder / "model.toml")
+    return {**answer.to_json(), "tried": list(tried)}
+
+
+def _gap(
+    training: Sequence[Chosen],
+    held: Sequence[Chosen],
+    estimate: Mapping[str, Any] | None,
+    aircraft: str | None,
+    about: Mapping[str, Any],
+    stages: Stages,
+    tell: Tell,
+) -> Stage | None:
+    """What the model lacks, where flights are enough and something is recommended that could lack it."""
+    if len(training) + len(held) < FEWEST_FOR_GAP or recommended(estimate).get("method", "none") == "none":
+        return None
+    model = str((estimate or {}).get("model", RICHEST[1]))
+
+    def work() -> dict[str, Any]:
+        from estimation.answers.gaps import gap
+
+        tell("what the model lacks", 0.65)
+        answer = gap(
+            model, [c.flight for c in training], [c.flight for c in held], aircraft=aircraft,
+            progress=lambda what, share: tell(what, 0.65 + 0.33 * share),
+        )  # fmt: skip
+        answer = answer.with_models(stages.folder / "gap" / "models")
+        answer.report(stages.folder / "gap")
+        return answer.to_json()
+
+    return stages.run("gap", {**about, "model": model}, work)
+
+
+def _pages(folder: Path, estimate: Mapping[str, Any] | None, gap: Stage | None) -> dict[str, str]:
+    wanted = [("Derivatives", "estimate", bool(estimate)), ("Gap", "gap", gap is not None)]
+    return {
+        name: f"{room}/index.html" for name, room, there in wanted if there and (folder / room / "index.html").is_file()
+    }
+
+
+def _content(
+    given: Given,
+    training: Sequence[Chosen],
+    seen: Sequence[Mapping[str, Any]],
+    found: Recipe,
+    estimate: Mapping[str, Any] | None,
+    gap: Stage | None,
+    without: Mapping[str, Any] | None,
+) -> dict[str, Any]:
+    where = _where(training)
+    verdict = str(without["verdict"]) if without else verdict_of(estimate, _no_model(training, found), seen)
+    if estimate:
+        verdict = verdict_of(estimate, where, seen)
+    return {
+        "version": 1,
+        "flights": [_about(f) for f in given.flights],
+        "holdout": [_about(f) for f in given.holdout],
+        "contradictions": list(seen),
+        "modes": [
+            {"flight": f.name, "mode": m.name, "from": m.start, "to": m.stop}
+            for f in given.flights
+            for m in marks_of(f).modes
+        ],
+        "stretches": [s for c in training for s in c.to_json()],
+        "model": estimate["model"] if estimate else None,
+        "estimate": estimate,
+        "gap": None if gap is None else gap.content,
+        **({"without_aircraft": without} if without else {}),
+        "verdict": verdict,
+        "next": _next(training, given, seen, found, estimate, gap, without)[:MOST_NEXT],
+        "notes": list(
+            dict.fromkeys([n for c in training for n in c.notes] + [n.text for f in given.flights for n in f.notes])
+        ),
+    }
+
+
+def _about(flight: Flight) -> dict[str, Any]:
+    return {
+        "name": flight.name,
+        "path": flight.provenance.path,
+        "sha256": flight.provenance.sha256,
+        "samples": len(flight),
+        "duration_s": float(flight.time[-1] - flight.time[0]),
+        "channels": flight.channels,
+    }
+
+
+def _where(training: Sequence[Chosen]) -> str:
+    count = sum(len(c.flight.segments) for c in training)
+    by = ", ".join(dict.fromkeys(c.by if c.by.startswith("mode:") else c.by.partition(" ")[0] for c in training))
+    return f"over {count} stretch{'es' if count != 1 else ''} by {by}" if by != "all" else "over all that was flown"
+
+
+def _no_model(training: Sequence[Chosen], found: Recipe) -> str:
+    """Why no model can be estimated."""
+    able = [m.model for m in found.models if m.able]
+    if able:
+        controls = sorted({c for t in training for c in moved(t.flight)})
+        said = f"only {', '.join(controls)} moved" if controls else "no surface moved"
+        return f"No derivatives: {said}, which is no input for {', '.join(able)}; fly doublets or 3-2-1-1s"
+    nearest = min(found.models, key=lambda m: (bool(m.slow), len(m.missing)))
+    why = nearest.slow or f"it lacks {', '.join(nearest.missing)}"
+    return f"No derivatives: the log is not enough for any model; nearest is {nearest.model}: {why}"
+
+
+def _next(
+    training: Sequence[Chosen],
+    given: Given,
+    seen: Sequence[Mapping[str, Any]],
+    found: Recipe,
+    estimate: Mapping[str, Any] | None,
+    gap: Stage | None,
+    without: Mapping[str, Any] | None,
+) -> list[str]:
+    """What a person can do, the most telling first."""
+    steps = [f"settle in {c['flight']}: {c['text']}" for c in seen if c.get("stops")]
+    steps += list(without["next"]) if without else []
+    if without and not any(m.able for m in found.models):
+        steps.append(
+            f"channels: {found.air}; 'sideslip import LOG --draft-map -o map.toml' proposes what each column is"
+        )
+    steps += [c.hint for c in training if c.hint]
+    best = recommended(estimate)
+    steps += [str(text) for text in best.get("lacks", ())]
+    if estimate and best.get("method", "none") == "none":
+        steps += [str(d.get("text", "")) for f in estimate.get("flights", []) for d in f.get("doubts", [])]
+    if not estimate and not without:
+        steps += [f"{sensor} would make possible: {', '.join(models)}" for sensor, models in found.adds.items()]
+        if not any(f.measured(c) for f in given.flights for c in ("delta_a", "delta_e", "delta_r")):
+            steps.append(
+                "say which servo output moves which surface: 'sideslip import LOG --draft-map -o map.toml', then --map map.toml"
+            )
+    if estimate and gap is None and len(given.flights) + len(given.holdout) < FEWEST_FOR_GAP:
+        steps.append("give a second flight, or one with --holdout, to find out what the model lacks")
+    return [s for s in dict.fromkeys(steps) if s]

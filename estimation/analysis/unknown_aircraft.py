@@ -1,0 +1,116 @@
+"""What can be said of a flight without an aircraft file: do the instruments agree, the wind, and the natural motion.
+
+The motion is that of dimensional derivatives, which need neither mass nor geometry: an aircraft file only makes them
+dimensionless. So the model is estimated with a stand-in's geometry,
+and what is kept of it are frequencies, dampings and time constants.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from daq.contract.errors import UserError
+from estimation.aircraft import load_aircraft
+from estimation.analysis.choice import models_to_try, moved
+from estimation.session.recipe import Recipe
+from groundstation.flight import Flight
+
+STAND_IN = "cdfp"
+NEEDS = (
+    "span, wing area, mean chord, mass and moments of inertia: 'sideslip aircraft new NAME -o NAME.toml' writes a file to "
+    "fill in, then --aircraft NAME.toml"
+)
+SEED = 3
+
+
+def without_aircraft(flights: Sequence[Flight], found: Recipe, air: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """`verdict`, `lines` and `next`, with the numbers behind them. flights: their stretches as segments; air: what
+    the reconstruction of each has found."""
+    lines: list[str] = []
+    compatibility = _compatibility(flights, lines)
+    wind = _wind(flights, air, lines)
+    models = [m for m in models_to_try(found, sorted({c for f in flights for c in moved(f)})) if m != "six-dof"]
+    modes = [m for model in models[:1] for m in _modes(flights, model, lines)]
+    said = ", ".join(
+        [*(["wind"] if wind else []), *(["natural motion"] if modes else []), "what the instruments say of each other"]
+    )
+    verdict = f"No derivatives without an aircraft file; {said} can be told: {'; '.join(lines)}"
+    return {
+        "verdict": verdict, "lines": lines, "next": [f"for derivatives give {NEEDS}"],
+        "compatibility": compatibility, "wind": wind, "modes": modes,
+    }  # fmt: skip
+
+
+def _compatibility(flights: Sequence[Flight], lines: list[str]) -> list[dict[str, Any]]:
+    """Instrument factors of each flight that are beyond three of their bounds."""
+    from estimation.answers.checks import check
+
+    found = []
+    for flight in flights:
+        try:
+            entry = check(flight).to_json()["flights"][0]
+        except UserError as error:
+            lines.append(f"instruments of {flight.name}: {error}")
+            continue
+        factors = entry["factors"]
+        off = [
+            n
+            for n, f in factors.items()
+            if f.get("identifiable")
+            and f.get("std_coloured")
+            and abs(f["estimate"] - (n[:2] == "K_")) > 3 * f["std_coloured"]
+        ]
+        lines.append(
+            f"instruments of {flight.name}: "
+            + (f"off by more than three bounds: {', '.join(off)}" if off else "they agree")
+        )
+        found.append({"flight": flight.name, "factors": factors})
+    return found
+
+
+def _wind(flights: Sequence[Flight], air: Sequence[Mapping[str, Any]], lines: list[str]) -> list[dict[str, Any]]:
+    """Mean wind of each flight whose air data were reconstructed."""
+    found = []
+    for flight, made in zip(flights, air, strict=False):
+        if not isinstance(made.get("wind"), Mapping):
+            continue
+        north, east = made["wind"]["ned"][:2]
+        speed, from_deg = math.hypot(north, east), math.degrees(math.atan2(-east, -north)) % 360.0
+        std = max(made["wind"]["std"][:2])
+        lines.append(f"wind of {flight.name}: {speed:.1f} +- {std:.1f} m/s from {from_deg:.0f} deg")
+        found.append({"flight": flight.name, "speed": speed, "from_deg": from_deg, "std": std})
+    return found
+
+
+def _modes(flights: Sequence[Flight], model: str, lines: list[str]) -> list[dict[str, Any]]:
+    """Frequencies and dampings, where an estimate is recommended."""
+    from estimation.answers.estimates import estimate
+    from estimation.report.modes import modes_with_spread
+
+    stand_in = replace(load_aircraft(STAND_IN), name="not stated")
+    try:
+        session = estimate(list(flights), model, "ml", aircraft=stand_in, joint=len(flights) > 1).session
+    except UserError as error:
+        lines.append(f"natural motion: {error}")
+        return []
+    judged = session.verdict or session.flights[0].verdict
+    result = next(iter((session.joint or session.flights[0].results).values()), None)
+    if result is None or judged is None or judged.recommended.method == "none":
+        why = judged.recommended.why if judged is not None else session.text
+        lines.append(f"natural motion: cannot tell: {why}")
+        return []
+    found = []
+    for m in modes_with_spread(result, session.flights[0].flight, np.random.default_rng(SEED)):
+        periodic = np.isfinite(m.mode.damping)
+        text = f"{m.mode.name}: {m.mode.speed:.3g} +- {m.speed_spread:.2g} {'rad/s' if periodic else '1/s'}"
+        lines.append(text + (f", damping ratio {m.mode.damping:.3g} +- {m.damping_spread:.2g}" if periodic else ""))
+        found.append(
+            {
+                "mode": m.mode.name, "speed": m.mode.speed, "std": m.speed_spread,
+                "damping": m.mode.damping if periodic else None, "damping_std": m.damping_spread if periodic else None,
+            }
+        )  # fmt: skip
+    return found

@@ -1,0 +1,234 @@
+"""`check`: do the instruments of a flight agree, and is its record sound."""
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from estimation.answers.answer import Answer, Rows, picture_writers, rounded, table_writers
+from estimation.answers.notebook import Figures, plot_reconstructed
+from estimation.threads import single_threaded
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from estimation.compatibility.result import Compatibility, Factor
+    from estimation.resolve import AnyAircraft, Flights
+    from groundstation.flight import Flight
+    from groundstation.flight.quality.report import Finding
+
+
+@single_threaded
+def check(
+    flights: "Flights",
+    factors: "str | Sequence[str] | None" = None,
+    joint: bool = False,
+    *,
+    aircraft: "AnyAircraft" = None,
+    keep_held: bool = False,
+    segments: str | None = None,
+    progress: Callable[..., None] | None = None,
+) -> "Check":
+    """Data compatibility and quality. factors: as of `--factors`, or a list of names; the standard ones where none is given.
+
+    joint: also one set of factors that several flights share. aircraft: whose derivatives predict what each flight can tell.
+    """
+    from estimation.compatibility.left_out import left_out_findings, measurements
+    from estimation.compatibility.reconstruction import compatibility
+    from estimation.resolve import read_flights
+    from groundstation.flight.quality.report import quality_report
+
+    text = factors if isinstance(factors, str) or factors is None else ",".join(factors) or None
+    wanted, known = wanted_factors(text)
+    tell = progress or (lambda *_: None)
+    read = read_flights(flights, segments)
+    quality = {
+        f.name: (
+            *quality_report(f),
+            *left_out_findings(measurements(f, keep_held=keep_held)[1]),
+            *_excitation(f, aircraft),
+        )
+        for f in read
+    }
+    results = {}
+    several = len(read) > 1  # one flight takes a second or two
+    for i, f in enumerate(read):
+        if several:
+            tell(f"checking {f.name}", i / len(read))
+        results[f.name] = compatibility(f, wanted, known=known, keep_held=keep_held)
+    shared = None
+    if joint and several:
+        tell("checking all together")
+        shared = compatibility(read, wanted, known=known, keep_held=keep_held)
+    return Check(results, quality, tuple(read), shared)
+
+
+def _excitation(flight: "Flight", aircraft: "AnyAircraft") -> "tuple[Finding, ...]":
+    """What the flight can tell of its aircraft's derivatives; one finding that says why not where it names none."""
+    from estimation.aircraft.of_flight import aircraft_of
+    from estimation.compatibility.excitation import CHECK, excitation_findings, predicted_bounds
+    from groundstation.flight.quality.report import Finding
+
+    if aircraft is None and not flight.provenance.aircraft:
+        why = "not predicted, for the flight names no aircraft; give one with --aircraft NAME or FILE"
+        return (Finding(CHECK, "ok", why),)
+    return tuple(excitation_findings(predicted_bounds(flight, aircraft_of([flight], aircraft))))
+
+
+def wanted_factors(text: str | None) -> tuple[tuple[str, ...], dict[str, float]]:
+    """The factors that --factors asks for, the standard ones where it is not given; and those it gives a value."""
+    from estimation.errors import EstimationError
+    from estimation.models.kinematic import STANDARD_FACTORS
+
+    if text is None:
+        return STANDARD_FACTORS, {}
+    words = [n.strip() for n in text.strip().removeprefix("+").split(",") if n.strip()]
+    if not words:
+        raise EstimationError(f"--factors {text!r} names none; write names like K_beta,dbeta or leave the option out")
+    known: dict[str, float] = {}
+    for word in [w for w in words if "=" in w]:
+        name, _, value = word.partition("=")
+        try:
+            known[name.strip()] = float(value)
+        except ValueError:
+            raise EstimationError(f"--factors {word}: {value!r} is not a number; write it like x_imu=0.06") from None
+        if not math.isfinite(known[name.strip()]):
+            raise EstimationError(f"--factors {word}: not a finite number")
+    names = tuple(w for w in words if "=" not in w)
+    if text.strip().startswith("+") or not names:
+        names = (*STANDARD_FACTORS, *names)
+    free = tuple(n for n in dict.fromkeys(names) if n not in known)
+    if not free:
+        raise EstimationError(f"--factors {text}: every factor is given a value, none is left to estimate")
+    return free, known
+
+
+@dataclass(frozen=True, repr=False)
+class Check(Answer):
+    """What `check` found. results, quality: factors and findings by flight; joint: factors that all flights share."""
+
+    results: "Mapping[str, Compatibility]"
+    quality: "Mapping[str, tuple[Finding, ...]]"
+    flights: "tuple[Flight, ...]"
+    joint: "Compatibility | None" = None
+
+    @property
+    def named(self) -> "list[tuple[str, Compatibility]]":
+        """Results with the names that tables have: of each flight, then "joint"."""
+        return [*self.results.items(), *([] if self.joint is None else [("joint", self.joint)])]
+
+    @property
+    def passed(self) -> bool:
+        """Whether no finding is a failure, and every reconstruction converged."""
+        from groundstation.flight.quality.report import worst
+
+        failed = any(worst(findings) == "fail" for findings in self.quality.values())
+        return not failed and all(r.converged for _, r in self.named)
+
+    def to_json(self) -> dict[str, Any]:
+        """As `check --json` has it: one entry a flight, and the joint factors where there are any."""
+        from estimation.report.compatibility_tables import fit_of
+        from groundstation.flight.contradictions import contradictions
+
+        entries, contradicted = [], []
+        for flight in self.flights:
+            contradicted += [{"flight": flight.name, **c.to_json()} for c in contradictions(flight)]
+            result = self.results[flight.name]
+            entries.append(
+                {
+                    "name": flight.name,
+                    "converged": result.converged,
+                    "status": result.text,
+                    "factors": {n: _factor_json(f) for n, f in result.factors.items()},
+                    "fit": fit_of(result.flights[0]),
+                    "notes": list(result.flights[0].notes),
+                    "quality": [f.to_json() for f in self.quality[flight.name]],
+                }
+            )
+        data: dict[str, Any] = {"version": 1, "flights": entries, "contradictions": contradicted}
+        if self.joint is not None:
+            data["joint"] = {n: _factor_json(f) for n, f in self.joint.factors.items()}
+        return data
+
+    def to_pandas(self) -> "pd.DataFrame":
+        """A row for each flight and instrument factor."""
+        import pandas as pd
+
+        rows = [
+            {"flight": flight, "factor": n, "estimate": f.estimate, "std": f.std, "std_coloured": f.std_coloured,
+             "unit": f.unit, "identifiable": f.identifiable, "why": f.why}
+            for flight, result in self.named
+            for n, f in result.factors.items()
+        ]  # fmt: skip
+        return pd.DataFrame(rows)
+
+    def corrected(self) -> "list[Flight]":
+        """The flights with the instrument factors taken out."""
+        from estimation.compatibility.correct import corrected
+
+        return [corrected(flight, self.results[flight.name]) for flight in self.flights]
+
+    def lines(self) -> Iterator[str]:
+        """Factors and findings, as `sideslip check` prints them."""
+        from estimation.models.kinematic import STANDARD_FACTORS
+        from estimation.report.compatibility_tables import factor_lines, published_lines
+        from estimation.report.published import is_of
+
+        yield from factor_lines(self.named)
+        estimated = next(iter(self.results.values())).factors
+        if all(is_of(f.provenance.aircraft) for f in self.flights) and set(STANDARD_FACTORS) <= set(estimated):
+            yield ""
+            yield from published_lines()
+        for name, findings in self.quality.items():
+            yield from ("", f"quality of {name}", *(f"  {f.verdict:<5}{f.check}: {f.text}" for f in findings))
+
+    def plot(self, ax: Any = None) -> Any:
+        """Measured and reconstructed motion of the first flight, one axes a channel; gives the axes."""
+        return plot_reconstructed(next(iter(self.results.values())).flights[0], ax)
+
+    def figures(self) -> Figures:
+        """The figures of the page that `check --report` writes."""
+        from functools import partial
+
+        from estimation.report.check_page import motion_figure, motion_pairs
+
+        pairs = motion_pairs([self.results[f.name].flights[0] for f in self.flights])
+        return Figures({f"figure7_{i + 1}": partial(motion_figure, pair, i) for i, pair in enumerate(pairs)})
+
+    def report(self, folder: str | Path) -> Path:
+        """Write the HTML report; gives its page."""
+        from estimation.report.check_page import write_check_report
+
+        quality = [self.quality[f.name] for f in self.flights]
+        return write_check_report(self.flights, quality, self.named, Path(folder))
+
+    def writers(self) -> Mapping[str, Callable[[Path], Any]]:
+        """Everything as .json, the table of factors as .csv, measured and reconstructed motion as a picture."""
+        from estimation.report.compatibility_tables import write_figure
+
+        motion = [self.results[f.name].flights[0] for f in self.flights]
+        pictures = picture_writers(lambda path: write_figure(motion, path))
+        return {**super().writers(), **table_writers(self), **pictures}
+
+    def headline(self) -> str:
+        """Flights, and the worst verdict on them."""
+        verdicts = {v for findings in self.quality.values() for v in (f.verdict for f in findings)}
+        verdict = next((v for v in ("fail", "warn", "ok") if v in verdicts), "ok")
+        return f"Check of {', '.join(self.quality)}: {verdict}"
+
+    def rows(self) -> Rows:
+        """A row for each flight and factor."""
+        rows = [(flight, n, *rounded(f), f.unit) for flight, result in self.named for n, f in result.factors.items()]
+        return ("flight", "factor", "estimate", "corrected bound", "unit"), rows
+
+
+def _factor_json(factor: "Factor") -> dict[str, object]:
+    """NaN, where the channel is not measured, is null."""
+    numbers = {"estimate": factor.estimate, "std": factor.std, "std_coloured": factor.std_coloured}
+    data: dict[str, object] = {
+        **{k: v if math.isfinite(v) else None for k, v in numbers.items()},
+        "unit": factor.unit,
+        "identifiable": factor.identifiable,
+    }
+    return data if factor.identifiable else {**data, "why": factor.why}

@@ -1,0 +1,237 @@
+"""`design`: an input designed from what is known, with what it will do to the aircraft and what it will tell."""
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from daq.contract.input_files import read_json
+from daq.contract.outputs import write_text
+from daq.contract.plain_words import comma_separated
+from estimation.answers.answer import Answer, Rows, picture_writers
+from estimation.answers.estimates import Estimates
+from estimation.threads import single_threaded
+
+if TYPE_CHECKING:
+    from daq.contract.manoeuvre import Manoeuvre
+    from estimation.design.design import Design
+    from estimation.models import Model
+    from estimation.resolve import AnyAircraft, AnyModel, Names
+
+CRUISE_LIFT = 0.3
+"""Lift coefficient at which an aircraft is taken to fly where no speed is given."""
+HIGHEST_BAND_HZ = 25.0
+"""Above it no actuator of a small aircraft follows."""
+
+
+@single_threaded
+def design(
+    model: "AnyModel",
+    time: float,
+    aircraft: "AnyAircraft" = None,
+    kind: str = "optimal",
+    *,
+    estimate: "Estimates | str | Path | None" = None,
+    limits: str | Path | None = None,
+    separate: "Names" = (),
+    criterion: str = "worst",
+    controls: "Names" = (),
+    band: tuple[float, float] = (0.1, 1.5),
+    speed: float | None = None,
+    density: float = 1.17,
+    rate_hz: float = 20.0,
+    held: bool = False,
+    seed: int = 1,
+    values: Mapping[str, float] | None = None,
+    noise: Mapping[str, float] | None = None,
+) -> "DesignAnswer":
+    """An input of `time` seconds that tells most. Arguments are the options of the verb.
+
+    estimate: an answer of `estimate`, or the JSON of one: its model, aircraft, values and noise go before what else is given.
+    limits: a LIMITS.toml. band: of chirps and multisines [Hz]. speed [m/s]: by default that of a lift coefficient of 0.3;
+    density [kg/m3]; rate_hz: samples a second. held: a pilot holds bank and pitch gently meanwhile. values, noise: of
+    parameters and of outputs, in place of beliefs. Raises EstimationError for what cannot be designed, with the way out.
+    """
+    from estimation.aircraft import GRAVITY
+    from estimation.design.design import Task
+    from estimation.design.design import design as designed
+    from estimation.design.limits import load_limits
+    from estimation.errors import EstimationError
+    from estimation.resolve import resolve
+
+    known = {} if estimate is None else _known(estimate)
+    wanted = aircraft or known.get("aircraft")
+    if not wanted:
+        raise EstimationError(
+            "design: name the aircraft with --aircraft (a built-in one or an AIRCRAFT.toml), or --from an estimate"
+        )
+    low, high = band
+    if not 0.0 < low < high < HIGHEST_BAND_HZ:
+        raise EstimationError(
+            f"--band {low:g},{high:g}: give two frequencies in Hz, like 0.1,1.5 (at most {HIGHEST_BAND_HZ:g})"
+        )
+    problem = resolve([], known.get("model", model), wanted)
+    chosen, craft = problem.model, problem.aircraft
+    task = Task(
+        kind=kind,
+        duration=time,
+        speed=speed or math.sqrt(2 * craft.mass * GRAVITY / (density * craft.area * CRUISE_LIFT)),
+        density=density,
+        controls=comma_separated(controls),
+        band=band,
+        criterion=criterion,
+        values=known.get("values", values or {}),
+        noise=known.get("noise", noise or {}),
+        noise_of_residuals=bool(known),
+        rate_hz=rate_hz,
+        held=held,
+        seed=seed,
+    )
+    if apart := comma_separated(separate):
+        if kind != "optimal":
+            raise EstimationError("--separate designs an optimal input: leave --kind out")
+        chosen, sizes = with_effects(chosen, apart)
+        task = replace(task, separate=tuple(sizes), sizes=sizes)
+    return DesignAnswer(designed(chosen, craft, task, load_limits(Path(limits)) if limits else None))
+
+
+@dataclass(frozen=True, repr=False)
+class DesignAnswer(Answer):
+    """The designed input. design: the whole of it."""
+
+    design: "Design"
+
+    @property
+    def relative(self) -> dict[str, float]:
+        """Predicted standard deviation over size of each derivative that has one."""
+        return self.design.relative
+
+    def manoeuvre(self) -> "Manoeuvre":
+        """As it is flown."""
+        return self.design.manoeuvre()
+
+    def to_json(self) -> dict[str, Any]:
+        """As `design --json` has it."""
+        return self.design.to_json()
+
+    def lines(self) -> list[str]:
+        """What `sideslip design` prints."""
+        return _lines(self.design)
+
+    def plot(self, ax: Any = None) -> Any:
+        """Commands over time, one axes a control [deg]; gives the axes."""
+        from estimation.answers.notebook import panels
+
+        time, commands = self.design.best.motion.time, self.design.best.commands
+        axes = panels(ax, commands.shape[1])
+        for each, name, column in zip(axes, self.design.bench.controls, commands.T, strict=True):
+            each.plot(time, [math.degrees(v) for v in column])
+            each.set_ylabel(f"{name} [deg]")
+        axes[-1].set_xlabel("time [s]")
+        return axes
+
+    def writers(self) -> Mapping[str, Callable[[Path], Any]]:
+        """The manoeuvre that is flown as .toml, everything as .json, inputs, spectra, motion and bounds as a picture."""
+        from estimation.design.figure import write_figure
+
+        return {
+            **super().writers(),
+            ".toml": lambda path: write_manoeuvre(self.design, path),
+            **picture_writers(lambda path: write_figure(self.design, path)),
+        }
+
+    def headline(self) -> str:
+        """Kind, duration and the gain over doublets."""
+        return self.lines()[0]
+
+    def rows(self) -> Rows:
+        """A row for each parameter."""
+        rows = [(n, f"{self.design.expected[n]:.2g}", f"{100 * r:.1f} %") for n, r in self.relative.items()]
+        return ("parameter", "predicted std", "relative"), rows
+
+
+def _lines(found: "Design") -> list[str]:
+    """What a person reads on the terminal."""
+    task = found.task
+    out = [
+        f"{found.best.kind} of {task.duration:g} s at {task.speed:.1f} m/s on {', '.join(found.bench.controls)}: "
+        f"worst relative error {found.gain:.2f} times smaller than of doublets of equal length under the same limits"
+    ]
+    out += [f"note: {note}" for note in found.notes]
+    peaks = found.peak_factors()
+    out += ["", f"  {'control':<10}{'peak [deg]':>12}{'peak factor':>13}"]
+    for i, control in enumerate(found.bench.controls):
+        peak = math.degrees(abs(found.best.commands[:, i]).max())
+        out.append(f"  {control:<10}{peak:>12.2f}{peaks[control]:>13.3f}")
+    out += ["", f"  {'limit':<14}{'used':>10}{'allowed':>10}"]
+    for use in found.best.used:
+        factor = 1.0 if use.name in ("load_factor", "V", "ax", "ay", "az") else math.degrees(1.0)
+        unit = "" if factor == 1.0 else " deg"
+        out.append(f"  {use.name:<14}{factor * use.used:>10.2f}{factor * use.allowed:>10.2f}{unit}")
+    out += ["", f"  {'parameter':<12}{'size':>10}{'std':>10}{'relative':>10}{'doublets':>10}"]
+    plain, std = found.expected_of_doublets, found.expected
+    for name, relative in found.relative.items():
+        size = found.sizes[name]
+        mark = "  cannot be told" if name in found.untold else ""
+        doublets = 100 * plain[name] / abs(size)
+        out.append(f"  {name:<12}{size:>10.4g}{std[name]:>10.2g}{100 * relative:>9.1f}%{doublets:>9.1f}%{mark}")
+    return out
+
+
+def write_manoeuvre(found: "Design", path: Path) -> None:
+    """The file that `fly --manoeuvre` and the sequencer on board read."""
+    import tomli_w
+
+    write_text(tomli_w.dumps(found.manoeuvre().to_dict()), path)
+
+
+def with_effects(model: "Model", names: tuple[str, ...]) -> tuple["Model", dict[str, float]]:
+    """The model with effects of the catalogue added, and the size of each of their parameters; a name that is already a
+    parameter stays as it is. Raises EstimationError for fewer than two names, or one that the model cannot take."""
+    from estimation.errors import EstimationError
+    from estimation.gap.effects import catalogue
+
+    if len(names) < 2:
+        raise EstimationError("--separate needs two names or more, like Cn_da,Ixz_error")
+    effects = {e.name: e for e in catalogue(model=model)}
+    sizes: dict[str, float] = {}
+    for name in names:
+        if name in model.parameter_names:
+            parameter = model.parameter(name)
+            sizes[name] = abs(parameter.reference or parameter.start) or 1.0
+            continue
+        if name not in effects:
+            raise EstimationError(
+                f"--separate {name}: neither a parameter of model {model.name} nor an effect; see docs/effects.md"
+            )
+        form = next((f for f in effects[name].forms if f.obstacle(model) is None), None)
+        if form is None:
+            raise EstimationError(f"--separate {name}: {effects[name].forms[0].obstacle(model)}")
+        # a delay or a play of zero has no slope: such effects are looked at where they have their usual size
+        usual = {p.name: p.typical for p in form.parameters} if form.nonlinear else None
+        model = form.added_to(model, usual)
+        sizes |= {p.name: p.typical for p in form.parameters}
+    return model, sizes
+
+
+def _known(estimate: "Estimates | str | Path") -> dict[str, Any]:
+    """Model, aircraft, values and noise of an estimate: joint where there is one, else the first flight."""
+    from estimation.errors import EstimationError
+
+    path = "the estimate" if isinstance(estimate, Estimates) else Path(estimate)
+    try:
+        content = (
+            estimate.to_json()
+            if isinstance(estimate, Estimates)
+            else read_json(Path(estimate), "estimate", EstimationError)
+        )
+        methods = content["joint"] or content["flights"][0]["methods"]
+        found = next(m for m in methods.values() if m["parameters"])
+        values = {n: float(p["estimate"]) for n, p in found["parameters"].items() if p["estimate"] is not None}
+        noise = {n: math.sqrt(v) for n, v in found["R"].items() if v}
+        return {"model": content["model"], "aircraft": content["aircraft"], "values": values, "noise": noise}
+    except OSError as error:
+        raise EstimationError(f"{path}: cannot be read ({error.strerror}); name what estimate --json wrote") from error
+    except (ValueError, KeyError, TypeError, IndexError, StopIteration, AttributeError, RecursionError) as error:
+        raise EstimationError(f"{path}: not what 'sideslip estimate --json' writes, or without an estimate") from error

@@ -1,0 +1,183 @@
+"""`gap`: where model and flights disagree, the effect behind it, and the model that has it."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from estimation.answers.answer import Answer, Rows, table_writers
+from estimation.answers.notebook import Figures, plot_scores
+from estimation.threads import single_threaded
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from estimation.gap.answer.result import GapResult
+    from estimation.gap.effects.base import Effect
+    from estimation.models import Model
+    from estimation.resolve import AnyAircraft, AnyModel, Flights
+    from groundstation.flight import Flight
+
+
+@single_threaded
+def gap(
+    model: "AnyModel",
+    flights: "Flights",
+    holdout: "Flights" = (),
+    *,
+    aircraft: "AnyAircraft" = None,
+    simulation: str | None = None,
+    effects: Sequence[str | Path] = (),
+    seed: int = 1,
+    nulls: int = 200,
+    progress: Callable[[str, float], None] | None = None,
+) -> "GapAnswer":
+    """Find what the model of the flights is missing. Arguments are the options of the verb.
+
+    holdout: flights kept out of every fit. effects: files with effects of your own. nulls: simulated baselines from which
+    thresholds come. progress: told what is being done, and the share of the whole.
+    """
+    from estimation.gap.effects import catalogue
+    from estimation.gap.workflow import Options, run_gap
+    from estimation.resolve import as_listed, resolve
+    from estimation.simulation.base_model import Free
+
+    files = tuple(Path(f) for f in effects)
+    catalogue(files)  # what is mistyped in them is said before a flight is read
+    training = as_listed(flights)
+    given = [*training, *as_listed(holdout)]
+    problem = resolve(given, model, aircraft, simulation=simulation, free=Free.FACTORS)
+    known = catalogue(files, problem.model)
+    first, rest = problem.flights[: len(training)], problem.flights[len(training) :]
+    options = Options(seed=seed, nulls=nulls)
+    result = run_gap(problem.model, first, rest, known, options, progress or (lambda what, share: None))
+    return GapAnswer(result, problem.flights, tuple(known), seed, problem.notes)
+
+
+@dataclass(frozen=True, repr=False)
+class GapAnswer(Answer):
+    """What the gap workflow answers. result: the whole of it; flights: with those held out; catalogue: effects looked for;
+    notes: what of a simulation is held."""
+
+    result: "GapResult"
+    flights: "tuple[Flight, ...]"
+    catalogue: "tuple[Effect, ...]"
+    seed: int
+    notes: tuple[str, ...] = ()
+
+    @property
+    def verdict(self) -> str:
+        """no_gap, gap_closed, gap_reduced, unknown_effect or cannot_tell."""
+        return self.result.verdict.value
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Names of the effects found, in the order in which they were added."""
+        return tuple(step.effect for step in self.result.steps)
+
+    @property
+    def model(self) -> "Model":
+        """The model with what was found."""
+        return self.result.model_after
+
+    def with_models(self, folder: str | Path) -> "GapAnswer":
+        """Write the models before and after, with their lineage, to a folder; the answer that names these files."""
+        from estimation.gap.run import with_models
+
+        return replace(self, result=with_models(self.result, self.flights, self.seed, Path(folder)))
+
+    def to_json(self) -> dict[str, Any]:
+        """As `gap --json` has it."""
+        return self.result.to_json()
+
+    def to_pandas(self) -> "pd.DataFrame":
+        """A row for each hypothesis of the catalogue, the highest score first; `named`: added to the model."""
+        import pandas as pd
+
+        named = {s.effect: s for s in self.result.steps}
+        rows = [
+            {
+                "effect": n,
+                "score": score,
+                "threshold": named[n].threshold if n in named else self.result.threshold,
+                "named": n in named,
+                "weight": named[n].confidence if n in named else float("nan"),
+                "minimum_detectable": self.result.minimum_detectable.get(n, float("nan")),
+            }
+            for n, score in sorted(self.result.scores.items(), key=lambda pair: -pair[1])
+        ]
+        return pd.DataFrame(rows)
+
+    def lines(self) -> list[str]:
+        """What `sideslip gap` prints."""
+        return [*(f"simulation: {note}" for note in self.notes), *_lines(self.result)]
+
+    def plot(self, ax: Any = None) -> Any:
+        """The leading hypotheses with their scores and the threshold; gives the axes."""
+        return plot_scores(self.result, ax)
+
+    def figures(self) -> Figures:
+        """The figures of the report: scores, where the disagreement lives, every flight before and after."""
+        from estimation.gap.pages.report import gap_figures
+
+        return Figures(gap_figures(self.result))
+
+    def writers(self) -> Mapping[str, Callable[[Path], Any]]:
+        """The model with what was found as .toml, everything as .json, the table as .csv."""
+        from estimation.models import write_model
+
+        return {
+            **super().writers(),
+            ".toml": lambda path: write_model(self.model, path),
+            **table_writers(self),
+        }
+
+    def report(self, folder: str | Path) -> Path:
+        """Write the HTML page; gives its path."""
+        from estimation.gap.pages.report import write_gap_report
+
+        return write_gap_report(self.result, Path(folder), self.catalogue)
+
+    def headline(self) -> str:
+        """The verdict and the effects."""
+        return f"Gap: {self.verdict}{': ' if self.effects else ''}{', '.join(self.effects)}"
+
+    def rows(self) -> Rows:
+        """A row for each effect that was added."""
+        rows = [
+            (s.effect, s.title, f"{s.score:.1f}", f"{s.threshold:.2f}", f"{s.gap.closed:.0%}")
+            for s in self.result.steps
+        ]
+        return ("effect", "", "score", "threshold", "closed"), rows
+
+    def _repr_html_(self) -> str:
+        from estimation.answers.notebook import table
+
+        return table(f"{self.headline()}. {self.result.text}", *self.rows())
+
+
+def _lines(result: "GapResult") -> list[str]:
+    """What a person reads on the terminal."""
+    out = [f"verdict: {result.verdict.value}", result.text]
+    if result.steps:
+        out.append("")
+        out.append(
+            f"{'effect':20s} {'score':>7s} {'threshold':>9s} {'weight':>7s}  {'gap before':>10s} {'after':>7s} "
+            f"{'floor':>7s} {'closed':>7s} {'held out':>9s}"
+        )
+    for s in result.steps:
+        held = "-" if s.holdout is None else f"{s.holdout.closed:.0%}"
+        out.append(
+            f"{s.effect:20s} {s.score:7.1f} {s.threshold:9.2f} {s.confidence:7.2f}  {s.gap.before:10.3f} {s.gap.after:7.3f} "
+            f"{s.gap.floor:7.3f} {s.gap.closed:7.0%} {held:>9s}"
+        )
+    before = result.model_before.parameters
+    believed = {p.name: p for p in before if p.reference_source.startswith("simulation")}
+    for step in result.steps:
+        for name, (value, _) in step.estimates.items():
+            if name in believed:
+                own = believed[name]
+                out.append(f"{name}: the {own.reference_source} has {own.reference:.4g}, the flights {value:.4g}")
+    if result.files[1]:
+        out.append(f"model: {result.files[0]} -> {result.files[1]}")
+    return out

@@ -1,0 +1,134 @@
+"""`match`: proof of match, a model's prediction of flights it was not estimated from."""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from daq.contract.plain_words import comma_separated
+from estimation.answers.answer import Answer, Rows, picture_writers, table_writers
+from estimation.answers.notebook import Figures, plot_proof
+from estimation.signals.goodness_of_fit import THEIL_LIMIT
+from estimation.threads import single_threaded
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from estimation.resolve import AnyAircraft, AnyModel, Flights, Names
+    from estimation.session.proof_of_match import Proof
+    from groundstation.flight import Flight
+
+
+@single_threaded
+def match(
+    model: "AnyModel",
+    flights: "Flights",
+    free: "Names" = (),
+    *,
+    aircraft: "AnyAircraft" = None,
+    simulation: str | None = None,
+    segments: str | None = None,
+    limit: float = THEIL_LIMIT,
+) -> "Match":
+    """Predict flights with the model's parameters frozen, but those named in `free`. Arguments are the options of the verb.
+
+    limit: Theil's coefficient above which a channel does not match.
+    """
+    from estimation.resolve import resolve
+    from estimation.session.proof_of_match import predict
+    from estimation.simulation.base_model import Free
+
+    problem = resolve(flights, model, aircraft, segments=segments, simulation=simulation, free=Free.NOTHING)
+    wanted = comma_separated(free)
+    proofs = tuple(predict(problem.model, flight, free=wanted) for flight in problem.flights)
+    return Match(proofs, str(problem.model.name), limit, problem.flights, problem.notes)
+
+
+@dataclass(frozen=True, repr=False)
+class Match(Answer):
+    """Proofs of match, one for each flight. limit: of Theil's coefficient; notes: what of a simulation is held."""
+
+    proofs: "tuple[Proof, ...]"
+    model: str
+    limit: float
+    flights: "tuple[Flight, ...]"
+    notes: tuple[str, ...] = ()
+
+    @property
+    def passed(self) -> bool:
+        """Whether every channel of every flight matches."""
+        return all(p.converged and all(f.theil <= self.limit for f in p.fit.values()) for p in self.proofs)
+
+    def to_json(self) -> dict[str, Any]:
+        """As `match --json` has it."""
+        return {"model": self.model, "limit": self.limit, "flights": [p.to_json() for p in self.proofs]}
+
+    def to_pandas(self) -> "pd.DataFrame":
+        """A row for each flight and channel: coefficient of determination, Theil's coefficient, rms."""
+        import pandas as pd
+
+        rows = [
+            {"flight": p.name, "channel": n, "r2": f.r2, "theil": f.theil, "rms": f.rms, "whiteness": f.whiteness}
+            for p in self.proofs
+            for n, f in p.fit.items()
+        ]
+        return pd.DataFrame(rows)
+
+    def lines(self) -> Iterator[str]:
+        """What `sideslip match` prints."""
+        yield from (f"simulation: {note}" for note in self.notes)
+        yield f"limit: Theil's coefficient {self.limit:g} in every channel"
+        for proof in self.proofs:
+            yield from _proof_lines(proof, self.limit)
+
+    def plot(self, ax: Any = None) -> Any:
+        """Measured and predicted outputs of the first flight, one axes a channel; gives the axes."""
+        return plot_proof(self.proofs[0], ax)
+
+    def figures(self) -> Figures:
+        """Figure 10 of the report pages."""
+        from functools import partial
+
+        from estimation.report.drawing.estimate_figures import proof_figure
+
+        drawn = partial(proof_figure, [(self.model, p) for p in self.proofs], "initial states", of_paper=False)
+        return Figures({"figure10": drawn})
+
+    def write_histories(self, folder: Path) -> list[Path]:
+        """Write each flight with what the model predicts beside it; gives the files."""
+        from estimation.report.drawing.histories import write_beside
+
+        return [write_beside(f, p.result, folder) for f, p in zip(self.flights, self.proofs, strict=True)]
+
+    def writers(self) -> Mapping[str, Callable[[Path], Any]]:
+        """Everything as .json, the table as .csv, measured and predicted histories as a picture."""
+        from estimation.report.drawing.histories import write_proof
+
+        pictures = picture_writers(lambda path: write_proof(self.proofs, path))
+        return {**super().writers(), **table_writers(self), **pictures}
+
+    def headline(self) -> str:
+        """Flights, and the worst match of any channel."""
+        worst = max((f.theil for p in self.proofs for f in p.fit.values()), default=float("nan"))
+        return f"Match of {', '.join(p.name for p in self.proofs)}: largest Theil coefficient {worst:.3f}"
+
+    def rows(self) -> Rows:
+        """A row for each flight and channel."""
+        rows = [
+            (p.name, n, f"{f.r2:.3f}", f"{f.theil:.3f}", f"{f.rms:.3g}") for p in self.proofs for n, f in p.fit.items()
+        ]
+        return ("flight", "channel", "r2", "Theil", "rms"), rows
+
+
+def _proof_lines(proof: "Proof", limit: float) -> list[str]:
+    """What a person reads on the terminal of one flight predicted."""
+    head = f"  {'channel':<10}{'r2':>8}{'Theil':>8}{'bias':>7}{'var':>7}{'cov':>7}{'rms':>11}{'white':>7}  match"
+    lines = [f"{proof.name}: {proof.text}", head]
+    for name, f in proof.fit.items():
+        judged = "pass" if f.theil <= limit else f"FAIL, above {limit:g}"
+        lines.append(
+            f"  {name:<10}{f.r2:8.3f}{f.theil:8.3f}{f.theil_bias:7.2f}{f.theil_variance:7.2f}"
+            f"{f.theil_covariance:7.2f}{f.rms:11.4g}{f.whiteness:7.2f}  {judged}"
+        )
+    lines += [f"  beyond what the model was estimated from: {b.text}" for b in proof.beyond]
+    return [*lines, *(f"  note: {note}" for note in proof.result.flights[0].notes)]

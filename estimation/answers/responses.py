@@ -1,0 +1,166 @@
+"""`frequency`: the response of an output to an input over frequency, with its error, a fit, and what that says."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from daq.contract.plain_words import comma_separated
+from estimation.answers.answer import Answer, Rows, picture_writers, table_writers
+from estimation.threads import single_threaded
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from estimation.frequency.answer import Answer as Responded
+    from estimation.frequency.handling import Craft
+    from estimation.resolve import AnyAircraft, Flights, Names
+    from groundstation.flight import Flight
+
+
+@single_threaded
+def frequency(
+    flights: "Flights",
+    input: str,
+    output: str,
+    *,
+    with_: "Names | None" = None,
+    fit: bool = False,
+    form: str | None = None,
+    band: tuple[float, float] | None = None,
+    points: int = 60,
+    windows: Sequence[float] = (),
+    segments: str | None = None,
+    kind: str = "",
+    category: str = "B",
+    aircraft: "AnyAircraft" = None,
+) -> "Response":
+    """Response of column `output` to column `input` over one flight or several.
+
+    `with_`: other inputs whose share is taken off, by default all other surfaces that moved, () for none. fit: also a transfer
+    function, of `form` where one is given (roll, dutch-roll, short-period, orders like 1/2). band: [Hz]. windows: lengths [s].
+    kind, category: class of a piloted aircraft and category of the flight phase, for levels. aircraft: whose mass decides
+    whether levels apply. Raises a UserError where the input did not move, a column is missing or the flights are too short.
+    """
+    from estimation.frequency.answer import answer
+    from estimation.frequency.forms import form_for
+    from estimation.frequency.handling import Craft
+    from estimation.frequency.response import ResponseOptions
+    from estimation.frequency.response import frequency_response as responded
+    from estimation.resolve import read_flights
+
+    wanted = form or ("auto" if fit else None)
+    if wanted is not None:
+        form_for(input, output, wanted)  # what is mistyped is said before a flight is read
+    asked = Craft(kind, category)
+    beside = None if with_ is None else tuple(n for n in comma_separated(with_) if n != "none")
+    options = ResponseOptions(beside, band, points, tuple(windows))
+    read = read_flights(flights, segments)
+    craft = _with_mass(asked, read, aircraft)
+    return Response(answer(responded(read, input, output, options), wanted, craft), tuple(read))
+
+
+def _with_mass(asked: "Craft", flights: "Sequence[Flight]", aircraft: "AnyAircraft") -> "Craft":
+    """What is asked for, with the mass of the aircraft where it is known."""
+    from estimation.aircraft.of_flight import aircraft_of
+    from estimation.errors import AircraftError
+
+    try:
+        return replace(asked, mass=aircraft_of(flights, aircraft).mass)
+    except AircraftError:
+        if aircraft is not None:
+            raise
+        return asked  # the response needs no aircraft
+
+
+@dataclass(frozen=True, repr=False)
+class Response(Answer):
+    """What `frequency` found. `answer.response` has the arrays: omega, H, magnitude, phase, std, std_phase,
+    coherence."""
+
+    answer: "Responded"
+    flights: "tuple[Flight, ...]"
+
+    def fit(self, form: str = "auto", kind: str = "", category: str = "B", mass: float | None = None) -> "Response":
+        """The same with a transfer function of `form` (roll, dutch-roll, short-period, orders like 1/2) and what it says.
+
+        kind: class I to IV of a piloted aircraft, for levels; category: of the flight phase; mass: kg, by default that of the
+        aircraft where it is known.
+        """
+        from estimation.frequency.answer import answer
+        from estimation.frequency.handling import Craft
+
+        craft = Craft(kind, category, self.answer.craft.mass if mass is None else mass)
+        return replace(self, answer=answer(self.answer.response, form, craft))
+
+    def to_json(self) -> dict[str, Any]:
+        """As `frequency --json` has it."""
+        return self.answer.to_json()
+
+    def to_pandas(self) -> "pd.DataFrame":
+        """A row for each frequency [rad/s]; phase in rad."""
+        import pandas as pd
+
+        r = self.answer.response
+        return pd.DataFrame(
+            {
+                "frequency": r.omega,
+                "magnitude": r.magnitude,
+                "phase": r.phase,
+                "coherence": r.coherence,
+                "std_magnitude": r.std,
+                "std_phase": r.std_phase,
+            }
+        )
+
+    def lines(self) -> Iterator[str]:
+        """What `sideslip frequency` prints."""
+        from estimation.frequency.answer import lines
+
+        return lines(self.answer)
+
+    def plot(self, ax: Any = None) -> Any:
+        """Magnitude [dB], phase [deg] and coherence over frequency; gives the three axes."""
+        from matplotlib import pyplot as plt
+
+        from estimation.frequency.figure import draw_on
+
+        if ax is None:
+            _, ax = plt.subplots(3, 1, sharex=True, figsize=(7.0, 7.0), height_ratios=(3, 3, 1.6), layout="constrained")
+        draw_on(ax, self.answer.response, self.answer.fit)
+        return ax
+
+    def report(self, folder: str | Path) -> Path:
+        """Write the HTML page; gives its path."""
+        from estimation.frequency.page import write_frequency_report
+
+        return write_frequency_report(self.answer, self.flights, Path(folder))
+
+    def writers(self) -> Mapping[str, Callable[[Path], Any]]:
+        """Everything as .json, the table as .csv, the Bode figure as a picture."""
+        from estimation.frequency.figure import write_figure
+
+        pictures = picture_writers(lambda path: write_figure(self.answer.response, self.answer.fit, path))
+        return {**super().writers(), **table_writers(self), **pictures}
+
+    def headline(self) -> str:
+        """Output, input, range of frequencies and the form of the fit."""
+        r = self.answer.response
+        fit = "" if self.answer.fit is None else f", fit {self.answer.fit.form.name}"
+        return (
+            f"Response of {r.output} to {r.input}: {r.omega.size} frequencies, {r.omega[0]:.3g} to "
+            f"{r.omega[-1]:.3g} rad/s{fit}"
+        )
+
+    def rows(self) -> Rows:
+        """A row for each parameter of the fit; without a fit, for each frequency."""
+        if self.answer.fit is not None:
+            fitted = self.answer.fit.parameters.items()
+            return ("parameter", "estimate", "bound", "unit"), [
+                (n, f"{p.estimate:.4g}", f"{p.std:.2g}", p.unit) for n, p in fitted
+            ]
+        r = self.answer.response
+        numbers = zip(r.omega, r.magnitude, r.std, r.coherence, strict=True)
+        return ("rad/s", "magnitude", "+-", "coherence"), [
+            (f"{w:.3g}", f"{m:.4g}", f"{s:.2g}", f"{c:.2f}") for w, m, s, c in numbers
+        ]

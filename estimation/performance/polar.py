@@ -1,0 +1,157 @@
+"""A drag polar CD = CD_0 + CD_k CL^2 over flights, and what follows: glide, sink, power required, each with bounds.
+
+An offset of the angle of attack, of vane or accelerometer, turns lift into drag: CD + offset CL. It is fitted beside the polar,
+with what such instruments are usually off by as prior. Bounds are corrected for coloured residuals.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from estimation.aircraft import GRAVITY, Aircraft
+from estimation.engine.kernel import Array
+from estimation.errors import DataError
+from estimation.estimators.coloured import Piece, score_covariance
+from estimation.performance.samples import Stretch
+
+OFFSET = math.radians(0.3)  # standard deviation of what an aligned vane and accelerometer are off by together
+SURE = 2.0  # bounds from zero below which a coefficient is not known
+BOUNDS = 1.96  # standard deviations: 95 %
+POINTS = 13  # of the curve
+EDGES = (0.02, 0.98)  # quantiles of the lift flown between which the curve stands
+
+
+@dataclass(frozen=True)
+class Bounded:
+    """A number with its standard deviation."""
+
+    estimate: float
+    std: float
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """Bounds that hold the truth in 95 %; of what is above zero by its logarithm, where it is known to be."""
+        if self.estimate > SURE * self.std:
+            factor = math.exp(BOUNDS * self.std / self.estimate)
+            return self.estimate / factor, self.estimate * factor
+        return self.estimate - BOUNDS * self.std, self.estimate + BOUNDS * self.std
+
+
+@dataclass(frozen=True)
+class Polar:
+    """values, covariance (3, 3): CD_0, CD_k and the offset of the angle of attack [rad]. lift: least and greatest CL flown;
+    rms: of what is left of CD; density: mean of the flights [kg/m3]."""
+
+    values: Array
+    covariance: Array
+    lift: tuple[float, float]
+    rms: float
+    density: float
+
+    def __getitem__(self, name: str) -> Bounded:
+        i = ("CD_0", "CD_k", "alpha_offset").index(name)
+        return Bounded(float(self.values[i]), math.sqrt(float(self.covariance[i, i])))
+
+    @property
+    def known(self) -> bool:
+        """Whether both coefficients are above zero beyond their bounds."""
+        return all(self[n].estimate > SURE * self[n].std for n in ("CD_0", "CD_k"))
+
+
+@dataclass(frozen=True)
+class Point:
+    """Level flight or a shallow glide at one speed. V [m/s], drag [N], sink [m/s] with the motor off, power required [W]."""
+
+    V: float
+    CL: float
+    drag: Bounded
+    sink: Bounded
+    power: Bounded
+
+
+def fitted(stretches: Sequence[Stretch]) -> Polar:
+    """The polar of all stretches by weighted least squares. Raises DataError for too few of them."""
+    if not stretches:
+        raise DataError(
+            "no stretch of any flight has lift and drag with thrust known; fly glides with the throttle off"
+        )
+    rows = [np.column_stack([np.ones(s.V.size), s.smooth_CL**2, s.smooth_CL]) / s.scatter[:, None] for s in stretches]
+    seen = [s.CD / s.scatter for s in stretches]
+    # the prior's weight is in units of the noise, which is raised by what residuals are larger than it
+    values, scale = np.zeros(3), 1.0
+    for _ in range(3):
+        inverse = _inverse(rows, scale)
+        values = inverse @ np.sum([J.T @ y for J, y in zip(rows, seen, strict=True)], axis=0) / scale**2
+        left = [y - J @ values for J, y in zip(rows, seen, strict=True)]
+        scale = max(math.sqrt(float(np.mean(np.concatenate(left) ** 2))), 1e-9)
+    inverse = _inverse(rows, scale)
+    pieces = [
+        Piece((e / scale)[:, None], J / scale, np.zeros((e.size, 0)), np.ones((e.size, 1), bool))
+        for e, J in zip(left, rows, strict=True)
+    ]
+    products = score_covariance(pieces, inverse, [np.zeros((0, 0))] * len(pieces))
+    products[2, 2] += 1.0 / OFFSET**2
+    covariance = inverse @ products @ inverse
+    lift = np.concatenate([s.smooth_CL for s in stretches])
+    off = np.concatenate([e * s.scatter for e, s in zip(left, stretches, strict=True)])
+    density = float(np.mean(np.concatenate([s.rho for s in stretches])))
+    low, high = (float(v) for v in np.quantile(lift, EDGES))
+    return Polar(values, covariance, (low, high), float(np.sqrt(np.mean(off**2))), density)
+
+
+def _inverse(rows: Sequence[Array], scale: float) -> Array:
+    """(3, 3) inverse of the information, the prior of the offset with it."""
+    information = np.sum([J.T @ J for J in rows], axis=0) / scale**2
+    information[2, 2] += 1.0 / OFFSET**2
+    return np.asarray(np.linalg.pinv(information, rcond=1e-15))
+
+
+def _of_both(polar: Polar, estimate: float, by_CD_0: float, by_CD_k: float) -> Bounded:
+    """A number that goes with powers of CD_0 and CD_k."""
+    slopes = estimate * np.array([by_CD_0 / polar.values[0], by_CD_k / polar.values[1]])
+    return Bounded(estimate, math.sqrt(float(slopes @ polar.covariance[:2, :2] @ slopes)))
+
+
+def best_glide(polar: Polar, aircraft: Aircraft) -> dict[str, Bounded]:
+    """Glide ratio, its speed [m/s] and lift coefficient: E = 1/(2 sqrt(CD_0 CD_k)) at CL = sqrt(CD_0/CD_k)."""
+    CD_0, CD_k = polar.values[:2]
+    CL = math.sqrt(CD_0 / CD_k)
+    return {
+        "ratio": _of_both(polar, 0.5 / math.sqrt(CD_0 * CD_k), -0.5, -0.5),
+        "speed": _of_both(polar, _speed(polar, aircraft, CL), -0.25, 0.25),
+        "CL": _of_both(polar, CL, 0.5, -0.5),
+    }
+
+
+def least_sink(polar: Polar, aircraft: Aircraft) -> dict[str, Bounded]:
+    """Least sink with the motor off [m/s], and least power [W], at CL = sqrt(3 CD_0/CD_k), with their speed [m/s]."""
+    CD_0, CD_k = polar.values[:2]
+    CL = math.sqrt(3.0 * CD_0 / CD_k)
+    speed = _speed(polar, aircraft, CL)
+    sink = speed * 4.0 * CD_0 / CL
+    return {
+        "sink": _of_both(polar, sink, 0.25, 0.75),
+        "power": _of_both(polar, sink * aircraft.mass * GRAVITY, 0.25, 0.75),
+        "speed": _of_both(polar, speed, -0.25, 0.25),
+    }
+
+
+def _speed(polar: Polar, aircraft: Aircraft, CL: float) -> float:
+    return math.sqrt(2.0 * aircraft.mass * GRAVITY / (polar.density * aircraft.area * CL))
+
+
+def curve(polar: Polar, aircraft: Aircraft) -> tuple[Point, ...]:
+    """Drag, sink and power over the speeds whose lift was flown, lift being weight; drag is linear in both coefficients."""
+    weight = aircraft.mass * GRAVITY
+    low, high = max(polar.lift[0], 1e-3), max(polar.lift[1], 2e-3)
+    points = []
+    for V in np.linspace(_speed(polar, aircraft, high), _speed(polar, aircraft, low), POINTS):
+        area = 0.5 * polar.density * V**2 * aircraft.area
+        CL = weight / area
+        slopes = area * np.array([1.0, CL**2])
+        drag = Bounded(float(slopes @ polar.values[:2]), math.sqrt(float(slopes @ polar.covariance[:2, :2] @ slopes)))
+        sink, power = (Bounded(drag.estimate * f, drag.std * f) for f in (float(V) / weight, float(V)))
+        points.append(Point(float(V), float(CL), drag, sink, power))
+    return tuple(points)

@@ -1,0 +1,140 @@
+"""Lift and drag of each sample of a flight whose thrust is known there.
+
+Forces are the accelerometers' times mass, thrust taken off, turned by the angle of attack: L = X sin a - Z cos a,
+D = -X cos a - Z sin a. Where thrust was not measured it is zero while the throttle is closed.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimation.aircraft import Aircraft
+from estimation.engine.derived import bridged, with_derived
+from estimation.engine.kernel import Array
+from estimation.errors import DataError
+from estimation.signals.preprocess import denoise, noise_level
+from groundstation.flight import Flight
+
+NEEDED = ("V", "alpha", "ax", "az", "rho")
+CLOSED = 0.02  # of the throttle's range: dead band of a stick and rounding of PWM
+RUNS_OUT = 1.0  # s after closing in which a motor may still pull
+LEAST = 40  # samples in a stretch: two seconds at 20 Hz, below which noise cannot be told from motion
+LEAST_NOISE = (1e-4, 1e-6)  # m/s2, rad: of recordings without noise
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """Consecutive samples, (N,) each. CL, CD: lift and drag coefficient; smooth_CL: de-noised, for a regressor; scatter: standard
+    deviation of CD by noise; V [m/s]; rho [kg/m3]."""
+
+    CL: Array
+    CD: Array
+    smooth_CL: Array
+    scatter: Array
+    V: Array
+    rho: Array
+
+
+@dataclass(frozen=True)
+class Usable:
+    """What of a flight can be used. thrust: how it is known, in words."""
+
+    name: str
+    samples: int
+    stretches: tuple[Stretch, ...]
+    thrust: str
+
+    @property
+    def used(self) -> int:
+        """Samples that are used."""
+        return sum(s.V.size for s in self.stretches)
+
+
+def usable(flight: Flight, aircraft: Aircraft, *, throttle_off: bool) -> Usable:
+    """Lift and drag where thrust is known. throttle_off: somebody says that it was off throughout.
+
+    Raises DataError where thrust is unknown and not off, or a column is missing.
+    """
+    flight = with_derived(flight, ["rho"])
+    lacking = [n for n in NEEDED if not flight.measured(n)]
+    if lacking:
+        way = (
+            "; 'sideslip reconstruct' makes angle of attack and airspeed from the others"
+            if {"V", "alpha"} & set(lacking)
+            else ""
+        )
+        raise DataError(f"{flight.name}: lift and drag need {', '.join(lacking)}, which it has not{way}")
+    thrust, words = _thrust(flight, throttle_off)
+    told = np.isfinite(thrust)
+    for name in NEEDED:
+        told &= np.isfinite(flight[name])
+    told &= np.nan_to_num(flight["V"]) > 0.0
+    pieces = [piece for s in flight.segments for piece in _runs(told, s.start, s.stop)]
+    if not pieces:
+        raise DataError(
+            f"{flight.name}: no {LEAST} samples in a row have {words} and {', '.join(NEEDED)}; fly longer glides with the"
+            " throttle off"
+        )
+    noise = (
+        max(noise_level(bridged(flight["ax"])), LEAST_NOISE[0]),
+        max(noise_level(bridged(flight["alpha"])), LEAST_NOISE[1]),
+    )
+    return Usable(flight.name, len(flight), tuple(_stretch(flight, p, thrust, aircraft, noise) for p in pieces), words)
+
+
+def _thrust(flight: Flight, throttle_off: bool) -> tuple[Array, str]:
+    """(N,) thrust [N], NaN where it is not known, and how it is known."""
+    if throttle_off:
+        return np.zeros(len(flight)), "throttle off, as stated"
+    kind = flight.channels.get("thrust", {}).get("kind", "measured")
+    if flight.measured("thrust") and kind != "assumed":  # what is assumed is known to nobody
+        return np.asarray(flight["thrust"], float), f"thrust {kind}"
+    if flight.measured("throttle"):
+        closed = _closed(flight.time, np.asarray(flight["throttle"], float))
+        if closed.any():
+            return np.where(closed, 0.0, np.nan), "throttle closed"
+        raise DataError(
+            f"{flight.name}: thrust is unknown, and the throttle is never closed; fly glides with the throttle"
+            " off, or record thrust [N]"
+        )
+    raise DataError(
+        f"{flight.name}: thrust is unknown, and nothing says that the throttle was off; record thrust [N] or throttle, or state"
+        " --throttle-off where it was"
+    )
+
+
+def _closed(time: Array, throttle: Array) -> NDArray[np.bool_]:
+    """Where the throttle is closed and the motor has run out."""
+    closed = np.nan_to_num(throttle, nan=1.0) <= CLOSED
+    open_at = np.where(closed, -np.inf, time)
+    last_open = np.maximum.accumulate(open_at)
+    return closed & (time - last_open > RUNS_OUT)
+
+
+def _runs(told: NDArray[np.bool_], start: int, stop: int) -> list[slice]:
+    """Stretches of enough samples in a row."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], told[start:stop], [False]]).astype(int)))
+    return [slice(start + int(a), start + int(b)) for a, b in edges.reshape(-1, 2) if b - a >= LEAST]
+
+
+def _stretch(flight: Flight, piece: slice, thrust: Array, aircraft: Aircraft, noise: tuple[float, float]) -> Stretch:
+    V = denoise(flight["V"][piece]).values
+    rho, alpha = flight["rho"][piece], flight["alpha"][piece]
+    pressure = 0.5 * rho * V**2 * aircraft.area / aircraft.mass
+    ax, az = flight["ax"][piece] - thrust[piece] / aircraft.mass, flight["az"][piece]
+    CL, CD = _turned(ax, az, alpha, pressure)
+    smooth, _ = _turned(denoise(ax).values, denoise(az).values, denoise(alpha).values, pressure)
+    scatter = np.hypot(noise[0], az * noise[1]) / pressure
+    return Stretch(CL, CD, smooth, scatter, V, np.asarray(rho, float))
+
+
+def _turned(ax: Array, az: Array, alpha: Array, pressure: Array) -> tuple[Array, Array]:
+    sine, cosine = np.sin(alpha), np.cos(alpha)
+    return (ax * sine - az * cosine) / pressure, (-ax * cosine - az * sine) / pressure
+
+
+def together(flights: Sequence[Usable]) -> tuple[Stretch, ...]:
+    """All stretches of all flights."""
+    return tuple(s for f in flights for s in f.stretches)

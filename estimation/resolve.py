@@ -1,0 +1,134 @@
+"""The front door: which flights, stretches, model, aircraft, methods and simulation a call is about.
+
+Every verb, function of Python and worker of a campaign decides them here, so that the same words give the same numbers.
+"""
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from daq.contract.plain_words import comma_separated
+from estimation.aircraft import Aircraft, unknown_aircraft
+from estimation.aircraft.of_flight import aircraft_of
+from estimation.errors import EstimationError
+from estimation.estimators.estimator import Estimator
+from estimation.estimators.registry import find
+from estimation.models import Model, load_model
+from estimation.models.load import asks_for_aircraft, check_model
+from estimation.session.flights import select_segments, separated, unique_names
+from estimation.simulation.attach import Attached, Free, attach, estimated_about_its_motion, settled
+from groundstation.flight import Flight, read_flight
+
+Flights = Flight | str | Path | Sequence[Flight | str | Path]
+AnyModel = str | Path | Model | type
+AnyAircraft = str | Path | Aircraft | None
+Names = str | Iterable[str]
+"""Comma-separated, or one by one."""
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What a call works on. notes: what of a simulation is held, or not measured."""
+
+    model: Model
+    aircraft: Aircraft
+    flights: tuple[Flight, ...]
+    methods: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+def resolve(
+    flights: Flights,
+    model: AnyModel = "lateral",
+    aircraft: AnyAircraft = None,
+    methods: Names = (),
+    *,
+    segments: str | None = None,
+    each_segment: bool = False,
+    simulation: str | None = None,
+    free: Free = Free.FACTORS,
+    needs_aircraft: bool = False,
+    hold_initial: Names = "",
+    free_initial: Names = "",
+) -> Problem:
+    """The flights with names of their own, the model, and the aircraft it is of.
+
+    segments: stretches as of `select_segments`; each_segment: every one as a flight. free: what of a simulation is estimated.
+    needs_aircraft: the call takes geometry and mass itself, whatever the model. hold_initial, free_initial: as of
+    `with_initial_states`. Raises a UserError of one sentence for what cannot be found or does not fit; what is mistyped in
+    methods or model, before a flight is read.
+    """
+    chosen = tuple(dict.fromkeys(comma_separated(methods)))
+    estimators = [find(name) for name in chosen]
+    if isinstance(model, str | Path):
+        check_model(str(model))
+    read = read_flights(flights, segments, each_segment=each_segment)
+    if simulation is not None:
+        attached = _on_simulation(simulation, model, read, aircraft, free)
+        loaded, craft, read, notes = attached.model, attached.aircraft, list(attached.flights), attached.notes
+    else:
+        craft = which_aircraft(read, aircraft, needed=needs_aircraft or _takes_aircraft(model, estimators))
+        loaded, notes = load_model(model, craft), ()
+    return Problem(with_initial_states(loaded, hold_initial, free_initial), craft, tuple(read), chosen, notes)
+
+
+def read_flights(flights: Flights, segments: str | None = None, *, each_segment: bool = False) -> list[Flight]:
+    """Flights that are given as such or as files, the stretches `segments` of each, with names of their own."""
+    given = as_listed(flights)
+    read = [select_segments(f if isinstance(f, Flight) else read_flight(f), segments) for f in given]
+    return unique_names([part for f in read for part in separated(f)] if each_segment else read)
+
+
+def as_listed(flights: Flights) -> list[Flight | str | Path]:
+    """One flight or several as a list."""
+    return [flights] if isinstance(flights, Flight | str | Path) else list(flights)
+
+
+def which_aircraft(flights: Sequence[Flight], given: AnyAircraft, *, needed: bool) -> Aircraft:
+    """The aircraft that is given, else the one the flights carry or name; an unknown one where none is needed."""
+    if given is None and not needed:
+        return unknown_aircraft((flights[0].provenance.aircraft if flights else "") or "not stated")
+    return aircraft_of(flights, given)
+
+
+def _takes_aircraft(model: AnyModel, estimators: Iterable[Estimator]) -> bool:
+    return asks_for_aircraft(model) or any(e.needs_aircraft for e in estimators)
+
+
+def _on_simulation(
+    spec: str, model: AnyModel, flights: Sequence[Flight], aircraft: AnyAircraft, free: Free
+) -> Attached:
+    """The simulation under the model along the flights: at the motion of the fit where derivatives are free, at the motion
+    predicted where nothing is."""
+    if not isinstance(model, str | Path):
+        raise EstimationError("a simulation takes its model by name or as a MODEL.toml; give one of these")
+    attached = attach(spec, str(model), flights, aircraft, free)
+    if free is Free.DERIVATIVES:
+        return estimated_about_its_motion(attached)
+    return settled(attached) if free is Free.NOTHING else attached
+
+
+def with_initial_states(model: Model, hold: Names, free: Names) -> Model:
+    """The model with initial values of states held and freed; EstimationError for nonsense.
+
+    hold: names of states, held as measured, or NAME=VALUE; free: names. `all` is every state.
+    """
+    values: dict[str, float] = {}
+    names: dict[str, list[str]] = {}
+    for option, given in (("--hold-initial", hold), ("--free-initial", free)):
+        words = comma_separated(given)
+        names[option] = list(model.state_names) if words == ("all",) else [w for w in words if "=" not in w]
+        for name, _, number in (w.partition("=") for w in words if "=" in w):
+            try:
+                values[name.strip()] = float(number)
+            except ValueError:
+                raise EstimationError(f"{option} {name}={number}: not a number; write it like phi=0.02") from None
+            if option == "--free-initial" or not math.isfinite(values[name.strip()]):
+                raise EstimationError(f"{option} {name}={number}: a value is for --hold-initial, and finite")
+    held, freed = names["--hold-initial"], names["--free-initial"]
+    if both := sorted({*held, *values} & set(freed)):
+        raise EstimationError(f"{both[0]} is named by --hold-initial and --free-initial: choose one")
+    if held or values:
+        model = model.with_initial(*held, held=True, values=values)
+    return model.with_initial(*freed, held=False) if freed else model

@@ -1,0 +1,124 @@
+"""What in an aircraft file is missing, doubtful, or enough for which method."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+from estimation.aircraft import Aircraft
+from estimation.errors import AircraftError
+
+Verdict = Literal["ok", "warn", "fail"]
+
+SIGNS = {
+    **dict.fromkeys(("CY_beta", "Cl_p", "Cl_da", "Cn_r", "Cn_dr", "Cm_alpha", "Cm_q", "Cm_de"), -1),
+    **dict.fromkeys(("CL_alpha", "CL_de", "CY_dr", "Cn_beta", "CD_0", "CD_k"), 1),
+}
+"""Signs in the conventions of this house; damping and lift slope hold for any aircraft in normal flight, stiffnesses for a
+stable one."""
+
+GYRATION = {"Ixx": ("span", 0.10, 0.60), "Iyy": ("chord", 0.3, 6.0), "Izz": ("span", 0.15, 0.75)}
+"""Radius of gyration over half the span, or over the chord: twice as far out as any aircraft of Raymer, table 16.1
+(0.22-0.34 and 0.34-0.52 of the half span), pitch wider still since chords say little about lengths."""
+
+FAR_OFF = (0.3, 2.0)
+"""The same, beyond which no choice of chord explains it: span or area is in another unit."""
+
+FILLED = (0.6, 1.02)
+"""Area over span times mean aerodynamic chord: 1 for a rectangle, 0.75 for a triangle; above 1 is impossible."""
+
+
+@dataclass(frozen=True, slots=True)
+class Note:
+    """One line of the review. about: constants of equations that it doubts."""
+
+    check: str
+    verdict: Verdict
+    text: str
+    about: tuple[str, ...] = ()
+
+    def to_json(self) -> dict[str, str]:
+        """As `check --json` has its findings."""
+        return {"check": self.check, "verdict": self.verdict, "text": self.text}
+
+
+def review(aircraft: Aircraft) -> tuple[Note, ...]:
+    """Notes on geometry, inertia, beliefs and each method. A "fail" is what no aircraft can be, or no method can do with."""
+    return (*_geometry(aircraft), *_inertia(aircraft), *_signs(aircraft), *_places(aircraft), *_methods(aircraft))
+
+
+def _geometry(a: Aircraft) -> Iterator[Note]:
+    filled = a.area / (a.span * a.chord)
+    if math.isfinite(filled) and not FILLED[0] <= filled <= FILLED[1]:
+        told = f"area is {filled:.2f} of span times chord; a wing has {FILLED[0]} to 1"
+        about = ("S", "b", "c") if not FAR_OFF[0] <= filled <= FAR_OFF[1] else ("c",)
+        yield Note("geometry", "warn", f"{told}: another unit, or not the mean aerodynamic chord?", about)
+    loading = a.mass / a.area
+    if math.isfinite(loading) and not 0.5 <= loading <= 1000.0:
+        yield Note(
+            "mass",
+            "warn",
+            f"{loading:.3g} kg/m2 of wing; aircraft have 1 to 800: is one of them in other units?",
+            ("m", "S"),
+        )
+
+
+def _inertia(a: Aircraft) -> Iterator[Note]:
+    for i, j, k in (("Ixx", "Iyy", "Izz"), ("Iyy", "Izz", "Ixx"), ("Izz", "Ixx", "Iyy")):
+        if getattr(a, i) + getattr(a, j) < getattr(a, k):
+            yield Note("inertia", "fail", f"{i} + {j} is less than {k}, which no body can have", (i, j, k))
+    for name, (length, low, high) in GYRATION.items():
+        reach = getattr(a, length) * (0.5 if length == "span" else 1.0)
+        ratio = math.sqrt(getattr(a, name) / a.mass) / reach
+        if math.isfinite(ratio) and not low <= ratio <= high:
+            of = "half span" if length == "span" else length
+            told = f"{name}: radius of gyration is {ratio:.2g} of the {of}, usual are {low} to {high}"
+            yield Note("inertia", "warn", told, (name,))
+
+
+def _signs(a: Aircraft) -> Iterator[Note]:
+    for name, sign in SIGNS.items():
+        prior = a.prior(name)
+        if prior is not None and prior.value * sign < 0:
+            yield Note(
+                "beliefs",
+                "warn",
+                f"{name} = {prior.value:g} has an unusual sign; check the sign conventions in docs/aircraft.md",
+            )
+    wide = [n for n, p in a.derivatives.items() if p.std is None]
+    if wide:
+        yield Note("beliefs", "warn", f"no standard deviation stated for {', '.join(wide)}")
+
+
+def _places(a: Aircraft) -> Iterator[Note]:
+    for name, place in a.sensors.items():
+        if math.isfinite(a.span) and math.dist((0, 0, 0), place) > 2.0 * a.span:
+            yield Note(
+                "sensors", "warn", f"{name} is {math.dist((0, 0, 0), place):.3g} m from the CG, more than two spans"
+            )
+    if not a.sensors:
+        yield Note("sensors", "ok", "no positions stated: calibration files and `check` factors place the instruments")
+
+
+def _methods(a: Aircraft) -> Iterator[Note]:
+    from estimation.models.library import BUILDERS
+    from estimation.models.load import load_model
+
+    yield Note("method check", "ok", "data compatibility needs no aircraft")
+    for name in BUILDERS:
+        try:
+            model = load_model(name, a)
+        except AircraftError as error:
+            yield Note(f"model {name}", "fail", str(error))
+            continue
+        blind = [n for n in model.free_names if a.prior(n) is None]
+        text = "enough" if not blind else f"enough; nothing believed of {', '.join(blind)}: they start from zero"
+        yield Note(f"model {name}", "ok", text)
+    yield _simulation(a)
+
+
+def _simulation(a: Aircraft) -> Note:
+    missing = [f"[{n}]" for n in ("servos", "engine", "simulation") if getattr(a, n) is None]
+    if missing:
+        return Note("sideslip fly", "ok", f"not for simulation: no {', '.join(missing)}")
+    return Note("sideslip fly", "ok", "servos, engine and speeds are there")

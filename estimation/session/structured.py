@@ -1,0 +1,165 @@
+"""The structure test beside the fits of a session, and fits again with what the model turns out to lack.
+
+Each flight's fit is tested, and the joint one. The whole linear model is the built-in models' own: derivatives that the data tell
+are added whatever is wished (`estimation.structure.score_test.THRESHOLD`), everything else on request only.
+"""
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import replace
+from enum import Enum
+
+from numpy.linalg import LinAlgError
+
+from daq.contract.errors import UserError
+from estimation.engine.data import FlightData
+from estimation.engine.prepared import compared
+from estimation.errors import EstimationError
+from estimation.estimators.estimator import Task
+from estimation.estimators.output_error import output_error
+from estimation.estimators.result import Result
+from estimation.models.base import Model
+from estimation.models.library import WHOLE
+from estimation.session.joint import joint_model
+from estimation.session.session import Session
+from estimation.structure.candidates import Candidate, Kind, candidates, with_candidates
+from estimation.structure.excerpt import excerpt
+from estimation.structure.following import follows_controls
+from estimation.structure.linearised import linearise
+from estimation.structure.odd_flights import OddFlight, odd_flights
+from estimation.structure.score_test import Lack, Structure, structure_of
+from groundstation.flight import Flight
+
+ROUNDS = 4  # of adding: a model that lacks more is another model
+MOVES = 1.0  # bounds by which an odd flight has to move the joint estimate to be left out of its structure test
+FILTERS = ("fem-noise", "fem")
+
+
+class Wish(Enum):
+    """What `--structure` asks for."""
+
+    OFF = "off"
+    TEST = "test"
+    AUTO = "auto"
+
+    @classmethod
+    def of(cls, text: str) -> "Wish":
+        """The wish by its word; EstimationError naming what there is."""
+        if text not in {w.value for w in cls}:
+            raise EstimationError(f"structure {text!r}: choose from {', '.join(w.value for w in cls)}")
+        return cls(text)
+
+
+def structured(session: Session, task: Task, wish: Wish, fitted: Callable[[Model], Session]) -> Session:
+    """The session with the structure test of each flight and of the joint fit, fitted again where something is added.
+
+    fitted: the session of another model.
+    """
+    added: list[str] = []
+    ambiguous: list[Lack] = []
+    now = _tested(session, task)
+    for _ in range(ROUNDS):
+        lacks = _lacks(now)
+        new = [lack for lack in lacks if _wanted(lack, now.model, wish) and lack.names[0] not in added]
+        if not new:
+            break
+        chosen = {c.name: c for c in candidates(now.model)}
+        terms = [chosen[lack.names[0]] for lack in new if lack.names[0] in chosen]
+        added += [t.name for t in terms]
+        ambiguous += [lack for lack in new if lack.rivals]
+        now = _tested(fitted(with_candidates(now.model, _fresh(terms))), task)
+    return _with_added(now, added, ambiguous)
+
+
+def _fresh(terms: Sequence[Candidate]) -> list[Candidate]:
+    return list({t.name: t for t in terms}.values())
+
+
+def _lacks(session: Session) -> list[Lack]:
+    """The strongest lack of the joint fit, else the strongest of any flight; one at a time, for each changes the others."""
+    every = [session.structure] if session.structure is not None else [f.structure for f in session.flights]
+    found = [lack for s in every if s is not None for lack in s.lacks[:1]]
+    return sorted(found, key=lambda lack: -abs(lack.leading.score))[:1]
+
+
+def _wanted(lack: Lack, model: Model, wish: Wish) -> bool:
+    """Whether something that is lacking is to be added."""
+    if not lack.holds:  # the other flights do not confirm it
+        return False
+    if wish is Wish.AUTO:
+        return True
+    return model.name in WHOLE and lack.leading.candidate.kind is Kind.LINEAR
+
+
+def _with_added(session: Session, added: Sequence[str], ambiguous: Sequence[Lack]) -> Session:
+    flights = tuple(
+        replace(f, structure=None if f.structure is None else f.structure.with_added(added, ambiguous))
+        for f in session.flights
+    )
+    joint = None if session.structure is None else session.structure.with_added(added, ambiguous)
+    return replace(session, flights=flights, structure=joint)
+
+
+def _tested(session: Session, task: Task) -> Session:
+    """The session with its structure tests."""
+    flights = tuple(replace(f, structure=_test(session, [f.flight], f.results, task)[0]) for f in session.flights)
+    if not session.joint:
+        return replace(session, flights=flights)
+    structure, odd = _test(session, [f.flight for f in session.flights], session.joint, task)
+    return replace(session, flights=flights, structure=structure, odd=odd)
+
+
+def _test(
+    session: Session, flights: Sequence[Flight], results: Mapping[str, Result], task: Task
+) -> tuple[Structure, tuple[OddFlight, ...]]:
+    """The structure test of one set of results on the same flights; a structure that says why not where there is none."""
+    try:
+        return _of_basis(session, replace(task, flights=flights), results)
+    except (UserError, LinAlgError, ArithmeticError) as error:
+        return Structure((), (), why_not=f"not tested: {error}"), ()
+
+
+def _of_basis(session: Session, task: Task, results: Mapping[str, Result]) -> tuple[Structure, tuple[OddFlight, ...]]:
+    usable = {m: r for m, r in results.items() if r.converged}
+    if not usable:
+        return Structure((), (), why_not="not tested: no fit to test"), ()
+    basis = next((usable[m] for m in ("ml", *FILTERS) if m in usable), None)
+    model = session.model
+    _, ready = compared(session.model, replace(task, model=session.model).data)
+    if basis is None:
+        basis = output_error(model if len(ready) == 1 else joint_model(model), ready)
+    found, odd = _of_result(basis, _moved_result(results, basis), ready, session.aircraft.sensors)
+    follows = {m: follows_controls(usable[m], ready) for m in FILTERS if m in usable}
+    return replace(found, follows={m: text for m, text in follows.items() if text}), odd
+
+
+def _moved_result(results: Mapping[str, Result], basis: Result) -> Result:
+    """The result whose bounds the moves are counted in: a filter's where it is trusted with rough air, else the basis."""
+    from estimation.session.verdict import verdict
+
+    method = verdict(results).recommended.method
+    chosen = results.get(method, basis)
+    return chosen if set(chosen.names) == set(basis.names) else basis
+
+
+def _of_result(
+    basis: Result, chosen: Result, ready: list[FlightData], places: Collection[str]
+) -> tuple[Structure, tuple[OddFlight, ...]]:
+    """What a fit lacks in all flights, and the flight that still differs with that; what is lacking is then asked of the others.
+
+    places: sensors whose places are stated, so that readings are brought to the CG.
+    """
+    filtered = chosen.method in FILTERS
+    at = chosen if filtered else basis
+    linear = linearise(*excerpt(at, ready))
+    if linear is None:
+        return Structure((), (), why_not="not tested: the motion runs away from the smallest change"), ()
+    if "imu" in places:
+        linear = linear.without(Kind.PLACE)
+    found = structure_of(linear, chosen, filtered=filtered)
+    lacking = [lack.leading.candidate.name for lack in found.lacks]
+    odd = odd_flights(linear.absorbing(lacking), chosen)
+    differ = {o.flight for o in odd if o.moves > MOVES}
+    if differ and len(linear.flights) > len(differ) + 1:
+        linear = replace(linear, flights=tuple(f for f in linear.flights if f.name not in differ))
+        found = structure_of(linear, chosen, filtered=filtered)
+    return found, odd

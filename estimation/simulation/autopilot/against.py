@@ -1,0 +1,208 @@
+"""What was written, read back and held against the model at random states, by our own statement of a simulator's equations.
+
+Terms that a simulator has no word for are taken off before, and told apart with what they weigh.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from estimation.aircraft import Aircraft
+from estimation.models.expressions import evaluate, names_in
+from estimation.models.numeric import FUNCTIONS
+from estimation.simulation.autopilot import ardupilot, gazebo
+from estimation.simulation.autopilot.ardupilot_equations import SitlPlane, sitl_accelerations
+from estimation.simulation.autopilot.ardupilot_equations import air_of as air_of_sitl
+from estimation.simulation.autopilot.gazebo_equations import GazeboPlane, gazebo_forces
+from estimation.simulation.autopilot.gazebo_equations import air_of as air_of_gazebo
+from estimation.simulation.autopilot.linear import AXES, LinearAircraft, Motion, accelerations, forces, gyroscopic
+from estimation.simulation.autopilot.neutral import BuildUp, evaluated
+from estimation.simulation.autopilot.states import ALPHAS, random_motion
+from estimation.simulation.oracle import ALPHA_RATE, COEFFICIENTS, Array
+
+SITL_LIMIT, GAZEBO_LIMIT, TEXT_LIMIT = (
+    1e-6,
+    1e-9,
+    1e-12,
+)  # of the largest on an axis: rounding of a float, and of a double
+LEAST_SHARE = 1e-12  # of what is left out, to be worth a word
+Axes = Mapping[str, Array]
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """A term that the simulator lacks. value: the derivative, or NaN where it is none; share: of the largest on `axis`."""
+
+    name: str
+    value: float
+    share: float
+    axis: str
+
+    def sentence(self) -> str:
+        value = "" if np.isnan(self.value) else f" = {self.value:.4g}"
+        weighs = "" if np.isnan(self.share) else f", up to {100.0 * self.share:.3g} % of the largest {self.axis}"
+        return f"{self.name}{value}{weighs}"
+
+
+@dataclass(frozen=True)
+class SimulatorProof:
+    """deviation: of each axis the largest difference over the largest value, without what is left out."""
+
+    states: int
+    deviation: Mapping[str, float]
+    left_out: tuple[LeftOut, ...]
+    limit: float
+
+    @property
+    def failed(self) -> tuple[str, ...]:
+        return tuple(n for n, v in self.deviation.items() if not v <= self.limit)
+
+    def sentence(self) -> str:
+        """How the proof ended."""
+        worst = max(
+            self.deviation, key=lambda n: self.deviation[n] if self.deviation[n] == self.deviation[n] else np.inf
+        )
+        if not self.failed:
+            return (
+                f"proof: at {self.states} random states every axis is the model's without what is left out, {worst} to"
+                f" {self.deviation[worst]:.1g} of its largest value (limit {self.limit:g})"
+            )
+        return (
+            f"proof failed: at {self.states} random states {', '.join(self.failed)} differ from the model, {worst} by"
+            f" {self.deviation[worst]:.3g} of its largest value, and {self.limit:g} is allowed; do not fly this file"
+        )
+
+    def to_json(self) -> dict[str, Any]:
+        """As `export --json` has it."""
+        return {
+            "states": self.states,
+            "deviation": dict(self.deviation),
+            "limit": self.limit,
+            "left_out": [[t.name, t.share if np.isnan(t.value) else t.value] for t in self.left_out],
+            "left_out_share": {t.name: {"axis": t.axis, "of_largest": t.share} for t in self.left_out},
+            "passed": not self.failed,
+        }
+
+
+def against_sitl(plane: SitlPlane, craft: LinearAircraft, beyond: tuple[tuple[str, float], ...] = ()) -> SimulatorProof:
+    """SITL's accelerations by a file against the model's, both at sea level."""
+    stall = plane.values["alpha_stall"]
+    near = (ALPHAS[0], min(ALPHAS[1], max(stall - ardupilot.CLEAR, 0.0)))
+    motion = random_motion(craft, near)
+    without = ardupilot.left_out(craft)
+    told = _told(craft, motion, without, ardupilot.INDUCED, air_of_sitl)
+    told += _gyroscopic(craft, motion)
+
+    def model(m: Motion) -> Axes:
+        return accelerations(
+            craft.aircraft, forces(craft.without(without), m.with_air(*air_of_sitl(m)), ardupilot.INDUCED)
+        )
+
+    told += _blend(lambda m: sitl_accelerations(plane, m), model, random_motion(craft), near[1] < ALPHAS[1])
+    off = _off(sitl_accelerations(plane, motion), model(motion))
+    return SimulatorProof(len(motion), off, (*told, *_beyond(beyond)), SITL_LIMIT)
+
+
+def against_gazebo(
+    plane: GazeboPlane, craft: LinearAircraft, beyond: tuple[tuple[str, float], ...] = ()
+) -> SimulatorProof:
+    """Gazebo's forces and moments by a model against the model's; mass and inertia of all links together."""
+    density = plane.values["air_density"]
+    motion = random_motion(craft, rho=density)
+    without = gazebo.left_out(craft)
+    far = replace(plane, values={**plane.values, "alpha_stall": gazebo.STALL})
+    told = _told(craft, motion, without, gazebo.INDUCED, air_of_gazebo)
+
+    def model(m: Motion) -> Axes:
+        return forces(craft.without(without), m.with_air(*air_of_gazebo(m)), gazebo.INDUCED)
+
+    told += _blend(lambda m: gazebo_forces(plane, m), model, motion, plane.values["alpha_stall"] < gazebo.STALL)
+    off = {**_off(gazebo_forces(far, motion), model(motion)), **_off_of_body(plane, craft)}
+    return SimulatorProof(len(motion), off, (*told, *_beyond(beyond)), GAZEBO_LIMIT)
+
+
+def against_text(content: Mapping[str, Any], model: BuildUp, body: Aircraft) -> SimulatorProof:
+    """The trees of a neutral file against the text of the model, coefficient by coefficient; nothing is left out."""
+    motion = random_motion(LinearAircraft(model.name, model.title, body, {}))
+    rng = np.random.default_rng(len(motion))
+    more = {"thrust": rng.uniform(0.0, 10.0, len(motion)), ALPHA_RATE: rng.uniform(-0.5, 0.5, len(motion))}
+    states = {**motion.values, **more}
+    read = evaluated(content, states)
+    symbols: dict[str, Any] = {**model.numbers, **states}
+
+    def text(name: str) -> Any:
+        if name not in symbols:
+            symbols[name] = evaluate(
+                model.definitions[name], {n: text(n) for n in names_in(model.definitions[name])}, FUNCTIONS
+            )
+        return symbols[name]
+
+    off = {axis: _share(read[c] - text(c), np.atleast_1d(text(c))) for axis, c in zip(AXES, COEFFICIENTS, strict=True)}
+    return SimulatorProof(len(motion), off, (), TEXT_LIMIT)
+
+
+def _off(flown: Axes, model: Axes) -> dict[str, float]:
+    return {axis: _share(flown[axis] - model[axis], model[axis]) for axis in AXES}
+
+
+def _share(difference: Array, of: Array) -> float:
+    largest = float(np.max(np.abs(of)))
+    return float(np.max(np.abs(difference))) / largest if largest > 0.0 else float(np.max(np.abs(difference)))
+
+
+def _off_of_body(plane: GazeboPlane, craft: LinearAircraft) -> dict[str, float]:
+    a, b = plane.aircraft, craft.aircraft
+    size = max(b.Ixx, b.Iyy, b.Izz)
+    inertia = max(abs(getattr(a, n) - getattr(b, n)) for n in ("Ixx", "Iyy", "Izz", "Ixz")) / size
+    return {"mass": abs(a.mass / b.mass - 1.0), "inertia": inertia}
+
+
+def _told(
+    craft: LinearAircraft,
+    motion: Motion,
+    without: tuple[str, ...],
+    induced: tuple[str, ...],
+    air: Callable[[Motion], tuple[Array, Array, Array]],
+) -> list[LeftOut]:
+    """Derivatives without a key, parts of induced drag, and air data that are defined otherwise, each with what it weighs."""
+    whole = accelerations(craft.aircraft, forces(craft, motion))
+    found = []
+    for name in without:
+        less = accelerations(craft.aircraft, forces(craft.without((name,)), motion))
+        found.append(_largest(name, craft[name], whole, less))
+    said = craft.without(without)
+    for ending in ("beta", "p", "q", "r", "de", "da", "dr"):
+        if ending not in induced and said[f"CL_{ending}"] != 0.0 and said["CD_k"] != 0.0:
+            more = accelerations(craft.aircraft, forces(said, motion, (*induced, ending)))
+            less = accelerations(craft.aircraft, forces(said, motion, induced))
+            found.append(_largest(f"induced drag of CL_{ending}", np.nan, more, less))
+    own = accelerations(craft.aircraft, forces(said, motion, induced))
+    theirs = accelerations(craft.aircraft, forces(said, motion.with_air(*air(motion)), induced))
+    found.append(_largest("sideslip taken as atan2(v, u)", np.nan, own, theirs))
+    return [t for t in found if t.share > LEAST_SHARE]
+
+
+def _gyroscopic(craft: LinearAircraft, motion: Motion) -> list[LeftOut]:
+    whole = accelerations(craft.aircraft, forces(craft, motion))
+    turning = gyroscopic(craft.aircraft, motion)
+    return [_largest("gyroscopic terms", np.nan, whole, {**whole, **{n: whole[n] + v for n, v in turning.items()}})]
+
+
+def _blend(
+    flown: Callable[[Motion], Axes], model: Callable[[Motion], Axes], motion: Motion, wanted: bool
+) -> list[LeftOut]:
+    """What the stall, where it is near, changes at which the aircraft flies."""
+    return [_largest("blend into the stall", np.nan, model(motion), flown(motion))] if wanted else []
+
+
+def _largest(name: str, value: float, whole: Axes, less: Axes) -> LeftOut:
+    shares = {axis: _share(whole[axis] - less[axis], whole[axis]) for axis in AXES}
+    axis = max(shares, key=lambda n: shares[n])
+    return LeftOut(name, value, shares[axis], axis)
+
+
+def _beyond(beyond: tuple[tuple[str, float], ...]) -> list[LeftOut]:
+    """What of the model is in none of its coefficients: nothing more is known than its size."""
+    return [LeftOut(name, size, np.nan, "") for name, size in beyond]

@@ -1,0 +1,139 @@
+"""A linear aircraft as a file of ArduPilot's SITL model `plane`, mass and inertia absorbed, so that its accelerations are right
+with the 2 kg and 1 kg m2 that SITL flies with.
+
+With k = 2 kg / m the area is k S; rolling and yawing moments are solved for accelerations with Ixz. Forces in SITL's own log are
+then k times the real ones.
+"""
+
+import math
+import shlex
+from pathlib import Path
+
+from estimation.simulation.autopilot.ardupilot_equations import MASS
+from estimation.simulation.autopilot.gathering import symmetric_throws
+from estimation.simulation.autopilot.linear import LINES, SLOPES, LinearAircraft
+from estimation.simulation.oracle import SimulationError
+
+OPTIONS = (
+    "-heavy", "-jet", "-revthrust", "-elevon", "-vtail", "-dspoilers", "-redundant", "-elevrev", "-catapult", "-bungee", "-throw",
+    "-tailsitter", "-steering", "-3d", "-ice", "-soaring",
+)  # fmt: skip
+"""What SITL looks for anywhere in the name of a model, files and folders included."""
+SAYS = {
+    "CL": ("0", "alpha", "q", "de"), "CD": ("0", "q"), "CY": ("0", "beta", "p", "r", "da", "dr"),
+    "Cl": ("0", "beta", "p", "r", "da", "dr"), "Cm": ("0", "alpha", "q", "de"), "Cn": ("0", "beta", "p", "r", "da", "dr"),
+}  # fmt: skip
+"""Endings of the derivatives that a file has keys for."""
+INDUCED = ("0", "alpha")
+"""Endings of the terms of lift in its induced drag."""
+STALL = 0.55  # rad, where nobody says: as far as the clamp of 0.8 rad allows without holding -0.2 rad
+LEAST_STALL, MOST_STALL = 0.35, 0.6  # rad: below it lift is changed where the aircraft flies, above it the clamp is
+SHARPEST = 50.0  # 1/rad, SITL's own
+OVERFLOW = 85.0  # exponents of a float: sharpness times what alpha and stall come to, before it is infinite
+CLEAR = 0.33  # rad below the stall where the blend is less than 1e-6 of lift
+FULL_THROTTLE = 14.0  # m/s2, mass times g / 0.7 over mass
+POLAR_FAR = 1e12  # oswald of no induced drag
+
+
+def sitl_values(craft: LinearAircraft, stall: float | None) -> dict[str, float]:
+    """The keys of a file. stall: angle of attack [rad] or None. Raises SimulationError for throws that differ both ways."""
+    a, throw = craft.aircraft, symmetric_throws(craft, "ArduPilot's SITL")
+    share = MASS / a.mass
+    inertia = a.Ixx * a.Izz - a.Ixz**2
+    at = STALL if stall is None else stall
+    polar = share * a.area / (math.pi * a.span**2 * craft["CD_k"]) if craft["CD_k"] else POLAR_FAR
+    lift = {"c_lift_0": craft["CL_0"], "c_lift_deltae": -craft["CL_de"] * throw["delta_e"],
+            "c_lift_a": craft["CL_alpha"], "c_lift_q": craft["CL_q"]}  # fmt: skip
+    drag = {"c_drag_q": craft["CD_q"], "c_drag_deltae": 0.0, "c_drag_p": craft["CD_0"]}
+    scale = {"0": 1.0, "b": 1.0, "p": 1.0, "r": 1.0, "deltaa": -throw["delta_a"], "deltar": -throw["delta_r"]}
+    named = {"0": "0", "b": "beta", "p": "p", "r": "r", "deltaa": "da", "deltar": "dr"}
+    side, roll, yaw = {}, {}, {}
+    for key, ending in named.items():
+        CY, Cl, Cn = (craft[f"{c}_{ending}"] for c in ("CY", "Cl", "Cn"))
+        side[f"c_y_{key}"] = CY * scale[key]
+        roll[f"c_l_{key}"] = (a.Izz * Cl + a.Ixz * Cn) / (share * inertia) * scale[key]
+        yaw[f"c_n_{key}"] = (a.Ixx * Cn + a.Ixz * Cl) / (share * inertia) * scale[key]
+    own = {"c_m_0": craft["Cm_0"], "c_m_a": craft["Cm_alpha"], "c_m_q": craft["Cm_q"],
+           "c_m_deltae": -craft["Cm_de"] * throw["delta_e"]}  # fmt: skip
+    pitch = {key: value / (share * a.Iyy) for key, value in own.items()}
+    return {
+        "s": share * a.area, "b": a.span, "c": a.chord, **lift, "mcoeff": min(SHARPEST, OVERFLOW / (2.0 * at + 0.8)),
+        "oswald": polar, "alpha_stall": at, **drag, **side, **roll, **pitch, **yaw,
+        "deltaa_max": throw["delta_a"], "deltae_max": throw["delta_e"], "deltar_max": throw["delta_r"],
+    }  # fmt: skip
+
+
+def left_out(craft: LinearAircraft) -> tuple[str, ...]:
+    """Names of the derivatives that no key says."""
+    return tuple(f"{c}_{e}" for c in LINES for e in ("0", *SLOPES) if e not in SAYS[c] and craft[f"{c}_{e}"] != 0.0)
+
+
+def check_stall(stall: float | None) -> None:
+    """Raise SimulationError for a stall that SITL's lift cannot have."""
+    if stall is not None and not LEAST_STALL <= stall <= MOST_STALL:
+        raise SimulationError(
+            f"--alpha-stall {stall:g}: SITL's lift needs {LEAST_STALL} to {MOST_STALL} rad (20 to 34 deg): its blend begins"
+            " 0.14 rad earlier, and it holds angles of attack that are more than 0.8 rad from it"
+        )
+
+
+def check_name(path: Path) -> None:
+    """Raise SimulationError for a name that SITL would not load, or read an option in."""
+    if path.suffix != ".json":
+        raise SimulationError(
+            f"{path}: SITL flies its built-in aircraft unless the name ends in .json; give such a name"
+        )
+    read = f"{path.parent.name}/{path.name}" if path.is_absolute() else str(path)
+    found = [option for option in OPTIONS if option in read]
+    if found:
+        raise SimulationError(
+            f"{path}: SITL would read the option {found[0]} in this name and fly another aircraft; give a name without it"
+        )
+    if any(mark in path.name for mark in "'\"\\ \t\n"):
+        raise SimulationError(f"{path}: SITL's scripts take such a name apart; leave out blanks and quotes")
+
+
+def command_lines(path: Path, thrust: float | None, mass: float) -> list[str]:
+    """How to fly it, as SITL takes the path: relative to the working directory."""
+    lines = []
+    folder = path.resolve().parent
+    lines.append(f"fly it: cd {shlex.quote(str(folder))} && sim_vehicle.py -v Plane --model plane:{path.name}"
+                 " --custom-location=-35.363261,149.165230,0,353 --add-param-file=YOURS.parm")  # fmt: skip
+    lines.append(
+        f"or: arduplane --model plane:{path.name} --home -35.363261,149.165230,0,353 --defaults plane.parm,YOURS.parm"
+    )
+    lines.append("  SITL says 'Loaded plane aero coefficients from' on its console; without that line it flies its own aircraft"
+                 " (it needs ArduPilot of 22 Apr 2025 or later)")  # fmt: skip
+    lines.append(
+        "  home at height 0, for SITL takes equivalent airspeed for true; YOURS.parm: the real aircraft's parameters"
+    )
+    if thrust is None:
+        lines.append(f"  thrust: nobody states it, so that SITL's own stands, {FULL_THROTTLE * mass:.3g} N for {mass:g} kg at"
+                     " full throttle; --thrust N tells what to limit it to")  # fmt: skip
+    else:
+        share = thrust / (FULL_THROTTLE * mass)
+        told = (f"limit the throttle to {share:.3f} of its range (THR_MAX {100.0 * share:.0f})" if share <= 1.0
+                else f"more than SITL has at any throttle ({FULL_THROTTLE * mass:.3g} N); it will fly weaker")  # fmt: skip
+        lines.append(f"  thrust {thrust:g} N of {mass:g} kg: {told}")
+    return lines
+
+
+def comments(craft: LinearAircraft, origin: str, left: list[tuple[str, float]], stall: float | None) -> list[str]:
+    """What stands above the object: real values, signs, what is left out."""
+    a = craft.aircraft
+    units = {"mass": "kg", "area": "m2", "span": "m", "chord": "m"}
+    real = [f"real {n} = {getattr(a, n)!r} {units.get(n, 'kg m2')}" for n in
+            ("mass", "area", "span", "chord", "Ixx", "Iyy", "Izz", "Ixz")]  # fmt: skip
+    values = [
+        f"real {n} = {craft[n]!r}" + (f" ({craft.sources[n]})" if n in craft.sources else "") for n in craft.stated
+    ]
+    throws = [f"real throw {n} = {high!r} rad" for n, (_, high) in craft.throws.items()]
+    note = "nobody states the stall, so that it is as late as SITL allows" if stall is None else "stall as stated"
+    return [
+        f"ArduPilot SITL, model plane: {craft.title}, from {origin}, written by sideslip export --to ardupilot",
+        "Mass and inertia are absorbed: SITL flies 2 kg and 1 kg m2, the keys below make the real accelerations with these.",
+        "Do not add aero_moment_inertia (it would divide twice). Coefficients per full throw; + is right, nose up, nose right.",
+        *real, *throws, "Derivatives per rad, + trailing edge down (right minus left) or to port, rates as pb/2V, qc/2V, rb/2V:",
+        *values, *(f"left out: {n} ({v:.4g})" for n, v in left), f"alpha_stall: {note}",
+        *craft.notes,
+    ]  # fmt: skip

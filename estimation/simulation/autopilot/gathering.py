@@ -1,0 +1,188 @@
+"""All that a simulator needs of an aircraft, from a model file and what is stated beside it; what nobody states is asked for."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from daq.contract.input_files import parse_toml, read_text
+from estimation.aircraft import Aircraft, built_in_aircraft, load_aircraft, unknown_aircraft
+from estimation.errors import EstimationError
+from estimation.models.base import Model
+from estimation.models.load import read_model
+from estimation.simulation.autopilot.linear import CONSTANT, LINES, POLAR, SLOPES, LinearAircraft
+from estimation.simulation.autopilot.slopes import beyond_coefficients, derivatives_of, lines_of
+from estimation.simulation.oracle import SURFACES, SimulationError
+
+NEEDED: Mapping[str, tuple[str, ...]] = {
+    "CL": ("CL_0", "CL_alpha"), "CD": ("CD_0", "CD_k"), "CY": ("CY_beta",), "Cl": ("Cl_beta", "Cl_p", "Cl_da"),
+    "Cm": ("Cm_0", "Cm_alpha", "Cm_q", "Cm_de"), "Cn": ("Cn_beta", "Cn_r", "Cn_dr"),
+}  # fmt: skip
+"""Of each coefficient what an aircraft file must state before it is believed: without these it does not trim, damp or steer."""
+MINOR: Mapping[str, tuple[str, ...]] = {
+    "CL": ("CL_q", "CL_de"), "CD": (), "CY": ("CY_0", "CY_p", "CY_r", "CY_da", "CY_dr"), "Cm": (),
+    "Cl": ("Cl_0", "Cl_r", "Cl_dr"), "Cn": ("Cn_0", "Cn_p", "Cn_da"),
+}  # fmt: skip
+"""What may be left out of an aircraft file, and is then zero, and told."""
+STANDARD = frozenset(f"{line}_{ending}" for line in LINES for ending in (CONSTANT, *SLOPES)) | {POLAR}
+BODY = ("m", "S", "b", "c", "Ixx", "Iyy", "Izz", "Ixz")
+FIELDS = ("mass", "area", "span", "chord", "Ixx", "Iyy", "Izz", "Ixz")
+KEYS = ("mass.mass", "geometry.area", "geometry.span", "geometry.chord", "mass.Ixx", "mass.Iyy", "mass.Izz", "mass.Ixz")
+
+
+class MissingPartsError(EstimationError):
+    """What a simulator needs of an aircraft, and nobody states."""
+
+
+@dataclass(frozen=True)
+class Stated:
+    """What is stated beside the file. throws: surface -> least and greatest deflection [rad]; thrust: static [N]."""
+
+    aircraft: str | None = None
+    throws: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    thrust: float | None = None
+
+
+@dataclass(frozen=True)
+class Gathered:
+    """craft: the linear aircraft. beyond: what of the model is in none of its coefficients, as (what, share of the largest)."""
+
+    craft: LinearAircraft
+    beyond: tuple[tuple[str, float], ...]
+
+
+def source_of(path: Path) -> Model | Aircraft:
+    """What a file is: a model, or an aircraft (a built-in name, too). Raises ModelError or AircraftError."""
+    if str(path) in built_in_aircraft():
+        return load_aircraft(str(path))
+    tables = parse_toml(read_text(path), str(path), EstimationError)
+    if {"geometry", "mass", "derivatives"} & set(tables) and "equations" not in tables:
+        return load_aircraft(path)
+    return read_model(path)
+
+
+def gathered(path: Path, stated: Stated, target: str, *, needs_thrust: bool) -> Gathered:
+    """The aircraft of a model or aircraft file, whole. Raises MissingPartsError with the list of what is missing, SimulationError
+    for a model that is not linear."""
+    source = source_of(path)
+    beside = source if isinstance(source, Aircraft) else load_aircraft(stated.aircraft) if stated.aircraft else None
+    if isinstance(source, Aircraft):
+        if stated.aircraft is not None:
+            raise EstimationError(f"{path}: is an aircraft file itself; leave --aircraft {stated.aircraft} away")
+        model, body = None, source
+    else:
+        model, body = source, body_of(source, beside)
+    missing = [key for key, field_ in zip(KEYS, FIELDS, strict=True) if math.isnan(getattr(body, field_))]
+    frame = LinearAircraft(body.name, body.title or body.name, body, {})
+    lines = () if model is None else lines_named(path, model)
+    derivatives, sources = {}, {}
+    if model is not None and not missing:
+        derivatives = derivatives_of(model, frame)
+        sources = dict.fromkeys(derivatives, f"model {model.name}")
+    notes = _added(beside, [c for c in LINES if c not in lines], derivatives, sources, missing)
+    throws = _throws(beside, stated, missing)
+    thrust = stated.thrust if stated.thrust is not None else _thrust(beside)
+    if thrust is None and needs_thrust:
+        missing.append("static thrust ([engine] static_thrust, or --thrust; 0 for a glider)")
+    if missing:
+        raise MissingPartsError(asked_for(path, target, missing, beside))
+    craft = replace(frame, derivatives=derivatives, sources=sources, throws=throws, thrust=thrust, notes=tuple(notes))
+    unknown = [] if beside is None else [(n, d.value) for n, d in beside.derivatives.items() if n not in STANDARD]
+    return Gathered(craft, tuple(unknown) if model is None else _beyond(model, craft))
+
+
+def lines_named(path: Path, model: Model) -> tuple[str, ...]:
+    lines = tuple(lines_of(model))
+    if not lines:
+        raise SimulationError(
+            f"{path}: has none of the lines {', '.join(LINES)} (or CX, CZ) by whose names coefficients are known; add them to its"
+            " equations, non-dimensional and about the centre of gravity"
+        )
+    return lines
+
+
+def body_of(model: Model, beside: Aircraft | None) -> Aircraft:
+    """Geometry, mass and inertia: the model's own numbers, before those of the aircraft file."""
+    numbers = {**model.constants, **model.starts()}
+    frame = beside or unknown_aircraft(model.name)
+    own = {f: float(numbers[n]) for n, f in zip(BODY, FIELDS, strict=True) if n in numbers}
+    if math.isnan(frame.Ixz) and "Ixz" not in own and not math.isnan(own.get("Ixx", math.nan)):
+        own["Ixz"] = 0.0  # as in an aircraft file that does not state it
+    return replace(frame.with_values(**own), name=model.name, title=model.title)
+
+
+def _added(
+    beside: Aircraft | None,
+    lines: list[str],
+    derivatives: dict[str, float],
+    sources: dict[str, str],
+    missing: list[str],
+) -> list[str]:
+    """Take coefficients that the model has no line for from the beliefs of the aircraft file; what was assumed."""
+    beliefs = beside.derivatives if beside is not None else {}
+    lacking = [n for line in lines for n in NEEDED[line] if n not in beliefs]
+    missing += lacking
+    for name, belief in beliefs.items():
+        if name.split("_")[0] in lines and name in STANDARD:
+            derivatives[name], sources[name] = belief.value, belief.source
+    if lacking:
+        return []
+    taken = [n for n in derivatives if n.split("_")[0] in lines]
+    zero = [n for line in lines for n in MINOR[line] if n not in beliefs]
+    notes = []
+    if taken and len(lines) < len(LINES):
+        told = ", ".join(f"{n} = {derivatives[n]:.4g} ({sources[n]})" for n in taken)
+        notes.append(f"not in the model, from the aircraft file: {told}")
+    if zero:
+        notes.append(f"nobody states, so zero: {', '.join(zero)}")
+    return notes
+
+
+def _throws(beside: Aircraft | None, stated: Stated, missing: list[str]) -> dict[str, tuple[float, float]]:
+    throws = {**_servo_limits(beside), **(beside.throws if beside is not None else {}), **stated.throws}
+    lacking = [n for n in SURFACES if n not in throws]
+    if lacking:
+        missing.append(f"throws of {', '.join(lacking)} ([throws], or --throw {lacking[0]}=25deg)")
+    return throws
+
+
+def _servo_limits(beside: Aircraft | None) -> dict[str, tuple[float, float]]:
+    if beside is None or beside.servos is None:
+        return {}
+    elevon, rudder = beside.servos.elevon_limit, beside.servos.rudder_limit
+    return {"delta_e": (-elevon, elevon), "delta_a": (-elevon, elevon), "delta_r": (-rudder, rudder)}
+
+
+def _thrust(beside: Aircraft | None) -> float | None:
+    return None if beside is None or beside.engine is None else beside.engine.static_thrust
+
+
+def asked_for(path: Path, target: str, missing: list[str], beside: Aircraft | None) -> str:
+    where = "its file" if beside is not None else "an aircraft file and give it with --aircraft FILE"
+    return (
+        f"{path}: {target} needs what nobody states: {', '.join(missing)}; nothing is invented, so state them in {where}"
+        " (docs/aircraft.md), a derivative as 0 where the aircraft has none"
+    )
+
+
+def _beyond(model: Model, craft: LinearAircraft) -> tuple[tuple[str, float], ...]:
+    try:
+        accelerations = beyond_coefficients(model, craft)
+    except SimulationError as error:
+        raise SimulationError(f"{error}, and no simulator of an autopilot has that") from error
+    found = [(f"{line} beyond coefficients", share) for line, share in accelerations.items()]
+    numbers = model.starts()
+    found += [(f"{t.kind} of {t.input}", numbers.get(t.parameters[0], math.nan)) for t in model.transforms]
+    return tuple(found)
+
+
+def symmetric_throws(craft: LinearAircraft, target: str) -> dict[str, float]:
+    """Surface -> throw [rad]. Raises SimulationError for one that differs both ways."""
+    for name, (least, greatest) in craft.throws.items():
+        if not math.isclose(-least, greatest, rel_tol=1e-6):
+            raise SimulationError(
+                f"{craft.name}: {name} goes from {math.degrees(least):.3g} to {math.degrees(greatest):.3g} deg, and in {target}"
+                " a throw is the same both ways; limit it in the autopilot to the smaller one and state that,"
+                f" --throw {name}={min(-least, greatest):.4g}"
+            )
+    return {name: greatest for name, (_, greatest) in craft.throws.items()}

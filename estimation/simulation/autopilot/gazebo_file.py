@@ -1,0 +1,206 @@
+"""A model of Gazebo read back: the numbers of AdvancedLiftDrag, which joint is which surface, all links as one body."""
+
+import math
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import numpy as np
+
+from estimation.aircraft import Aircraft
+from estimation.simulation.autopilot.bodies import Body, together, turned
+from estimation.simulation.autopilot.gazebo_equations import CONTROLS, KEYS, GazeboPlane
+from estimation.simulation.autopilot.hinges import hinged
+from estimation.simulation.bounded_xml import bounded_tree
+from estimation.simulation.oracle import Array, SimulationError
+
+SYSTEM = "gz::sim::systems::AdvancedLiftDrag"
+UNREAD = (
+    "rho",
+    "alphaStall",
+    "CemaStall",
+    "M",
+    "CD_fp_k1",
+    "CD_fp_k2",
+    "a0",
+    "CLa_stall",
+    "CDa_stall",
+    "cda",
+    "ref_pt",
+)
+"""Keys that files have and the plugin does not read."""
+OVER = np.diag([1.0, -1.0, -1.0])  # from x forward, y left, z up to x forward, y right, z down
+LARGEST = 1e9  # of a number in a file
+SURFACES_MOST = 64
+SIZES = (1e-6, 1e6)  # of an area, chord, aspect ratio or efficiency
+STALL_MOST = 10.0  # rad: out of reach, and no exponent beyond a double
+
+
+def read_gazebo_plane(path: Path) -> GazeboPlane:
+    """The aeroplane of a model.sdf. Raises SimulationError where Gazebo would not fly it, or it is beyond the bounds."""
+    root = bounded_tree(path, "model of Gazebo")
+    plugin = _plugin(root, path)
+    model = _model_of(root, plugin)
+    values = {key: _number(plugin, key, path, default) for key, default in KEYS.items()}
+    _check(values, path)
+    link = next((e for e in model.iter("link") if e.get("name") == _word(plugin, "link_name")), None)
+    if link is None:
+        raise SimulationError(
+            f"{path}: its AdvancedLiftDrag acts on link {_word(plugin, 'link_name')!r}, which the model has not"
+        )
+    if _vector(plugin, "forward", path, (1, 0, 0)) != (1, 0, 0) or _vector(plugin, "upward", path, (0, 0, 1)) != (
+        0,
+        0,
+        1,
+    ):
+        raise SimulationError(
+            f"{path}: forward and upward are not x and z of the link, which is read of an aeroplane alone"
+        )
+    place, upright = _pose(link, path)
+    if not np.allclose(upright, np.eye(3), atol=1e-6):
+        raise SimulationError(
+            f"{path}: the link of its AdvancedLiftDrag is turned in the model; x forward, y left, z up is read"
+        )
+    whole = together([_body(e, path) for e in model.iter("link")])
+    cp = OVER @ (place + np.array(_vector(plugin, "cp", path, (0, 0, 0))) - whole.centre)
+    surfaces, notes = _surfaces(model, plugin, path)
+    unread = [k for k in UNREAD if plugin.find(k) is not None]
+    if unread:
+        notes.append(f"{path.name}: the plugin does not read {', '.join(unread)}")
+    if values["Cem0"] or values["Cema"]:
+        notes.append(
+            f"{path.name}: Cem0 and Cema are taken as gz-sim with pull 3817 does; before it they are thrown away"
+        )
+    craft = _aircraft(model.get("name") or path.parent.name, whole, values, path)
+    return GazeboPlane(values, (float(cp[0]), float(cp[1]), float(cp[2])), surfaces, craft, tuple(notes))
+
+
+def _plugin(root: ET.Element, path: Path) -> ET.Element:
+    found = [e for e in root.iter("plugin") if e.get("name") == SYSTEM]
+    if len(found) != 1:
+        raise SimulationError(
+            f"{path}: has {len(found)} plugins {SYSTEM}, and one aeroplane with one is read; the simple LiftDrag is not"
+        )
+    return found[0]
+
+
+def _model_of(root: ET.Element, plugin: ET.Element) -> ET.Element:
+    return next((m for m in root.iter("model") if plugin in list(m)), root)
+
+
+def _check(values: dict[str, float], path: Path) -> None:
+    for key in ("area", "AR"):
+        if not SIZES[0] <= values[key] <= SIZES[1]:
+            raise SimulationError(f"{path}: {key} is {values[key]:g}; give a number above zero, {SIZES[1]:g} at most")
+    if abs(values["eff"]) < SIZES[0]:
+        raise SimulationError(f"{path}: eff is {values['eff']:g}, by which the plugin divides; give it")
+    if not 0.0 < values["alpha_stall"] <= STALL_MOST:
+        raise SimulationError(
+            f"{path}: alpha_stall is {values['alpha_stall']:g} rad; give one from 0 to {STALL_MOST:g}"
+        )
+    if values["mac"] == 0.0:
+        values["mac"] = values["area"] / math.sqrt(values["area"] * values["AR"])
+    if not SIZES[0] <= values["mac"] <= SIZES[1]:
+        raise SimulationError(f"{path}: mac is {values['mac']:g}; give a number above zero, {SIZES[1]:g} at most")
+
+
+def _word(element: ET.Element, tag: str) -> str:
+    return (element.findtext(tag) or "").strip()
+
+
+def _number(element: ET.Element, tag: str, path: Path, default: float | None = None) -> float:
+    text = element.findtext(tag)
+    if text is None and default is not None:
+        return default
+    try:
+        value = float(text or "")
+    except ValueError:
+        value = math.nan
+    if not abs(value) < LARGEST:
+        raise SimulationError(
+            f"{path}: <{tag}> is {(text or 'missing').strip()[:40]!r}, not a number that can be flown with"
+        )
+    return value
+
+
+def _vector(element: ET.Element, tag: str, path: Path, default: tuple[float, ...]) -> tuple[float, ...]:
+    words = _word(element, tag).split()
+    if not words:
+        return default
+    try:
+        values = tuple(float(w) for w in words)
+    except ValueError:
+        values = ()
+    if len(values) != len(default) or not all(abs(v) < LARGEST for v in values):
+        raise SimulationError(f"{path}: <{tag}> {' '.join(words)[:60]!r} is not {len(default)} numbers")
+    return values
+
+
+def _pose(element: ET.Element | None, path: Path) -> tuple[Array, Array]:
+    """(3,) place and (3, 3) rotation of an element's pose."""
+    if element is None:
+        return np.zeros(3), np.eye(3)
+    x, y, z, *angles = _vector(element, "pose", path, (0.0,) * 6)
+    return np.array([x, y, z]), turned(angles[0], angles[1], angles[2])
+
+
+def _body(link: ET.Element, path: Path) -> Body:
+    """A link's mass and inertia along the model's axes."""
+    inertial = link.find("inertial")
+    if inertial is None:
+        raise SimulationError(
+            f"{path}: link {link.get('name')!r} has no <inertial>; Gazebo would take 1 kg, so state it"
+        )
+    place, upright = _pose(link, path)
+    inside, own = _pose(inertial, path)
+    mass = _number(inertial, "mass", path)
+    tensor = inertial.find("inertia")
+    if tensor is None or not mass > 0.0:
+        raise SimulationError(f"{path}: link {link.get('name')!r} has no mass above zero, or no <inertia>")
+    i = {n: _number(tensor, n, path, 0.0) for n in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")}
+    matrix = np.array([[i["ixx"], i["ixy"], i["ixz"]], [i["ixy"], i["iyy"], i["iyz"]], [i["ixz"], i["iyz"], i["izz"]]])
+    axes = upright @ own
+    return Body(mass, place + upright @ inside, axes @ matrix @ axes.T)
+
+
+def _surfaces(model: ET.Element, plugin: ET.Element, path: Path) -> tuple[tuple, list[str]]:  # type: ignore[type-arg]
+    listed = plugin.findall("control_surface")
+    count = _number(plugin, "num_ctrl_surfaces", path, 0.0)
+    if count > len(listed) or len(listed) > SURFACES_MOST:
+        raise SimulationError(
+            f"{path}: num_ctrl_surfaces is {count:g} and {len(listed)} <control_surface> are given; Gazebo crashes there"
+        )
+    read = []
+    for element in listed[: int(count)]:
+        direction = _number(element, "direction", path)
+        values = {key: direction * _number(element, key, path) for key in CONTROLS}
+        read.append((_word(element, "name"), values, _hinge(model, _word(element, "name"), path)))
+    return hinged(read, path)
+
+
+def _hinge(model: ET.Element, name: str, path: Path) -> tuple[Array, float]:
+    """(3,) axis of a joint in the model, + by the right hand, and how far to the left it is [m]."""
+    joint = next((j for j in model.iter("joint") if j.get("name") == name), None)
+    if joint is None:
+        raise SimulationError(f"{path}: control surface {name!r} is no joint of the model")
+    axis = joint.find("axis")
+    along = np.array(_vector(axis, "xyz", path, (0, 0, 1)) if axis is not None else (0, 0, 1), float)
+    child = next((e for e in model.iter("link") if e.get("name") == _word(joint, "child")), None)
+    link_place, link_axes = _pose(child, path)
+    inside, own = _pose(joint, path)
+    size = float(np.linalg.norm(along))
+    if not size > 0.0:
+        raise SimulationError(f"{path}: the axis of joint {name!r} has no direction")
+    place = link_place + link_axes @ inside
+    return link_axes @ own @ along / size, float(place[1])
+
+
+def _aircraft(name: str, whole: Body, values: dict[str, float], path: Path) -> Aircraft:
+    inertia = OVER @ whole.inertia @ OVER
+    made = Aircraft(
+        name, span=math.sqrt(values["area"] * values["AR"]), area=values["area"], chord=values["mac"], mass=whole.mass,
+        Ixx=float(inertia[0, 0]), Iyy=float(inertia[1, 1]), Izz=float(inertia[2, 2]), Ixz=float(-inertia[0, 2]),
+        title=f"Gazebo model {name}",
+    )  # fmt: skip
+    if not (made.Ixx > 0 and made.Iyy > 0 and made.Izz > 0 and made.Ixz**2 < made.Ixx * made.Izz):
+        raise SimulationError(f"{path}: its links together have an inertia that no body has")
+    return made

@@ -1,0 +1,135 @@
+"""A linear aircraft: derivatives, geometry, mass and throws, and its coefficients at any state.
+
+    C = C_0 + C_alpha alpha + C_beta beta + C_p p^ + C_q q^ + C_r r^ + C_de delta_e + C_da delta_a + C_dr delta_r
+    for C of CL CY Cl Cm Cn; CD likewise, and CD_k CL^2
+
+per rad, rates as p b/2V, q c/2V, r b/2V; body axes x forward, y right, z down; lift and drag in the plane of symmetry along
+stability axes, side force and moments along body axes, about the centre of gravity.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from estimation.aircraft import Aircraft
+from estimation.simulation.oracle import SURFACES, Array
+
+SLOPES: Mapping[str, str] = {
+    "alpha": "alpha", "beta": "beta", "p": "p_hat", "q": "q_hat", "r": "r_hat", "de": "delta_e", "da": "delta_a",
+    "dr": "delta_r", "alphadot": "alphadot_hat",
+}  # fmt: skip
+"""Ending of a derivative -> the variable that it multiplies."""
+LINES = ("CL", "CD", "CY", "Cl", "Cm", "Cn")
+AXES = ("X", "Y", "Z", "L", "M", "N")
+CONSTANT = "0"
+POLAR = "CD_k"
+
+
+@dataclass(frozen=True)
+class LinearAircraft:
+    """derivatives: name -> value [1/rad], those that are zero may be absent. sources: name -> where it comes from. throws:
+    surface -> least and greatest deflection [rad]. thrust: static, at full throttle [N], None where nobody says. notes:
+    what was assumed.
+    """
+
+    name: str
+    title: str
+    aircraft: Aircraft
+    derivatives: Mapping[str, float]
+    sources: Mapping[str, str] = field(default_factory=dict)
+    throws: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    thrust: float | None = None
+    notes: tuple[str, ...] = ()
+
+    def __getitem__(self, name: str) -> float:
+        return float(self.derivatives.get(name, 0.0))
+
+    @property
+    def stated(self) -> tuple[str, ...]:
+        """Names of the derivatives that are not zero, coefficient by coefficient."""
+        order = [f"{line}_{ending}" for line in LINES for ending in (CONSTANT, "k", *SLOPES)]
+        return tuple(name for name in order if self[name] != 0.0)
+
+    def without(self, names: tuple[str, ...]) -> "LinearAircraft":
+        """The same without some derivatives."""
+        return replace(self, derivatives={n: v for n, v in self.derivatives.items() if n not in names})
+
+
+@dataclass(frozen=True)
+class Motion:
+    """N states of flight. values: `V` [m/s], `alpha`, `beta`, surfaces [rad], `p`, `q`, `r` [rad/s] and `rho` [kg/m3] -> (N,)."""
+
+    values: Mapping[str, Array]
+
+    def __len__(self) -> int:
+        return int(self.values["V"].size)
+
+    @property
+    def surfaces(self) -> Mapping[str, Array]:
+        return {name: self.values[name] for name in SURFACES}
+
+    def velocity(self) -> tuple[Array, Array, Array]:
+        """(N,) each: u, v, w along body axes [m/s]."""
+        V, alpha, beta = (self.values[n] for n in ("V", "alpha", "beta"))
+        return V * np.cos(alpha) * np.cos(beta), V * np.sin(beta), V * np.sin(alpha) * np.cos(beta)
+
+    def with_air(self, V: Array, alpha: Array, beta: Array) -> "Motion":
+        """The same with air data as somebody else defines them."""
+        return Motion({**self.values, "V": V, "alpha": alpha, "beta": beta})
+
+
+def coefficients(craft: LinearAircraft, motion: Motion, induced: tuple[str, ...] | None = None) -> dict[str, Array]:
+    """Each of LINES -> (N,). induced: endings of the terms of lift that enter induced drag, all by default."""
+    at = motion.values
+    span, chord = craft.aircraft.span, craft.aircraft.chord
+    hats = {"p_hat": at["p"] * span, "q_hat": at["q"] * chord, "r_hat": at["r"] * span}
+    known = {**at, **{n: v / (2.0 * at["V"]) for n, v in hats.items()}}
+    known["alphadot_hat"] = at.get("alphadot_hat", np.zeros(len(motion)))
+
+    def line(name: str, endings: tuple[str, ...]) -> Array:
+        terms = [craft[f"{name}_{ending}"] * known[SLOPES[ending]] for ending in endings if ending != CONSTANT]
+        constant = craft[f"{name}_{CONSTANT}"] if CONSTANT in endings else 0.0
+        return np.asarray(sum(terms, np.full(len(motion), constant)))
+
+    every = (CONSTANT, *SLOPES)
+    made = {name: line(name, every) for name in LINES}
+    made["CD"] = made["CD"] + craft[POLAR] * line("CL", induced or every) ** 2
+    return made
+
+
+def forces(craft: LinearAircraft, motion: Motion, induced: tuple[str, ...] | None = None) -> dict[str, Array]:
+    """Each of AXES -> (N,): aerodynamic force [N] and moment about the centre of gravity [N m] in body axes."""
+    c = coefficients(craft, motion, induced)
+    at, a = motion.values, craft.aircraft
+    sine, cosine = np.sin(at["alpha"]), np.cos(at["alpha"])
+    area = 0.5 * at["rho"] * at["V"] ** 2 * a.area
+    return {
+        "X": area * (c["CL"] * sine - c["CD"] * cosine),
+        "Y": area * c["CY"],
+        "Z": area * (-c["CL"] * cosine - c["CD"] * sine),
+        "L": area * a.span * c["Cl"],
+        "M": area * a.chord * c["Cm"],
+        "N": area * a.span * c["Cn"],
+    }
+
+
+def accelerations(aircraft: Aircraft, force: Mapping[str, Array]) -> dict[str, Array]:
+    """Each of AXES -> (N,): specific force [m/s2] and angular acceleration [rad/s2] without gyroscopic terms."""
+    inertia = aircraft.Ixx * aircraft.Izz - aircraft.Ixz**2
+    made = {axis: force[axis] / aircraft.mass for axis in ("X", "Y", "Z")}
+    made["L"] = (aircraft.Izz * force["L"] + aircraft.Ixz * force["N"]) / inertia
+    made["M"] = force["M"] / aircraft.Iyy
+    made["N"] = (aircraft.Ixx * force["N"] + aircraft.Ixz * force["L"]) / inertia
+    return made
+
+
+def gyroscopic(aircraft: Aircraft, motion: Motion) -> dict[str, Array]:
+    """L, M, N -> (N,): what turning about several axes at once adds to angular accelerations [rad/s2]."""
+    p, q, r = (motion.values[n] for n in ("p", "q", "r"))
+    roll = aircraft.Ixz * p * q - (aircraft.Izz - aircraft.Iyy) * q * r
+    pitch = (aircraft.Izz - aircraft.Ixx) * p * r - aircraft.Ixz * (p**2 - r**2)
+    yaw = -aircraft.Ixz * q * r - (aircraft.Iyy - aircraft.Ixx) * p * q
+    nothing = np.zeros(len(motion))
+    turned = accelerations(aircraft, {"X": nothing, "Y": nothing, "Z": nothing, "L": roll, "M": pitch, "N": yaw})
+    return {axis: turned[axis] for axis in ("L", "M", "N")}

@@ -1,0 +1,87 @@
+"""Aircraft of autopilots' simulators as simulations: `ardupilot:FILE.json` and `gazebo:FILE.sdf`.
+
+What SITL flies are accelerations, of 2 kg and 1 kg m2; its coefficients are those that give the aircraft asked about, with its
+own mass, inertia and geometry, the same accelerations. A Gazebo model has mass and inertia of its own, and coefficients
+as they are.
+"""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from estimation.aircraft import Aircraft
+from estimation.simulation.autopilot.ardupilot_equations import MASS, SitlPlane, sitl_accelerations
+from estimation.simulation.autopilot.ardupilot_file import read_sitl_plane
+from estimation.simulation.autopilot.gazebo_equations import GazeboPlane, gazebo_forces
+from estimation.simulation.autopilot.gazebo_file import read_gazebo_plane
+from estimation.simulation.autopilot.linear import Motion
+from estimation.simulation.oracle import Array, Simulation, SimulationError, States
+
+ARDUPILOT, GAZEBO = "ardupilot:", "gazebo:"  # before the file of a simulation
+
+
+@dataclass(frozen=True)
+class SitlOracle:
+    """See `estimation.simulation.oracle.Oracle`. aircraft: whose mass, inertia and geometry coefficients are for."""
+
+    plane: SitlPlane
+    aircraft: Aircraft
+
+    def coefficients(self, states: States) -> Array:
+        a, moving = self.aircraft, sitl_accelerations(self.plane, _motion(states))
+        force = [moving[axis] * a.mass for axis in ("X", "Y", "Z")]
+        L, N = a.Ixx * moving["L"] - a.Ixz * moving["N"], a.Izz * moving["N"] - a.Ixz * moving["L"]
+        return _over_pressure(states, a, [*force, L, moving["M"] * a.Iyy, N])
+
+
+@dataclass(frozen=True)
+class GazeboOracle:
+    """See `estimation.simulation.oracle.Oracle`. Density is that of the state."""
+
+    plane: GazeboPlane
+
+    def coefficients(self, states: States) -> Array:
+        force = gazebo_forces(replace(self.plane, values={**self.plane.values, "air_density": 1.0}), _motion(states))
+        return _over_pressure(states, self.plane.aircraft, [states.rho * v for v in force.values()])
+
+
+def _motion(states: States) -> Motion:
+    return Motion({**states.values, "rho": states.rho})
+
+
+def _over_pressure(states: States, a: Aircraft, force: list[Array]) -> Array:
+    area = 0.5 * states.rho * states.values["V"] ** 2 * a.area
+    return np.column_stack(
+        [f / (area * size) for f, size in zip(force, (1, 1, 1, a.span, a.chord, a.span), strict=True)]
+    )
+
+
+def ardupilot_simulation(file: str) -> Simulation:
+    """SITL's plane by its file. Raises SimulationError."""
+    path = Path(file)
+    plane = read_sitl_plane(path)
+    k = plane.values
+    name = path.stem
+    if plane.real:
+        own = Aircraft(name, **plane.real, title=f"ArduPilot SITL plane {name}")  # type: ignore[arg-type]
+    else:
+        own = Aircraft(name, span=k["b"], area=k["s"], chord=k["c"], mass=MASS, Ixx=1.0, Iyy=1.0, Izz=1.0, Ixz=0.0,
+                       title=f"ArduPilot SITL plane {name}, of 2 kg and 1 kg m2")  # fmt: skip
+
+    def referred(aircraft: Aircraft) -> SitlOracle:
+        aircraft.need(("m", "S", "b", "c", "Ixx", "Iyy", "Izz"), f"{ARDUPILOT}{file}")
+        return SitlOracle(plane, aircraft)
+
+    return Simulation(f"{ARDUPILOT}{file}", name, SitlOracle(plane, own), own, plane.notes, referred)
+
+
+def gazebo_simulation(file: str) -> Simulation:
+    """A Gazebo aeroplane by its model.sdf, or the folder that has one. Raises SimulationError."""
+    path = Path(file)
+    if path.is_dir():
+        path /= "model.sdf"
+    if path.suffix != ".sdf":
+        raise SimulationError(f"{GAZEBO}{file}: give a model's file that ends in .sdf, or its folder")
+    plane = read_gazebo_plane(path)
+    return Simulation(f"{GAZEBO}{file}", plane.aircraft.name, GazeboOracle(plane), plane.aircraft, plane.notes)

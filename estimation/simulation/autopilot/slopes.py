@@ -1,0 +1,156 @@
+"""The derivatives that lines of a model come to: taken as slopes, and refused where slopes are not all of it."""
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from estimation.models.base import Model
+from estimation.simulation.autopilot.linear import (
+    CONSTANT,
+    POLAR,
+    SLOPES,
+    LinearAircraft,
+    Motion,
+    accelerations,
+    coefficients,
+    forces,
+    gyroscopic,
+)
+from estimation.simulation.autopilot.states import STATES, random_motion
+from estimation.simulation.oracle import Array, SimulationError, States
+from estimation.simulation.text_model import TextOracle
+
+STEP = 0.1  # rad or hatted: a linear line has the same slope over any
+SPEED, DENSITY = 20.0, 1.2  # m/s, kg/m3 at which slopes are taken; a linear line has no others anywhere
+SAME = 1e-9  # of the largest of a coefficient: a linear line differs from its slopes by rounding only
+DROP = 1e-12  # of the largest slope of its line: what differences of rounded numbers leave of nothing
+THRUSTS, RATES, DENSITIES = (0.0, 10.0), (-0.5, 0.5), (0.7, 1.3)  # N, rad/s, kg/m3 beside which lines are tried
+LATERAL, PITCH = ("CY", "Cl", "Cn"), ("CL", "CD", "Cm")
+Line = Callable[[Motion, Array, Array], Array]
+"""Value of a line at a motion, rate of alpha [rad/s] and thrust [N]."""
+
+
+def lines_of(model: Model) -> dict[str, Line]:
+    """Each of CL CD CY Cl Cm Cn that a model has a line for; lift and drag out of CX and CZ where it has those instead."""
+    oracle, has = TextOracle(model), model.definitions
+
+    def asked(name: str) -> Line:
+        def line(motion: Motion, alpha_dot: Array, thrust: Array) -> Array:
+            values = {n: motion.values[n] for n in ("V", "alpha", "beta", "p", "q", "r", *motion.surfaces)}
+            return oracle.line(name, States({**values, "thrust": thrust}, motion.values["rho"], alpha_dot))
+
+        return line
+
+    made = {name: asked(name) for name in (*LATERAL, *PITCH) if name in has}
+    if "CX" in has and "CZ" in has:
+        X, Z = asked("CX"), asked("CZ")
+        turned: dict[str, Line] = {
+            "CL": lambda m, *rest: X(m, *rest) * np.sin(m.values["alpha"]) - Z(m, *rest) * np.cos(m.values["alpha"]),
+            "CD": lambda m, *rest: -X(m, *rest) * np.cos(m.values["alpha"]) - Z(m, *rest) * np.sin(m.values["alpha"]),
+        }
+        made = {**turned, **made}
+    return made
+
+
+def derivatives_of(model: Model, frame: LinearAircraft) -> dict[str, float]:
+    """The derivatives of the lines that a model has. frame: geometry and mass. Raises SimulationError for a line that is not
+    linear, or asks for what no simulator has."""
+    lines = lines_of(model)
+    found: dict[str, float] = {}
+    for name, line in lines.items():
+        if name != "CD":
+            found |= _slopes(name, line, frame)
+    if "CD" in lines:
+        found |= _drag(lines["CD"], LinearAircraft(frame.name, "", frame.aircraft, found))
+    tried = LinearAircraft(frame.name, frame.title, frame.aircraft, found)
+    _check(model, lines, tried)
+    return found
+
+
+def _points(frame: LinearAircraft, hatted: Mapping[str, Array], count: int) -> tuple[Motion, Array]:
+    """Motion and rate of alpha at which variables of SLOPES have these values."""
+    a, nothing = frame.aircraft, np.zeros(count)
+    V = np.full(count, SPEED)
+    lengths = {"p": a.span, "q": a.chord, "r": a.span, "alphadot": a.chord}
+    values = {SLOPES[e]: hatted.get(e, nothing) for e in ("alpha", "beta", "de", "da", "dr")}
+    values |= {n: hatted.get(n, nothing) * 2.0 * V / lengths[n] for n in ("p", "q", "r")}
+    alphadot = hatted.get("alphadot", nothing)
+    values |= {"V": V, "rho": np.full(count, DENSITY), "alphadot_hat": alphadot}
+    return Motion(values), alphadot * 2.0 * V / lengths["alphadot"]
+
+
+def _slopes(name: str, line: Line, frame: LinearAircraft) -> dict[str, float]:
+    """C_0 and a slope for each of SLOPES, by one step from where all are zero."""
+    count = 1 + len(SLOPES)
+    steps = {e: STEP * (np.arange(count) == i + 1) for i, e in enumerate(SLOPES)}
+    motion, rate = _points(frame, steps, count)
+    at = line(motion, rate, np.zeros(count))
+    slopes = {f"{name}_{e}": float(at[i + 1] - at[0]) / STEP for i, e in enumerate(SLOPES)}
+    return _without_rounding({f"{name}_{CONSTANT}": float(at[0]), **slopes})
+
+
+def _without_rounding(slopes: Mapping[str, float]) -> dict[str, float]:
+    largest = max(map(abs, slopes.values()))
+    return {n: v if abs(v) > DROP * largest else 0.0 for n, v in slopes.items()}
+
+
+def _drag(line: Line, craft: LinearAircraft) -> dict[str, float]:
+    """CD_0, CD_k on the square of lift, and slopes, by least squares: exact where drag is of that form."""
+    rng = np.random.default_rng(STATES)
+    values = {e: rng.uniform(-2.0 * STEP, 2.0 * STEP, STATES) for e in SLOPES}
+    motion, rate = _points(craft, values, STATES)
+    lift = coefficients(craft, motion)["CL"]
+    rows = np.column_stack([np.ones(STATES), lift**2, *values.values()])
+    size = np.maximum(np.abs(rows).max(axis=0), 1e-300)
+    solved = np.linalg.lstsq(rows / size, line(motion, rate, np.zeros(STATES)), rcond=None)[0] / size
+    names = (f"CD_{CONSTANT}", POLAR, *(f"CD_{e}" for e in SLOPES))
+    largest = float(np.max(np.abs(solved * size)))
+    return {
+        n: float(v) if abs(v * s) > 1e-3 * SAME * largest else 0.0 for n, v, s in zip(names, solved, size, strict=True)
+    }
+
+
+def _check(model: Model, lines: Mapping[str, Line], craft: LinearAircraft) -> None:
+    """Raise SimulationError for the first line that its slopes are not all of."""
+    motion = random_motion(craft)
+    rng = np.random.default_rng(STATES + 1)
+    rate, thrust, density = (rng.uniform(*ends, STATES) for ends in (RATES, THRUSTS, DENSITIES))
+    hat = rate * craft.aircraft.chord / (2.0 * motion.values["V"])
+    motion = Motion({**motion.values, "rho": density, "alphadot_hat": hat})
+    linear = coefficients(craft, motion)
+    for name, line in lines.items():
+        at = line(motion, rate, thrust)
+        largest = max(float(np.max(np.abs(at))), float(np.max(np.abs(linear[name]))), 1e-12)
+        off = float(np.max(np.abs(at - linear[name]))) / largest
+        if not off <= SAME:
+            form = "a polar, CD_0 + CD_k CL^2, and slopes" if name == "CD" else "a constant and slopes"
+            raise SimulationError(
+                f"model {model.name}: {name} is not linear (it is {off:.2g} of its largest value from {form}), and these"
+                f" simulators take nothing else; leave out the term, or write the model as it is with --to neutral"
+            )
+
+
+MOTIONS: Mapping[str, str] = {"p_dot": "L", "q_dot": "M", "r_dot": "N", "ax": "X", "ay": "Y", "az": "Z"}
+"""Line of a model -> axis of the force or moment that makes it."""
+
+
+def beyond_coefficients(model: Model, craft: LinearAircraft) -> dict[str, float]:
+    """What of a model's accelerations its coefficients, mass and inertia do not explain: line -> share of its largest value.
+    Lines with or without gyroscopic terms are both as they should be."""
+    motion = random_motion(craft)
+    rng = np.random.default_rng(STATES + 2)
+    thrust, phi, theta = (rng.uniform(*ends, STATES) for ends in (THRUSTS, RATES, RATES))
+    made = accelerations(craft.aircraft, forces(craft, motion))
+    made["X"] = made["X"] + thrust / craft.aircraft.mass
+    turning = gyroscopic(craft.aircraft, motion)
+    states = States({**motion.values, "thrust": thrust, "phi": phi, "theta": theta}, motion.values["rho"], 0.0 * thrust)
+    oracle, more = TextOracle(model), {}
+    for name, axis in MOTIONS.items():
+        if name in model.definitions:
+            at = oracle.line(name, states)
+            largest = max(float(np.max(np.abs(at))), 1e-12)
+            whole = made[axis] + turning.get(axis, 0.0)
+            off = min(float(np.max(np.abs(at - told))) for told in (made[axis], whole)) / largest
+            if off > SAME:
+                more[name] = off
+    return more

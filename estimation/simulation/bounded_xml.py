@@ -1,0 +1,45 @@
+"""XML from strangers, within bounds: no document type, no entities, at most so many bytes, elements and levels."""
+
+from pathlib import Path
+from xml.etree import ElementTree as ET
+from xml.parsers import expat
+
+from daq.contract.input_files import read_bytes
+from estimation.simulation.oracle import SimulationError
+
+LARGEST = 4 * 2**20  # bytes; models of PX4 have some 20 kB
+DEEPEST = 64  # elements within elements; SDF needs ten
+MOST = 50_000  # elements
+
+
+def bounded_tree(path: Path, what: str, most: int = LARGEST) -> ET.Element:
+    """The root of an XML file. Raises SimulationError where it is none, or beyond the bounds."""
+    data = read_bytes(path, what, SimulationError, most)
+    builder = ET.TreeBuilder()
+    depth = count = 0
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        nonlocal depth, count
+        depth, count = depth + 1, count + 1
+        if depth > DEEPEST or count > MOST:
+            raise SimulationError(f"{path}: more than {DEEPEST} levels or {MOST} elements; {what} has no need of them")
+        builder.start(tag, attributes)
+
+    def end(tag: str) -> None:
+        nonlocal depth
+        depth -= 1
+        builder.end(tag)
+
+    def doctype(*_: object) -> None:
+        raise SimulationError(f"{path}: declares a document type, which {what} has no need of; remove it")
+
+    parser = expat.ParserCreate()
+    parser.buffer_text = True
+    parser.StartElementHandler, parser.EndElementHandler = start, end
+    parser.CharacterDataHandler = builder.data
+    parser.StartDoctypeDeclHandler = doctype
+    try:
+        parser.Parse(data, True)
+    except (expat.ExpatError, ValueError, LookupError) as error:
+        raise SimulationError(f"{path}: no XML ({error})") from error
+    return builder.close()

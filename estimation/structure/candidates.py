@@ -1,0 +1,217 @@
+"""What a model may lack, found in its own equations: terms of the general linear model, first nonlinear ones, lags, scales.
+
+A line of a force or moment is one in which estimated derivatives stand in products with motion or controls. Each such line is
+offered
+every regressor of the lines it shares regressors with, and the first odd power of those that it has. A recorded control may act
+later than recorded, a vane or an attitude may show the motion late, a measured channel may read too much by a factor, an
+accelerometer may sit off the CG, and the product of inertia may be another.
+"""
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from enum import Enum
+
+from estimation.models.base import InputTransform, Model, Parameter, ParameterRole
+from estimation.models.expressions import names_in, products_in
+
+LATE_OUTPUTS = ("alpha", "beta", "phi", "theta")
+"""Columns that instruments with a lag of their own show: vanes swing, attitudes come out of a filter."""
+SMALL_FLOW = ("alpha", "beta")
+
+
+class Kind(Enum):
+    """What sort of thing is left out."""
+
+    LINEAR = "derivative"
+    NONLINEAR = "nonlinear term"
+    LATE_CONTROL = "lag of a control"
+    LATE_SENSOR = "lag of a sensor"
+    SCALE = "scale of a channel"
+    PLACE = "place of the accelerometer"
+    INERTIA = "product of inertia"
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One thing that a model may lack. name: of its parameter; null: the value at which the model is as it was; line, term: what
+    is added to which line; channel: the input or output concerned; phrase: as a sentence has it."""
+
+    name: str
+    kind: Kind
+    null: float = 0.0
+    line: str = ""
+    term: str = ""
+    channel: str = ""
+    phrase: str = ""
+
+    @property
+    def parameter(self) -> Parameter:
+        """As an unknown of a model, at its null value."""
+        role = (
+            ParameterRole.DERIVATIVE
+            if self.kind in (Kind.LINEAR, Kind.NONLINEAR, Kind.INERTIA)
+            else ParameterRole.INSTRUMENT
+        )
+        unit = {Kind.LATE_CONTROL: "s", Kind.LATE_SENSOR: "s", Kind.SCALE: "1", Kind.PLACE: "m", Kind.INERTIA: "kg m2"}
+        return Parameter(self.name, unit.get(self.kind, "1/rad"), start=self.null, role=role)
+
+
+def candidates(model: Model) -> tuple[Candidate, ...]:
+    """Everything that is tested beside a model."""
+    made = (
+        *_terms(model),
+        *_late_controls(model),
+        *_sensors(model),
+        *_inertia(model),
+    )
+    return tuple(c for c in made if c.name not in model.parameter_names)
+
+
+def linear_terms(model: Model) -> tuple[Candidate, ...]:
+    """Derivatives of the general linear model that a model does not have."""
+    return tuple(c for c in candidates(model) if c.kind is Kind.LINEAR)
+
+
+def with_candidates(model: Model, chosen: Iterable[Candidate]) -> Model:
+    """The model with candidates as estimated parameters that start at their null values."""
+    wanted = tuple(chosen)
+    terms: dict[str, str] = {}
+    for c in (c for c in wanted if c.line):
+        terms[c.line] = f"{terms[c.line]} + {c.name}*{c.term}" if c.line in terms else f"{c.name}*{c.term}"
+    shown: dict[str, str] = {}
+    for c in (c for c in wanted if c.kind in (Kind.SCALE, Kind.PLACE) and c.channel in model.output_names):
+        before = shown.get(c.channel, c.channel)
+        shown[c.channel] = f"{c.name}*({before})" if c.kind is Kind.SCALE else f"{before} + {c.name}*{c.term}"
+    moved = [
+        InputTransform("scale" if c.kind is Kind.SCALE else "delay", c.channel, (c.name,))
+        for c in wanted
+        if c.kind in (Kind.SCALE, Kind.LATE_CONTROL) and c.channel not in model.output_names
+    ]
+    return model.plus(
+        terms=terms,
+        outputs=shown,
+        transforms=moved,
+        output_delays={c.channel: c.name for c in wanted if c.kind is Kind.LATE_SENSOR},
+        parameters=[c.parameter for c in wanted],
+    )
+
+
+# ------------------------------------------------------------------------------------------------ forces and moments
+
+
+def force_lines(model: Model) -> Mapping[str, tuple[str, ...]]:
+    """Lines with estimated derivatives -> their regressors: states, inputs, and what follows from these without parameters."""
+    derivatives = {p.name for p in model.parameters if p.role is ParameterRole.DERIVATIVE}
+    plain = _plain(model)
+    found: dict[str, tuple[str, ...]] = {}
+    for symbol, text in model.definitions.items():
+        pairs = [names for names in products_in(text) if names & derivatives and len(names) == 2]
+        if not pairs:
+            continue
+        regressors = dict.fromkeys(n for names in pairs for n in sorted(names - derivatives) if n in plain)
+        through = [n for names in pairs for n in names if n in found]
+        for line in through:  # drag by lift: what lift depends on
+            regressors |= dict.fromkeys(found[line])
+        found[symbol] = tuple(regressors)
+    return {symbol: regressors for symbol, regressors in found.items() if regressors}
+
+
+def _plain(model: Model) -> frozenset[str]:
+    """Names of motion and controls, and of lines that hold no parameter and reach only these."""
+    motion = {*model.state_names, *model.input_names}
+    parameters = set(model.parameter_names)
+    good: dict[str, bool] = {}
+
+    def judge(name: str) -> bool:
+        if name in motion or name in model.constants:
+            return True
+        if name in parameters or name not in model.definitions:
+            return False
+        if name not in good:
+            good[name] = False
+            good[name] = all(judge(n) for n in names_in(model.definitions[name]))
+        return good[name]
+
+    lines = {symbol for symbol in model.definitions if judge(symbol)}
+    return frozenset(motion | lines)
+
+
+def _terms(model: Model) -> Iterator[Candidate]:
+    lines = force_lines(model)
+    for line, has in lines.items():
+        related = {r: None for other in lines.values() if set(other) & set(has) for r in other}
+        direct = {n for names in products_in(model.definitions[line]) for n in names}
+        for regressor in related:
+            if regressor not in direct:
+                name = f"{line}_{_suffix(regressor)}"
+                yield Candidate(name, Kind.LINEAR, line=line, term=regressor, phrase=name)
+        yield from _nonlinear(model, line, [r for r in has if r in direct])
+
+
+def _nonlinear(model: Model, line: str, regressors: Iterable[str]) -> Iterator[Candidate]:
+    """First nonlinear terms: an angle's or a control's cube, and sideslip that acts otherwise at another angle of attack."""
+    for r in regressors:
+        control = any(s.name == r and s.control for s in model.inputs)
+        if r in SMALL_FLOW or (control and r.startswith("delta_")):
+            name = f"{line}_{_suffix(r)}3"
+            yield Candidate(name, Kind.NONLINEAR, line=line, term=f"{r}^3", phrase=name)
+        if r == "beta" and "alpha" in (*model.state_names, *model.input_names):
+            name = f"{line}_alpha_beta"
+            yield Candidate(name, Kind.NONLINEAR, line=line, term="alpha*beta", phrase=name)
+        if r == "alpha":
+            name = f"{line}_alpha2"
+            yield Candidate(name, Kind.NONLINEAR, line=line, term="alpha^2", phrase=name)
+
+
+def _suffix(regressor: str) -> str:
+    """`da` of delta_a, `p` of p_hat: as the field names derivatives."""
+    return regressor.replace("delta_", "d").removesuffix("_hat")
+
+
+# ------------------------------------------------------------------------------------------------ instruments
+
+
+def _late_controls(model: Model) -> Iterator[Candidate]:
+    late = {t.input for t in model.transforms if t.kind in ("delay", "lag")}
+    for s in model.inputs:
+        if s.control and s.name not in late and s.name not in ("thrust",):
+            yield Candidate(
+                f"delay_{s.name}",
+                Kind.LATE_CONTROL,
+                channel=s.name,
+                phrase=f"a lag between the recorded {s.name} and the motion",
+            )
+
+
+def _sensors(model: Model) -> Iterator[Candidate]:
+    for s in model.outputs:
+        if s.source in LATE_OUTPUTS and s.name not in model.output_delays:
+            yield Candidate(f"delay_{s.name}", Kind.LATE_SENSOR, channel=s.name, phrase=f"a lag of the {s.name} sensor")
+        yield Candidate(f"scale_{s.name}", Kind.SCALE, null=1.0, channel=s.name, phrase=f"a wrong scale of {s.name}")
+    scaled = {t.input for t in model.transforms if t.kind == "scale"}
+    for s in model.inputs:
+        if s.source == "V" and s.name not in scaled:
+            yield Candidate(
+                f"scale_{s.name}", Kind.SCALE, null=1.0, channel=s.name, phrase=f"a wrong scale of {s.name}"
+            )
+    yield from _places(model)
+
+
+def _places(model: Model) -> Iterator[Candidate]:
+    if "ay" not in model.output_names:
+        return
+    for axis, term in (("x", "r_dot"), ("z", "p_dot")):
+        if term in model.definitions and f"{axis}_imu" not in model.parameter_names:
+            yield Candidate(
+                f"{axis}_imu",
+                Kind.PLACE,
+                channel="ay",
+                term=term,
+                phrase=f"an accelerometer off the CG along {axis}",
+            )
+
+
+def _inertia(model: Model) -> Iterator[Candidate]:
+    used = frozenset[str]().union(*(names_in(text) for text in model.definitions.values()))
+    if "Ixz" in model.constants and "Ixz" in used:
+        yield Candidate("Ixz", Kind.INERTIA, null=model.constants["Ixz"], phrase="another Ixz")

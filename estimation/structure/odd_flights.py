@@ -1,0 +1,185 @@
+"""Which flight of a joint fit differs from the others, in what, and how likely that is chance: leave-one-out.
+
+Each flight's score at the estimate of all the others scatters as its own noise and their uncertainty say. Where it does not, what
+would explain it in this flight alone is looked for: all forces by one factor (mass, or dynamic pressure), one coefficient, one
+derivative, or one of the things tested beside every fit.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimation.estimators.arrow import pseudo_inverse
+from estimation.estimators.result import Result, finite
+from estimation.models.base import ParameterRole
+from estimation.structure.candidates import Kind, force_lines
+from estimation.structure.linearised import Linearised
+
+Array = NDArray[np.float64]
+
+CHANCE = 1e-4
+"""Probability below which a flight differs: of a hundred joint fits of ten flights, one in ten would name one by chance."""
+INFLATED = 2.0
+"""Of a flight's score covariance: an allowance for what flights of one aircraft differ by in speed, loading and air."""
+SIMPLE = 0.8
+"""Share of what one single derivative explains from which a simpler cause, all forces by one factor or a whole coefficient, is
+named."""
+WHOLE = "mass or dynamic pressure"
+
+
+@dataclass(frozen=True)
+class OddFlight:
+    """A flight that differs. ratio: of what it has to what the others have (mass over mass, derivative over derivative, scale;
+    seconds
+    for a lag, as it is); probability: of so much by chance; moves: bounds by which it moves the joint estimate at most."""
+
+    flight: str
+    what: str
+    ratio: float
+    probability: float
+    parameter: str
+    moves: float
+
+    @property
+    def text(self) -> str:
+        """As it is printed."""
+        size = f"{self.ratio:.3g} s" if self.what.startswith("lag") else f"{self.ratio:.3g} times the others'"
+        return (
+            f"{self.flight} differs from the other flights (probability of chance {self.probability:.1g}), most likely in"
+            f" {self.what}: {size}; it moves the joint {self.parameter} by {self.moves:.1f} bounds"
+        )
+
+    def to_json(self) -> dict[str, Any]:
+        """An entry of `odd` in `estimate --json`."""
+        return {
+            "flight": self.flight,
+            "what": self.what,
+            "ratio": finite(round(self.ratio, 4)),
+            "probability": self.probability,
+            "moves": {self.parameter: round(self.moves, 2)},
+        }
+
+
+@dataclass(frozen=True)
+class _Hypothesis:
+    what: str
+    columns: tuple[int, ...]
+    along: Array
+    kind: Kind | None = None
+    null: float = 1.0
+
+
+def odd_flights(linear: Linearised, result: Result) -> tuple[OddFlight, ...]:
+    """The flight that differs most from the others, if any does; with two flights there is no telling which, and the first is
+    taken.
+
+    One flight that differs makes the others look odd beside the joint estimate, so the oddest is named alone.
+    """
+    if len(linear.flights) < 2:
+        return ()
+    each = [_of_flight(linear, result, i) for i in range(len(linear.flights))]
+    worst = max(each, key=lambda found: found[0])
+    return () if worst[1] is None else (worst[1],)
+
+
+def _of_flight(linear: Linearised, result: Result, index: int) -> tuple[float, OddFlight | None]:
+    """(chi-square over its freedom, the flight as odd where it is so beyond chance)."""
+    from scipy.stats import chi2
+
+    n, k = linear.n, len(linear.tested)
+    others = linear.total([i for i in range(len(linear.flights)) if i != index])
+    spread = pseudo_inverse(others[:n, :n])[0]
+    theta = spread @ others[:n, -1]
+    mine = linear.flights[index]
+    score = mine.gram[: n + k, -1] - mine.gram[: n + k, :n] @ theta
+    covariance = _covariance(linear, index, spread)
+    weight, rank = _inverse(covariance[:n, :n])
+    surprise = float(score[:n] @ weight @ score[:n])
+    probability = min(1.0, len(linear.flights) * float(chi2.sf(surprise, max(rank, 1))))
+    if probability > CHANCE:
+        return surprise / max(rank, 1), None
+    best, size = _explained(linear, result, index, score, covariance)
+    every = linear.total()
+    moved = np.abs(pseudo_inverse(every[:n, :n])[0] @ every[:n, -1] - theta)
+    bounds = np.array([result.std_coloured.get(name, np.inf) for name in linear.shared])
+    with np.errstate(invalid="ignore", divide="ignore"):
+        moved = np.where(np.isfinite(bounds) & (bounds > 0.0), moved / bounds, 0.0)
+    most = int(np.argmax(moved))
+    ratio = 1.0 / max(1.0 + size, 0.05) if best.what == WHOLE else best.null + size
+    odd = OddFlight(mine.name, best.what, ratio, probability, linear.shared[most], float(moved[most]))
+    return surprise / max(rank, 1), odd
+
+
+def _covariance(linear: Linearised, index: int, spread: Array) -> Array:
+    """Covariance of one flight's scores at the estimate of the others."""
+    n, mine = linear.n + len(linear.tested), linear.flights[index]
+    gram = mine.gram[:n, :n]
+    total = gram + gram[:, : linear.n] @ spread @ gram[: linear.n]
+    for draws, size in ((mine.noise[:n], 1.0), (mine.edges[:n], linear.edges)):
+        if draws.shape[1]:
+            total = total + size / draws.shape[1] * (draws @ draws.T)
+    along = mine.common[:n]
+    return np.asarray(INFLATED * (total + along @ linear.common @ along.T))
+
+
+def _explained(
+    linear: Linearised, result: Result, index: int, score: Array, covariance: Array
+) -> tuple[_Hypothesis, float]:
+    """The hypothesis that explains most of a flight's surprise, simple ones preferred, and its size."""
+    gram = linear.flights[index].gram
+    found = []
+    for h in _hypotheses(linear, result):
+        at = np.array(h.columns)
+        weight = _inverse(covariance[np.ix_(at, at)])[0]
+        mean = gram[np.ix_(at, at)] @ h.along
+        power = float(mean @ weight @ mean)
+        if power > 0.0:
+            product = float(mean @ weight @ score[at])
+            free = np.arange(linear.n)
+            without = float(score[free] @ _inverse(covariance[np.ix_(free, free)])[0] @ score[free])
+            every = float(score[at] @ weight @ score[at])
+            gain = product**2 / power - max(every - without, 0.0)
+            found.append((gain, h, product / power))
+    most = max(gain for gain, _, _ in found)
+    simple = [f for f in found if f[1].kind is None and f[0] >= SIMPLE * most]
+    gain, best, size = max(simple or found, key=lambda f: f[0])
+    return best, size
+
+
+def _hypotheses(linear: Linearised, result: Result) -> Iterator[_Hypothesis]:
+    """All forces by one factor, one coefficient by a factor, one derivative, one of the candidates."""
+    n = linear.n
+    shared = tuple(range(n))
+    derivatives = {p.name for p in result.model.parameters if p.role is ParameterRole.DERIVATIVE}
+    forces = [name in derivatives for name in linear.shared]
+    values = linear.values * np.array(forces, float)
+    yield _Hypothesis(WHOLE, shared, values)
+    for line in force_lines(result.model):
+        mine = np.array([name.startswith(f"{line}_") for name in linear.shared], float)
+        if np.count_nonzero(mine) > 1:
+            yield _Hypothesis(f"all of {line}", shared, values * mine)
+    for j in np.flatnonzero(values):
+        along = np.zeros(n)
+        along[j] = linear.values[j]
+        yield _Hypothesis(linear.shared[j], shared, along, Kind.LINEAR)
+    for a, candidate in enumerate(linear.tested):
+        along = np.zeros(n + 1)
+        along[n] = 1.0
+        if candidate.kind in (Kind.SCALE, Kind.LATE_CONTROL, Kind.LATE_SENSOR):
+            late = candidate.kind is not Kind.SCALE
+            what = f"{'lag' if late else 'scale'} of {candidate.channel}"
+            yield _Hypothesis(what, (*shared, n + a), along, candidate.kind, candidate.null)
+
+
+def _inverse(matrix: Array) -> tuple[Array, int]:
+    """Pseudo-inverse and rank."""
+    inverse, blind = pseudo_inverse(matrix)
+    return inverse, len(matrix) - (blind.shape[1] if blind.size else 0)
+
+
+def members_of(found: Sequence[OddFlight]) -> tuple[str, ...]:
+    """Names of the flights that differ."""
+    return tuple(o.flight for o in found)

@@ -1,0 +1,160 @@
+"""Contradictions of air data: pressures, airspeeds, density, altitude, and what the motion says of the scale of V."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from groundstation.flight.atmosphere import (
+    SEA_LEVEL_DENSITY,
+    density,
+    density_at_altitude,
+    density_at_pressure,
+    is_of_the_air,
+)
+from groundstation.flight.contradictions.contradiction import Contradiction
+from groundstation.flight.contradictions.fits import Array, Columns, Found, ratio_of, scale_by_ground
+
+PRESSURE_TOLERANCE = 0.08
+"""Of 2 p/(rho V^2): density of a guessed temperature is 5 % off, a pitot of its own 3 %."""
+SCALE_TOLERANCE = 0.08
+"""Of V by motion: a pitot reads 3 % wrong, slips and lags of the fix make up some 3 %."""
+DENSITY_TOLERANCE = 0.08
+"""Between two densities: 25 K of temperature, or a day of strange pressure and 10 K."""
+SIGMAS = 4.0
+TELLS_APART = 9.0
+"""Difference of chi-square by which the motion favours one scale of V over another: three sigmas."""
+CREDIBLE_SCALE = 0.1
+"""A scale of V further than this from the motion's (and its 2 sigma) is not the one it favours."""
+
+
+def air_density(c: Columns) -> tuple[Array, str] | None:
+    """(N,) density [kg/m3] and what it is from: rho, else `independent_density`; None where nothing tells."""
+    if "rho" in c:
+        return c["rho"], "rho"
+    return independent_density(c)
+
+
+def independent_density(c: Columns) -> tuple[Array, str] | None:
+    """The density that a flight's pressure (with a credible temperature) or altitude give, whatever its column rho says."""
+    if "p_static" in c:
+        p = c["p_static"]
+        if "temperature" in c and is_of_the_air(p, c["temperature"]):
+            return density(p, c["temperature"]), "p_static and temperature"
+        return density_at_pressure(p), "p_static"
+    for name in ("altitude_gnss", "altitude"):
+        if name in c:
+            return density_at_altitude(c[name]), name
+    return None
+
+
+def speed_and_pressure(time: Array, c: Columns) -> Iterator[Contradiction]:
+    """V (or V_cas) against dynamic pressure and density: p_dynamic = rho V^2 / 2."""
+    name = "V" if "V" in c else "V_cas"
+    if name not in c or "p_dynamic" not in c:
+        return
+    dense = air_density(c) if name == "V" else (np.full_like(c[name], SEA_LEVEL_DENSITY), "sea-level density")
+    if dense is None:
+        return
+    ratio = ratio_of(0.5 * dense[0] * c[name] ** 2, np.where(c["p_dynamic"] > 0.0, c["p_dynamic"], np.nan))
+    if ratio is None or not ratio.differs_from(1.0, PRESSURE_TOLERANCE, SIGMAS):
+        return
+    favoured, why = _favoured(scale_by_ground(time, c) if name == "V" else None, name, ratio.value)
+    implied = float(np.nanmedian(2.0 * np.where(c["p_dynamic"] > 0, c["p_dynamic"], np.nan) / c[name] ** 2))
+    pressure = (
+        f"density from both would be {implied:.3g} against {float(np.nanmedian(dense[0])):.3g} kg/m3 by {dense[1]}"
+    )
+    if favoured == name:
+        moves = f"none with {name} and {dense[1]}; every one by {abs(ratio.value - 1):.0%} if p_dynamic were taken"
+    else:
+        moves = f"every derivative by {abs(ratio.value - 1):.0%}, if p_dynamic is right"
+    text = (
+        f"{name} and p_dynamic contradict each other: the dynamic pressure of {name} is {ratio.value:.3g} times p_dynamic "
+        f"({pressure}); {why}"
+    )
+    yield Contradiction(
+        (name, "p_dynamic"), text, ratio.value, std=ratio.std, favoured=favoured, moves=moves, stops=favoured != name
+    )
+
+
+def _favoured(scale: tuple[Found, Found] | None, name: str, ratio: float) -> tuple[str, str]:
+    """The side that the motion favours, and why. ratio: dynamic pressure of V over the one measured."""
+    if scale is None:
+        return "", "nothing else in the flight tells which is right: check the pitot's ratio and the density"
+    found = scale[0]
+    said = f"ground velocity on several headings makes V {found.value:.2f} +- {found.std:.2f} times what it is"
+    needed = {name: 1.0, "p_dynamic": ratio**-0.5}
+    off = {side: (found.value - k) / max(found.std, 1e-6) for side, k in needed.items()}
+    best = min(off, key=lambda side: abs(off[side]))
+    other = next(side for side in off if side != best)
+    apart = off[other] ** 2 - off[best] ** 2
+    if apart < TELLS_APART or abs(found.value - needed[best]) > max(CREDIBLE_SCALE * needed[best], 2.0 * found.std):
+        return "", f"{said}, which does not tell which is right: check the pitot's ratio and the density"
+    return best, f"{said}, which favours {best}"
+
+
+def scale_against_ground(time: Array, c: Columns) -> Iterator[Contradiction]:
+    """V against ground velocity on several headings, which tells its scale from the wind."""
+    scale = scale_by_ground(time, c)
+    if scale is None or not scale[0].differs_from(1.0, SCALE_TOLERANCE, SIGMAS):
+        return
+    found = scale[0]
+    text = (
+        f"V and ground velocity contradict each other: on several headings the true airspeed is {found.value:.3g} +- "
+        f"{found.std:.2g} times V{_looks_equivalent(c, found)}"
+    )
+    yield Contradiction(
+        ("V", "vn", "ve"), text, found.value, std=found.std, favoured="vn, ve",
+        moves=f"every derivative by up to {abs(found.value**2 - 1.0):.0%}", stops=True,
+    )  # fmt: skip
+
+
+def _looks_equivalent(c: Columns, found: Found) -> str:
+    """A hint that an airspeed which is too small by the root of the density is equivalent, not true."""
+    dense = air_density(c)
+    if dense is None:
+        return ""
+    middle = float(np.nanmedian(dense[0]))
+    factor = float(np.sqrt(SEA_LEVEL_DENSITY / middle))
+    alike = abs(found.value / factor - 1.0) < 0.5 * SCALE_TOLERANCE + 2.0 * found.std
+    if factor < 1.0 + 0.5 * SCALE_TOLERANCE or not alike:
+        return ""
+    return f"; it looks like equivalent airspeed, which at {middle:.3g} kg/m3 is {1 / factor:.2f} of the true one"
+
+
+def density_twice(time: Array, c: Columns) -> Iterator[Contradiction]:
+    """A column rho against static pressure with temperature, or altitude."""
+    other = independent_density({n: v for n, v in c.items() if n != "altitude"}) if "rho" in c else None
+    if other is None:
+        return
+    ratio = ratio_of(c["rho"], other[0])
+    if ratio is None or not ratio.differs_from(1.0, DENSITY_TOLERANCE, SIGMAS):
+        return
+    text = (
+        f"rho is {ratio.value:.3g} times the density that {other[1]} gives ({float(np.nanmedian(other[0])):.3g} kg/m3)"
+    )
+    yield Contradiction(
+        ("rho", *other[1].split(" and ")), text, ratio.value, std=ratio.std, favoured=other[1],
+        moves=f"every derivative by {abs(ratio.value - 1):.0%}", stops=True,
+    )  # fmt: skip
+
+
+PRESSURE_ALTITUDE = 600.0
+"""[m] between pressure altitude and height by GNSS: 70 hPa, which no weather makes."""
+
+
+def pressure_and_height(time: Array, c: Columns) -> Iterator[Contradiction]:
+    """Static pressure against the height above the sea by GNSS."""
+    if "p_static" not in c or "altitude_gnss" not in c:
+        return
+    ratio = ratio_of(density_at_pressure(c["p_static"]), density_at_altitude(c["altitude_gnss"]))
+    if ratio is None or not ratio.differs_from(1.0, 0.1 * PRESSURE_ALTITUDE / 1000.0, SIGMAS):
+        return
+    text = (
+        f"p_static belongs to air {ratio.value:.3g} times as dense as at the height by GNSS "
+        f"({float(np.nanmedian(c['altitude_gnss'])):.0f} m); check the unit of either, and the static port"
+    )
+    yield Contradiction(
+        ("p_static", "altitude_gnss"), text, ratio.value, std=ratio.std,
+        moves=f"every derivative by {abs(ratio.value - 1):.0%}, if density is taken from p_static and it is wrong",
+        stops="rho" not in c,
+    )  # fmt: skip

@@ -1,0 +1,108 @@
+"""How one signal follows others, with a bound that counts the colour of what is left."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Columns = Mapping[str, Array]
+
+GRAVITY = 9.80665
+BLOCK = 1.0
+"""Over so long [s] signals are averaged: slower than a Dutch roll's half period, faster than a turn."""
+WINDOW = 60.0
+"""Within so long [s] wind and slow errors are taken for constant."""
+FEWEST_BLOCKS = 8
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """A fitted number and its 1 sigma."""
+
+    value: float
+    std: float
+
+    def differs_from(self, other: float, tolerance: float, sigmas: float) -> bool:
+        """Whether it is further from another number than a tolerance and than chance."""
+        off = abs(self.value - other)
+        return off > tolerance and off > sigmas * self.std
+
+
+def blocks(time: Array, *signals: Array) -> tuple[Array, tuple[Array, ...]]:
+    """Means over blocks of BLOCK seconds in which all is measured: window number of each block, and the means (m,) of each."""
+    good = np.all([np.isfinite(s) for s in signals], axis=0) & np.isfinite(time)
+    if good.sum() < FEWEST_BLOCKS:
+        return np.zeros(0), tuple(np.zeros(0) for _ in signals)
+    t = time[good]
+    number = np.floor((t - t[0]) / BLOCK).astype(np.int64)
+    _, label, count = np.unique(number, return_inverse=True, return_counts=True)
+    full = count >= 0.5 * np.median(count)
+    means = tuple((np.bincount(label, s[good]) / count)[full] for s in signals)
+    centre = (np.bincount(label, t) / count)[full]
+    return np.floor((centre - t[0]) / WINDOW), means
+
+
+def within_windows(window: Array, *values: Array) -> tuple[Array, ...]:
+    """The values less their mean over each window, so that a constant of its own goes with each."""
+    _, label, count = np.unique(window, return_inverse=True, return_counts=True)
+    return tuple(v - (np.bincount(label, v) / count)[label] for v in values)
+
+
+def least_squares(design: Array, target: Array, windows: int) -> tuple[Array, Array] | None:
+    """Coefficients (k,) and their covariance (k, k), widened by the colour of the residuals; None where they cannot be told.
+
+    windows: how many constants have been taken out before.
+    """
+    rows, unknown = design.shape
+    free = rows - unknown - windows
+    if free < FEWEST_BLOCKS // 2 or np.linalg.matrix_rank(design) < unknown:
+        return None
+    normal = design.T @ design
+    solved = np.linalg.solve(normal, design.T @ target)
+    left = target - design @ solved
+    spread = float(left @ left)
+    neighbours = float(left[1:] @ left[:-1]) / spread if spread > 0 else 0.0
+    rho = min(max(neighbours, 0.0), 0.9)
+    variance = spread / free * (1.0 + rho) / (1.0 - rho)
+    return np.asarray(solved, float), np.asarray(variance * np.linalg.inv(normal), float)
+
+
+def horizontal_airspeed(c: Columns) -> Array:
+    """Share [m/s] of V that is horizontal, by the climb that GNSS gives or, without, by pitch; no vertical wind."""
+    climb = c["vd"] if "vd" in c else c["V"] * np.sin(c["theta"]) if "theta" in c else np.zeros_like(c["V"])
+    return np.asarray(np.sqrt(np.maximum(c["V"] ** 2 - climb**2, 0.0)))
+
+
+def scale_by_ground(time: Array, c: Columns) -> tuple[Found, Found] | None:
+    """Factor on V, and turn of psi [rad], that make ground velocity less a constant wind: over flight on several headings."""
+    if not all(n in c for n in ("V", "psi", "vn", "ve")):
+        return None
+    speed = horizontal_airspeed(c)
+    window, (north, east, vn, ve) = blocks(time, speed * np.cos(c["psi"]), speed * np.sin(c["psi"]), c["vn"], c["ve"])
+    if window.size < FEWEST_BLOCKS:
+        return None
+    north, east, vn, ve = within_windows(window, north, east, vn, ve)
+    design = np.concatenate([np.column_stack([north, -east]), np.column_stack([east, north])])
+    solved = least_squares(design, np.concatenate([vn, ve]), 2 * np.unique(window).size)
+    if solved is None:
+        return None
+    (a, b), covariance = solved
+    size = float(np.hypot(a, b))
+    if size == 0.0:
+        return None
+    std = float(np.sqrt(np.array([a, b]) @ covariance @ np.array([a, b]))) / size
+    turn_std = float(np.sqrt(np.array([-b, a]) @ covariance @ np.array([-b, a]))) / size**2
+    return Found(size, std), Found(float(np.arctan2(b, a)), turn_std)
+
+
+def ratio_of(first: Array, second: Array) -> Found | None:
+    """Median of first over second and its 1 sigma, of samples that are measured and of which the second is not small."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = np.where(second > 0.3 * np.nanmedian(second), first / second, np.nan)
+    ratio = ratio[np.isfinite(ratio)]
+    if ratio.size < FEWEST_BLOCKS:
+        return None
+    middle = float(np.median(ratio))
+    return Found(middle, 1.4826 * float(np.median(np.abs(ratio - middle))) / np.sqrt(ratio.size / 4.0))

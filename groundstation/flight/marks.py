@@ -1,0 +1,118 @@
+"""What a log says beside its samples: flight modes, events and messages of the autopilot. They travel with a flight, are drawn,
+and name stretches of it.
+
+In a flight file they stand in the provenance: `modes` [{"mode", "from", "to"}], `events` and
+`messages` [{"time", "origin", "text"}].
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+from daq.contract.plain_words import one_line
+from groundstation.flight.flight import LATEST, Flight
+
+MODES, EVENTS, MESSAGES, PARAMETERS = "modes", "events", "messages", "parameters"
+"""Keys of a provenance's detail."""
+MOST = 20_000
+"""Marks of a kind that are kept: a mode every second for five hours."""
+LONGEST_TEXT = 200
+"""Characters of a mark; MAVLink's messages have 50, PX4's 127."""
+
+
+@dataclass(frozen=True, slots=True)
+class Mode:
+    """A flight mode by its name, from `start` until `stop` [s]."""
+
+    name: str
+    start: float
+    stop: float
+
+
+@dataclass(frozen=True, slots=True)
+class Mark:
+    """Something that happened, or was said, at `time` [s]. origin: who says it."""
+
+    time: float
+    text: str
+    origin: str = "autopilot"
+
+
+@dataclass(frozen=True, slots=True)
+class Marks:
+    """All in order of time."""
+
+    modes: tuple[Mode, ...] = ()
+    events: tuple[Mark, ...] = ()
+    messages: tuple[Mark, ...] = ()
+
+    def __bool__(self) -> bool:
+        return bool(self.modes or self.events or self.messages)
+
+    def moved(self, later: float) -> "Marks":
+        """The same, so many seconds later."""
+        modes = tuple(replace(m, start=m.start + later, stop=m.stop + later) for m in self.modes)
+        events, messages = (
+            tuple(replace(m, time=m.time + later) for m in marks) for marks in (self.events, self.messages)
+        )
+        return Marks(modes, events, messages)
+
+    def to_json(self) -> dict[str, list[dict[str, Any]]]:
+        """As in a flight file and in `info --json`."""
+        return {
+            MODES: [{"mode": m.name, "from": m.start, "to": m.stop} for m in self.modes[:MOST]],
+            EVENTS: [{"time": m.time, "origin": m.origin, "text": m.text} for m in self.events[:MOST]],
+            MESSAGES: [{"time": m.time, "origin": m.origin, "text": m.text} for m in self.messages[:MOST]],
+        }
+
+
+def together(parts: Iterable[Marks]) -> Marks:
+    """The marks of several records in a row."""
+    every = tuple(parts)
+    return Marks(
+        tuple(m for p in every for m in p.modes),
+        tuple(m for p in every for m in p.events),
+        tuple(m for p in every for m in p.messages),
+    )
+
+
+def marks_of(flight: Flight) -> Marks:
+    """The marks that a flight carries; what is none (a flight may come from anybody) is left out."""
+    detail = flight.provenance.detail
+    modes = [
+        Mode(one_line(str(row["mode"]), LONGEST_TEXT), float(row["from"]), float(row["to"]))
+        for row in _rows(detail, MODES, ("from", "to"), ("mode",))
+    ]
+    events, messages = (
+        [
+            Mark(
+                float(r["time"]),
+                one_line(str(r["text"]), LONGEST_TEXT),
+                one_line(str(r.get("origin", "")), LONGEST_TEXT),
+            )
+            for r in _rows(detail, key, ("time",), ("text",))
+        ]
+        for key in (EVENTS, MESSAGES)
+    )
+    return Marks(tuple(m for m in modes if m.start <= m.stop), tuple(events), tuple(messages))
+
+
+def changes(time: Iterable[float], names: Iterable[str], end: float) -> tuple[Mode, ...]:
+    """Modes from samples of their name in order of time; the last lasts until `end` [s]."""
+    pairs = list(zip(time, names, strict=True))
+    begins = [pair for i, pair in enumerate(pairs) if i == 0 or pair[1] != pairs[i - 1][1]]
+    stops = [*(t for t, _ in begins[1:]), max(end, begins[-1][0] if begins else end)]
+    return tuple(Mode(name, start, stop) for (start, name), stop in zip(begins, stops, strict=False))
+
+
+def _rows(
+    detail: Mapping[str, Any], key: str, numbers: tuple[str, ...], words: tuple[str, ...]
+) -> list[Mapping[str, Any]]:
+    rows = detail.get(key)
+    return [
+        row
+        for row in (rows[:MOST] if isinstance(rows, list) else [])
+        if isinstance(row, Mapping)
+        and all(isinstance(row.get(n), int | float) and abs(row[n]) < LATEST for n in numbers)
+        and all(isinstance(row.get(w), str) for w in words)
+    ]

@@ -1,0 +1,190 @@
+"""Columns of a table that a mapping is drafted for: which flight column a name means, and in which unit its values are.
+
+A name is a hint; the unit is read off values that physics bounds (gravity, pi, the rate of an angle). Where values
+allow more than one unit, or none, the draft says so and a person decides.
+"""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.contract.channels import COLUMN_BY_NAME
+from groundstation.importers.units import UNITS, find_unit
+
+Array = NDArray[np.float64]
+
+_MEANT: tuple[tuple[str, str], ...] = (
+    ("ax", r"(acc?(el(eration)?)?|specific_force|nx|imu_acc?)_?(x|lon\w*)|a_?x"),
+    ("ay", r"(acc?(el(eration)?)?|specific_force|imu_acc?)_?(y|lat\w*)|a_?y|ny"),
+    ("az", r"(acc?(el(eration)?)?|specific_force|imu_acc?)_?(z|nor\w*|vert\w*)|a_?z|nz"),
+    ("p", r"p|roll_?rate(_p)?|(gyr(o)?|omega|w|ang\w*vel\w*)_?x|rollspeed"),
+    ("q", r"q|pitch_?rate(_q)?|(gyr(o)?|omega|w|ang\w*vel\w*)_?y|pitchspeed"),
+    ("r", r"r|yaw_?rate(_r)?|(gyr(o)?|omega|w|ang\w*vel\w*)_?z|yawspeed"),
+    ("phi", r"phi|roll(_?angle)?|bank(_?angle)?"),
+    ("theta", r"theta|pitch(_?angle|_?attitude)?"),
+    ("psi", r"psi|yaw(_?angle)?|(true_?)?heading|hdg"),
+    ("alpha", r"alpha|aoa|angle_?of_?attack"),
+    ("beta", r"beta|aos+|ssa|(side_?slip|angle_?of_?sideslip)(_?angle)?"),
+    ("V", r"v|tas|(true_?)?air_?speed|v_?tas|vtrue"),
+    ("V_cas", r"ias|cas|eas|(indicated|calibrated|equivalent)_?air_?speed"),
+    ("delta_e", r"(delta_?|d)?e|elev(ator)?(_?(pos\w*|angle|defl\w*))?|stab_?pos|de"),
+    ("delta_a", r"(delta_?|d)?a|ail(eron)?s?(_?(pos\w*|angle|defl\w*))?|da"),
+    ("delta_r", r"(delta_?|d)?r|rud(der)?(_?(pos\w*|angle|defl\w*))?|dr"),
+    ("p_static", r"(p_?stat\w*|static_?press\w*|baro_?press\w*|press(ure)?)"),
+    ("p_dynamic", r"(p_?dyn\w*|q_?c|q_?bar|dyn\w*_?press\w*|diff\w*_?press\w*)"),
+    ("temperature", r"(oat|sat|temp(erature)?|(outside_?)?air_?temp\w*)"),
+    ("altitude", r"(alt(itude)?(_?baro\w*|_?press\w*)?|baro_?alt\w*|press\w*_?alt\w*|h)"),
+    ("latitude", r"lat(itude)?"),
+    ("longitude", r"lon(g|gitude)?"),
+    ("vn", r"v_?n(orth)?|vel_?n(orth)?|north_?vel\w*"),
+    ("ve", r"v_?e(ast)?|vel_?e(ast)?|east_?vel\w*"),
+    ("vd", r"v_?d(own)?|vel_?d(own)?|down_?vel\w*"),
+    ("thrust", r"thrust"),
+    ("rho", r"rho|(air_?)?density"),
+)
+"""Flight column -> names that people give it, in lower case, without units and with one underscore between words."""
+_UNIT_IN_NAME = re.compile(
+    r"[ _\[(]+(deg[/_]?s|degps|dps|deg|rad[/_]?s|rad|m[/_]?s\^?2|m[/_]s|mps|knots|kts?|kmh|ft|psi"
+    r"|hpa|kpa|pa|degc|kg[/_]?m3|g)[\])]?$",
+    re.IGNORECASE,
+)
+_SPELT = {"deg_s": "deg/s", "degs": "deg/s", "degps": "deg/s", "rad_s": "rad/s", "rads": "rad/s", "m_s2": "m/s2", "ms2": "m/s2",
+          "m_s": "m/s", "kmh": "km/h", "kg_m3": "kg/m3", "kgm3": "kg/m3"}  # fmt: skip
+_TIME = re.compile(r"(?i)(irig_?)?(time|t|timestamp|stamp|clock|sec(onds)?)(_?(s|ms|us|ns|utc|sec))?")
+
+_GRAVITY = {"m/s2": 9.80665, "g": 1.0, "ft/s2": 32.174, "mg": 1000.0, "cm/s2": 980.665}
+_CLOSE = 0.25
+"""Of gravity, by which the median specific force of a flight may differ from it: turns, and a filter."""
+_RATE_AGREES = 0.15
+"""Of the ratio of an angle's slope and its rate to what two units make it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Guess:
+    """A proposed source. sure: whether values say the unit; evidence: for the comment."""
+
+    column: str
+    unit: str
+    evidence: str
+    sure: bool
+
+
+def plain(name: str) -> str:
+    """A name as the table of names knows them."""
+    return re.sub(r"[^a-z0-9]+", "_", _UNIT_IN_NAME.sub("", name).lower()).strip("_")
+
+
+def unit_in_name(name: str) -> str | None:
+    """The unit at the end of a name, as `deg/s` of `roll_rate_deg_s`."""
+    match = _UNIT_IN_NAME.search(name)
+    if match is None or match.start() == 0:
+        return None
+    word = match[1].lower()
+    return word if find_unit(_SPELT.get(word, word)) is not None and word not in _SPELT else _SPELT.get(word)
+
+
+def fits(unit: str, column: str) -> bool:
+    """Whether a unit is one of the quantity of a flight column."""
+    found = find_unit(unit)
+    return found is not None and found.si == COLUMN_BY_NAME[column].unit
+
+
+def meant(names: Sequence[str]) -> dict[str, list[str]]:
+    """Flight column -> names that may mean it, an exact one first."""
+    found: dict[str, list[str]] = {}
+    for name in names:
+        word = plain(name)
+        for column, pattern in _MEANT:
+            if re.fullmatch(pattern, word):
+                found.setdefault(column, []).append(name)
+                break
+    return {c: sorted(n, key=lambda x: plain(x) != c) for c, n in found.items()}
+
+
+def time_column(names: Sequence[str]) -> str | None:
+    """The column that holds time, by its name."""
+    return next((n for n in names if _TIME.fullmatch(re.sub(r"[^A-Za-z0-9]+", "_", n).strip("_"))), None)
+
+
+def time_unit(time: Array) -> tuple[str, str]:
+    """Unit of a time column and why: the one in which the rate is one that flights are logged at."""
+    step = float(np.median(np.diff(time[np.isfinite(time)]))) if np.isfinite(time).sum() > 1 else 0.0
+    for unit in ("s", "ms", "us", "ns"):
+        rate = 1.0 / (step * UNITS[unit].scale) if step > 0 else 0.0
+        if 0.9 <= rate <= 1100.0:
+            return unit, f"rows every {step:.4g}: {rate:.4g} Hz in {unit}"
+    return "s", f"UNKNOWN unit: rows every {step:.4g}"
+
+
+def unit_of(
+    column: str, names: Mapping[str, str], values: Mapping[str, Array], time: Array | None
+) -> tuple[str, str, bool]:
+    """Unit of a proposed column, why, and whether values say it. names: flight column -> its column in the table."""
+    si = COLUMN_BY_NAME[column].unit
+    x = values[names[column]]
+    known = x[np.isfinite(x)]
+    if not known.size:
+        return si, "no values", False
+    low, high = (float(v) for v in np.percentile(known, [0.5, 99.5]))
+    told = f"{low:.4g} to {high:.4g}"
+    if column in ("ax", "ay", "az"):
+        return _force_unit(names, values, told)
+    if column in ("p", "q", "r"):
+        return _rate_unit(column, names, values, time, told)
+    if si == "rad":
+        most = max(abs(low), abs(high))
+        limit = np.pi if column in ("phi", "psi") else np.pi / 2 if column in ("theta", "alpha", "beta") else 1.0
+        if most > 1.1 * limit:
+            return "deg", f"{told}: more than an angle in rad can be", True
+        return "rad", f"{told}: rad, if it moves so far; UNKNOWN where degrees would be small", False
+    return _by_range(column, si, float(np.median(known)), told)
+
+
+_RANGES: Mapping[str, tuple[tuple[str, float, float], ...]] = {
+    "p_static": (("Pa", 15e3, 110e3), ("hPa", 150, 1100), ("kPa", 15, 110), ("inHg", 4.5, 32), ("psi", 2.1, 16)),
+    "temperature": (("K", 200, 330), ("degC", -60, 55)),
+    "rho": (("kg/m3", 0.2, 1.5), ("slug/ft3", 0.0004, 0.003)),
+}
+"""Flight column -> units and the values of a median that only they allow."""
+
+
+def _by_range(column: str, si: str, median: float, told: str) -> tuple[str, str, bool]:
+    able = [unit for unit, low, high in _RANGES.get(column, ()) if low <= median <= high]
+    if len(able) == 1:
+        return able[0], f"{told}: {able[0]} by what the atmosphere allows", True
+    if able:
+        return able[0], f"{told}; UNKNOWN unit: {' or '.join(able)}", False
+    return si, f"{told}; UNKNOWN unit, taken as {si}", False
+
+
+def _force_unit(names: Mapping[str, str], values: Mapping[str, Array], told: str) -> tuple[str, str, bool]:
+    parts = [values[names[c]] for c in ("ax", "ay", "az") if c in names]
+    size = float(np.nanmedian(np.sqrt(np.sum(np.square(parts), axis=0))))
+    for unit, gravity in _GRAVITY.items():
+        if len(parts) == 3 and abs(size / gravity - 1.0) < _CLOSE:
+            return unit, f"{told}; median specific force {size:.4g}: gravity in {unit}", True
+    return "m/s2", f"{told}; UNKNOWN unit: median specific force {size:.4g} is gravity in none", False
+
+
+def _rate_unit(
+    column: str, names: Mapping[str, str], values: Mapping[str, Array], time: Array | None, told: str
+) -> tuple[str, str, bool]:
+    """By the slope of the angle that it turns: in rad/s and rad, or deg/s and deg, both are equal."""
+    angle = {"p": "phi", "q": "theta", "r": "psi"}[column]
+    rate = values[names[column]]
+    if angle in names and time is not None and time.size == rate.size and time.size > 2:
+        unit, _, _ = unit_of(angle, names, values, time)
+        scale = UNITS[unit].scale
+        turned = np.unwrap(np.nan_to_num(values[names[angle]]) * scale)
+        slope = np.gradient(turned, time)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            use = np.isfinite(rate) & np.isfinite(slope)
+            ratio = float(np.std(rate[use]) / np.std(slope[use])) if use.any() and np.std(slope[use]) > 0 else np.nan
+        for name in ("rad/s", "deg/s"):
+            if abs(ratio * UNITS[name].scale - 1.0) < 3 * _RATE_AGREES:
+                return name, f"{told}; moves as the slope of {names[angle]} in {name}", True
+    most = float(np.nanpercentile(np.abs(rate), 99))
+    return ("deg/s" if most > 8.0 else "rad/s"), f"{told}; UNKNOWN unit, by its size", False

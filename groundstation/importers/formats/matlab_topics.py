@@ -1,0 +1,99 @@
+"""MATLAB files that hold a log topic by topic, each with times of its own.
+
+Mission Planner writes of a .bin for each message a matrix `ATT` and the names of its columns `ATT_label`. Others write a struct
+for each topic, with its time in it.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.contract.channels import COLUMN_BY_NAME
+from groundstation.importers.formats.attitude import with_attitudes
+from groundstation.importers.formats.dataflash import with_velocities
+from groundstation.importers.mapping import Map, Source, built_in_map
+from groundstation.importers.series import Log, Series
+
+Array = NDArray[np.float64]
+
+_LABEL = "_label"
+_DATAFLASH_TIME = {"TimeUS": 1e-6, "TimeMS": 1e-3}
+_PX4_TIME = {"timestamp": 1e-6}
+_OWN_TIME = {"time": 1.0, "t": 1.0, "Time": 1.0, "time_s": 1.0}
+FEWEST_ROWS = 2
+
+
+def topics_of(variables: object) -> tuple[Log, Map] | None:
+    """The topics of a MATLAB file as one log with the mapping of its kind; None where the file is none of these."""
+    if not isinstance(variables, Mapping):
+        return None
+    topics = _labelled(variables) or _structs(variables)
+    if len(topics) < 2:
+        return None
+    for kind, times, base in (("dataflash", _DATAFLASH_TIME, "ardupilot"), ("ulog", _PX4_TIME, "px4")):
+        series = _series(topics, times, by_instance=kind == "dataflash")
+        if series:
+            log = Log(kind, with_attitudes(series))
+            return with_velocities(log), built_in_map(base)
+    series = _series(topics, _OWN_TIME, by_instance=False)
+    lengths = {s.time.size for s in series.values()}
+    if len(lengths) < 2:
+        return None  # of one length: records or parts of one, which the other reader knows
+    return Log("table", series, notes=(f"{len(topics)} topics with times of their own, joined on time",)), _by_name(
+        series
+    )
+
+
+def _labelled(variables: Mapping[str, Any]) -> dict[str, dict[str, Array]]:
+    """Topic -> column -> values, of matrices with their labels beside them."""
+    out = {}
+    for name, table in variables.items():
+        labels = variables.get(f"{name}{_LABEL}")
+        if not isinstance(table, np.ndarray) or table.ndim != 2 or not isinstance(labels, list):
+            continue
+        words = [str(w).strip() for w in labels]
+        if table.shape[1] == len(words) and table.shape[0] >= FEWEST_ROWS:
+            out[name] = {word: np.asarray(table[:, i], float) for i, word in enumerate(words)}
+    return out
+
+
+def _structs(variables: Mapping[str, Any]) -> dict[str, dict[str, Array]]:
+    """The same of structs of vectors."""
+    out = {}
+    for name, content in variables.items():
+        if isinstance(content, Mapping):
+            fields = {n: np.ravel(v).astype(float) for n, v in content.items() if isinstance(v, np.ndarray)}
+            if fields and len({v.size for v in fields.values()}) == 1:
+                out[name] = fields
+    return out
+
+
+def _series(
+    topics: Mapping[str, Mapping[str, Array]], times: Mapping[str, float], *, by_instance: bool
+) -> dict[str, Series]:
+    """Series 'TOPIC.field', further instances by a field I as 'TOPIC[1].field', of the topics that have one of the times."""
+    out: dict[str, Series] = {}
+    for topic, fields in topics.items():
+        stamp = next((t for t in times if t in fields), None)
+        if stamp is None:
+            continue
+        time = fields[stamp] * times[stamp]
+        which = fields["I"] if by_instance and "I" in fields else np.zeros(time.size)
+        numbers = np.unique(which[np.isfinite(which)])[:256]
+        for number in numbers:
+            rows = which == number
+            head = topic if number == numbers[0] else f"{topic}[{number:g}]"
+            out |= {f"{head}.{n}": Series(time[rows], v[rows]) for n, v in fields.items() if n != stamp}
+    return out
+
+
+def _by_name(series: Mapping[str, Series]) -> Map:
+    """A mapping of the fields that are called as flight columns, each in SI."""
+    columns: dict[str, tuple[Source, ...]] = {}
+    for name in series:
+        bare = name.rpartition(".")[2]
+        if bare in COLUMN_BY_NAME and bare not in columns:
+            columns[bare] = (Source(column=name, unit=COLUMN_BY_NAME[bare].unit),)
+    return Map(format=1, columns=columns)

@@ -1,0 +1,306 @@
+"""The time of a table's rows: numbers of a unit, dates, times of day, IRIG time, day numbers; and clocks that were set back.
+
+IRIG 200-04: day of the year, hours, minutes and seconds as DDD:HH:MM:SS.mmm.
+"""
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq.contract.plain_words import listed, one_line
+from groundstation.importers.errors import ImportDataError
+from groundstation.importers.mapping import Time
+from groundstation.importers.units import find_unit
+
+Array = NDArray[np.float64]
+
+DAY = 86400.0
+APART = 1.0
+"""Time [s] put between records of one file whose clock begins anew, or was set back."""
+SHORTEST_RUN = 8
+"""Rows between two falls of a clock that was set; shorter runs are rows out of order."""
+EXCEL_DAYS, MATLAB_DAYS = (30_000.0, 80_000.0), (700_000.0, 800_000.0)
+"""Numbers of days of 1982-2119: of Excel since 1899-12-30, of MATLAB's datenum since the year 0."""
+
+_CLOCK = re.compile(r"(?:(\d{1,3}):)?(\d{1,2}):(\d{2}):(\d{2}(?:[.,:]\d*)?)")
+"""Time of day, with the day of the year before it in IRIG time."""
+
+
+@dataclass(frozen=True)
+class Stamps:
+    """seconds: (N,) of the rows, NaN where there is none; record: (N,) number of the record each row is of, None for one record;
+    notes; origin: what the file's clock showed at 0 [s]."""
+
+    seconds: Array
+    record: Array | None = None
+    notes: tuple[str, ...] = ()
+    origin: float = 0.0
+
+
+def stamps_of(
+    path: Path,
+    numeric: Mapping[str, Array],
+    words: Mapping[str, Sequence[str]],
+    dates: Mapping[str, Array],
+    time: Time,
+) -> Stamps:
+    """Seconds of each row. numeric: columns of numbers (N,), dates: of moments (N,) [s], words: cells of those of text.
+
+    Raises ImportDataError naming column and cell for a time that cannot be read.
+    """
+    found = _read(path, numeric, words, dates, time)
+    found = replace(found, seconds=found.seconds + time.offset)
+    if time.restarts:
+        if not (np.diff(found.seconds) <= 0).any():
+            raise ImportDataError(f"{path}: restarts = true, but time never begins anew")
+        return _in_a_row(found, np.diff(found.seconds) <= 0)
+    return _set_back(found)
+
+
+def _read(
+    path: Path,
+    numeric: Mapping[str, Array],
+    words: Mapping[str, Sequence[str]],
+    dates: Mapping[str, Array],
+    time: Time,
+) -> Stamps:
+    name = time.column
+    if name is None:
+        rows = len(next(iter(numeric.values()), np.zeros(0)))
+        return Stamps(np.arange(rows) / float(time.rate_hz or 1.0))
+    if name in dates:
+        return Stamps(dates[name])
+    if name in words:
+        return _of_words(path, name, words[name], words.get(time.date or "", ()), time)
+    if name not in numeric:
+        raise ImportDataError(
+            f"{path}: no column {name!r} for the time; found {listed([*numeric, *words, *dates], 12)}"
+        )
+    if time.unit == "iso":
+        raise ImportDataError(f"{path}: time column {name!r} is a number, not a date; state its unit instead of iso")
+    return _of_numbers(path, name, numeric[name], time)
+
+
+# ------------------------------------------------------------------------------------------------------------- numbers
+
+
+def _of_numbers(path: Path, name: str, values: Array, time: Time) -> Stamps:
+    unit = find_unit(time.unit)
+    if unit is None or unit.si != "s":
+        raise ImportDataError(f"{path}: time unit {time.unit!r} is not known; s, ms, us, ns, min, h, days or iso")
+    if not np.isfinite(values).any():
+        raise ImportDataError(f"{path}: time column {name!r} holds no number")
+    epoch = _epoch(values)
+    if epoch and unit.scale in (60.0, 3600.0):
+        raise ImportDataError(
+            f"{path}: time column {name!r} runs from {np.nanmin(values):.6f} to {np.nanmax(values):.6f}, which are days {epoch}, "
+            f'not {time.unit}; say so in a mapping file: [time] unit = "days"'
+        )
+    # large stamps (us since 1970, days since 1899) lose digits as seconds in double precision: count from the first
+    first = np.nanmin(values) if unit.scale != 1 and np.nanmin(values) * unit.scale > 1e6 else 0.0
+    seconds = np.asarray((values - first) * unit.scale)
+    if unit.scale == DAY:
+        evened = _evened(seconds)
+        said = [f"time column {name}: days {epoch}" if epoch else f"time column {name}: days"]
+        said += ["its stamps are coarse, and were put on even times"] if evened is not None else []
+        return Stamps(seconds if evened is None else evened, notes=tuple(said), origin=float(first * unit.scale))
+    spread = _spread(seconds)
+    if spread is not None:
+        return Stamps(
+            spread, notes=(f"time column {name} has whole seconds only: its rows were spread over each second",)
+        )
+    return Stamps(seconds, origin=float(first * unit.scale))
+
+
+def _epoch(values: Array) -> str:
+    """Since when values count days, if they look like it: not whole ones, of this age, within two days."""
+    low, high = float(np.nanmin(values)), float(np.nanmax(values))
+    if high - low > 2.0 or not np.any(values % 1.0):
+        return ""
+    for (first, last), words in ((EXCEL_DAYS, "since 1899-12-30 (Excel)"), (MATLAB_DAYS, "since the year 0 (MATLAB)")):
+        if first < low and high < last:
+            return words
+    return ""
+
+
+def _evened(seconds: Array) -> Array | None:
+    """Even times that stamps with few digits stand for; None where they are as fine as they are, or not even."""
+    steps = np.diff(seconds)
+    if seconds.size < 10 or not np.all(steps > 0):
+        return None
+    kinds = np.unique(np.round(steps, 6))
+    if kinds.size > 4:
+        return None
+    quantum = float(np.min(np.diff(kinds))) if kinds.size > 1 else 0.0
+    row = np.arange(seconds.size)
+    step = (seconds[-1] - seconds[0]) / (seconds.size - 1)
+    even = seconds[0] + step * row
+    even = even + float(np.median(seconds - even))
+    return even if np.max(np.abs(seconds - even)) <= 1.1 * quantum else None
+
+
+def _spread(seconds: Array) -> Array | None:
+    """Rows of one whole second spread over it, in their order; None where stamps are no whole seconds or hardly repeat.
+
+    The first and the last second are as a rule not whole: their rows lie at its end, and at its beginning.
+    """
+    if seconds.size < 10 or not np.all(np.isfinite(seconds)) or np.any(seconds % 1.0) or np.any(np.diff(seconds) < 0):
+        return None
+    begins = np.flatnonzero(np.concatenate([[True], np.diff(seconds) > 0]))
+    counts = np.diff(np.append(begins, seconds.size))
+    if counts.size < 3 or np.median(counts) < 2:
+        return None
+    usual = float(np.median(counts[1:-1]))
+    within = np.arange(seconds.size) - np.repeat(begins, counts)
+    per = np.maximum(np.repeat(counts, counts), usual)
+    out = seconds + within / per
+    missing = max(usual - counts[0], 0.0)
+    out[: counts[0]] += missing / usual
+    return np.asarray(out)
+
+
+# --------------------------------------------------------------------------------------------------------------- words
+
+
+def _of_words(path: Path, name: str, cells: Sequence[str], days: Sequence[str], time: Time) -> Stamps:
+    first = next((c for c in cells if c), "")
+    if _CLOCK.fullmatch(first):
+        return _clocks(path, name, cells, days)
+    if time.unit != "iso" and not _is_date(first):
+        bad = next((c for c in cells if c and not _is_number(c)), first)
+        raise ImportDataError(
+            f'{path}: time column {name!r} holds {one_line(bad, 60)!r}, not a number; dates need unit = "iso"'
+        )
+    return _dates(path, name, cells)
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
+
+
+def _is_date(cell: str) -> bool:
+    try:
+        datetime.fromisoformat(cell)
+    except ValueError:
+        return False
+    return not cell.isdigit()
+
+
+def _dates(path: Path, name: str, cells: Sequence[str]) -> Stamps:
+    stamps = []
+    for cell in cells:
+        try:
+            stamps.append(datetime.fromisoformat(cell))
+        except ValueError:
+            raise ImportDataError(
+                f"{path}: time column {name!r}: {one_line(cell, 60)!r} is not a date like 2026-11-21T03:15:00.25"
+            ) from None
+    if not stamps:
+        raise ImportDataError(f"{path}: time column {name!r} is empty")
+    zoned = [s.tzinfo is not None for s in stamps]
+    if any(zoned) and not all(zoned):
+        with_zone, without = zoned.index(True), zoned.index(False)
+        raise ImportDataError(
+            f"{path}: time column {name!r}: row {without + 1} ({one_line(cells[without], 40)}) has no time zone, row "
+            f"{with_zone + 1} ({one_line(cells[with_zone], 40)}) has one; write the same in all rows"
+        )
+    since = datetime(1970, 1, 1, tzinfo=UTC if zoned[0] else None)
+    return Stamps(
+        np.array([(s - stamps[0]).total_seconds() for s in stamps]), origin=(stamps[0] - since).total_seconds()
+    )
+
+
+def _clocks(path: Path, name: str, cells: Sequence[str], days: Sequence[str]) -> Stamps:
+    """Times of day, with the day of the year before them (IRIG) or a column of dates beside; midnight is passed."""
+    out = np.full(len(cells), np.nan)
+    irig = False
+    for i, cell in enumerate(cells):
+        match = _CLOCK.fullmatch(cell)
+        if match is None and cell:
+            raise ImportDataError(
+                f"{path}: time column {name!r}: {one_line(cell, 60)!r} is not a time like 13:05:01.25 or 123:13:05:01.250"
+            )
+        if match is not None:
+            irig = irig or match[1] is not None
+            second = float(match[4].replace(",", ".").replace(":", "."))
+            out[i] = DAY * float(match[1] or 0) + 3600.0 * float(match[2]) + 60.0 * float(match[3]) + second
+    if days and not irig:
+        out = out + DAY * _day_numbers(days)
+    else:
+        falls = np.diff(np.where(np.isfinite(out), out, 0.0)) < -0.5 * DAY
+        out = out + (DAY if not irig else 0.0) * np.concatenate([[0.0], np.cumsum(falls)])
+    first = np.nanmin(out) if np.isfinite(out).any() else 0.0
+    words = "IRIG time (day of the year first)" if irig else "time of day" + (" and a column of dates" if days else "")
+    return Stamps(out - first, notes=(f"time column {name}: {words}, counted from the first",), origin=float(first))
+
+
+def _day_numbers(days: Sequence[str]) -> Array:
+    """Day of each row after the first: by the calendar where dates are ISO's, else a day later wherever the date changes."""
+    try:
+        return np.array([float(datetime.fromisoformat(d.replace("/", "-")).toordinal()) for d in days])
+    except ValueError:
+        changed = [0.0, *(float(a != b) for a, b in zip(days[:-1], days[1:], strict=True))]
+        return np.cumsum(changed)
+
+
+# ------------------------------------------------------------------------------------------------------ clocks set back
+
+
+def _set_back(found: Stamps) -> Stamps:
+    """Where the clock falls back between two long runs of rows and goes over times that it has shown, a record of its own begins:
+    such rows are not sorted into one another. Runs that lie apart are rows in another order, which sorting mends."""
+    seconds = found.seconds
+    if not np.all(np.isfinite(seconds)):
+        return found
+    falls = np.diff(seconds) < 0
+    edges = [0, *(np.flatnonzero(falls) + 1).tolist(), seconds.size]
+    runs = list(zip(edges[:-1], edges[1:], strict=True))
+    if len(runs) < 2 or min(b - a for a, b in runs) < SHORTEST_RUN:
+        return found
+    overlap = any(seconds[b - 1] >= seconds[a0] for (a0, _), (a, b) in zip(runs[:-1], runs[1:], strict=True))
+    if not overlap:
+        return found
+    first = runs[1][0]
+    text = (
+        f"the clock falls back by {seconds[first - 1] - seconds[first]:.4g} s after row {first} (t = {seconds[first - 1]:.4g} s)"
+        f"{f', and {len(runs) - 2} times more' if len(runs) > 2 else ''}: what follows is a record of its own"
+    )
+    return _in_a_row(replace(found, notes=(*found.notes, text)), falls)
+
+
+def _in_a_row(found: Stamps, anew: NDArray[np.bool_]) -> Stamps:
+    """Records one after the other in time, APART, and the number of each. anew: (N-1,) where one begins."""
+    number = np.concatenate([[0.0], np.cumsum(anew)])
+    step = np.diff(found.seconds)
+    shift = np.concatenate([[0.0], np.cumsum(np.where(anew, APART - step, 0.0))])
+    return replace(found, seconds=found.seconds + shift, record=number)
+
+
+SENTINELS = (-9999.0, -999.0, -99999.0, -9999.99, -999.99, -32768.0, 9999.0, 99999.0, 1e20, -1e20)
+"""Numbers that programs write where there is none."""
+FAR = 5.0
+"""Times as large as everything else in a column, from which such a number is none of its values."""
+
+
+def without_sentinels(columns: Mapping[str, Array], shown: Callable[[str], str]) -> tuple[dict[str, Array], list[str]]:
+    """The columns with NaN for numbers that stand for none, and notes on them."""
+    out, notes = dict(columns), []
+    for name, values in columns.items():
+        for number in SENTINELS:
+            hit = values == number
+            if not hit.any():
+                continue
+            rest = values[np.isfinite(values) & ~hit]
+            if rest.size >= 3 and FAR * float(np.max(np.abs(rest))) < abs(number):
+                out[name] = np.where(hit, np.nan, out[name])
+                notes.append(f"column {shown(name)}: {int(hit.sum())} cells of {number:g} taken as not measured")
+    return out, notes

@@ -1,0 +1,184 @@
+"""Who may look: every request to a port of the view is held against its Host, its Origin and, where there is one, the token.
+
+A page of another site whose name was made to lead to this computer ("rebound") asks with that name as Host, and is refused;
+what it reads is therefore nothing. Native viewers speak HTTP/2 without encryption, which no browser does: they are let
+through on loopback, where anybody who can log in could look anyway. Connections are limited in number and in idleness.
+"""
+
+import contextlib
+import hmac
+import secrets
+import select
+import socket
+import socketserver
+import sys
+import threading
+from collections.abc import Mapping
+from http import HTTPStatus
+
+LOOPBACK = "127.0.0.1"
+HERE = frozenset({"127.0.0.1", "localhost", "::1"})
+"""Names of this computer that a page of it can be asked by."""
+
+MOST_CONNECTIONS = 64
+HEAD_S = 5.0  # in which a request's head has to have come
+IDLE_S = 600.0  # without a byte in either direction
+LONGEST_HEAD = 16384
+_BLOCK = 1 << 16
+_BACKLOG = 128
+_HTTP2 = b"PRI * HTTP/2.0\r\n\r\n"
+COOKIE = "sideslip"
+
+
+def hidden_address() -> str:
+    """An address of this computer's loopback that a page of another site cannot know; the usual one where there is but that."""
+    if sys.platform != "linux":
+        return LOOPBACK
+    return f"127.{secrets.randbelow(254) + 1}.{secrets.randbelow(254) + 1}.{secrets.randbelow(253) + 2}"
+
+
+def host_of(header: str) -> str:
+    """The name in a Host or Origin, in small letters, without scheme, port and brackets."""
+    name = header.strip().lower().rpartition("//")[2]
+    if name.startswith("["):
+        return name[1:].partition("]")[0]
+    return name.partition(":")[0]
+
+
+def refusal(
+    headers: Mapping[str, str], known: frozenset[str], token: str, *, tokens: tuple[str, ...] = ()
+) -> HTTPStatus | None:
+    """Why a request is not answered; None where it is. headers: by their names in small letters. known: names that this
+    server goes by; with a token any, for a strange name has no token. tokens: those that the request shows besides its cookie."""
+    host, origin = headers.get("host", ""), headers.get("origin", "null")
+    if not token and host_of(host) not in known:
+        return HTTPStatus.MISDIRECTED_REQUEST
+    if origin != "null" and host_of(origin) not in (known if not token else {host_of(host)}):
+        return HTTPStatus.FORBIDDEN
+    shown = [*tokens, *_cookies(headers.get("cookie", ""))]
+    if token and not any(hmac.compare_digest(token.encode(), word.encode("utf-8", "replace")) for word in shown):
+        return HTTPStatus.FORBIDDEN
+    return None
+
+
+def _cookies(header: str) -> list[str]:
+    pairs = (part.strip().partition("=") for part in header.split(";"))
+    return [value for name, _, value in pairs if name == COOKIE]
+
+
+class BoundedServer(socketserver.ThreadingTCPServer):
+    """A server with a thread a connection, as many as MOST_CONNECTIONS at once; what comes beyond is closed at once."""
+
+    daemon_threads = True
+    allow_reuse_address = True
+    request_queue_size = _BACKLOG
+
+    def __init__(self, address: tuple[str, int], handler: type[socketserver.BaseRequestHandler]) -> None:
+        self._room = threading.BoundedSemaphore(MOST_CONNECTIONS)
+        super().__init__(address, handler)
+
+    def process_request(self, request: socket.socket | tuple[bytes, socket.socket], client_address: object) -> None:
+        """Serve, or close where there are too many."""
+        if not self._room.acquire(blocking=False):
+            self.shutdown_request(request)
+            return
+        super().process_request(request, client_address)  # type: ignore[arg-type]
+
+    def process_request_thread(
+        self, request: socket.socket | tuple[bytes, socket.socket], client_address: object
+    ) -> None:
+        """In the connection's thread."""
+        try:
+            super().process_request_thread(request, client_address)  # type: ignore[arg-type]
+        finally:
+            self._room.release()
+
+    def handle_error(self, request: object, client_address: object) -> None:
+        """A connection that breaks is no news."""
+
+
+def pump(one: socket.socket, other: socket.socket, idle_s: float = IDLE_S) -> None:
+    """Pass bytes on in both directions until one side ends, or nothing comes for too long."""
+    to = {one: other, other: one}
+    for side in to:
+        side.settimeout(HEAD_S)
+    while True:
+        ready, _, _ = select.select(list(to), [], [], idle_s)
+        if not ready:
+            return
+        for side in ready:
+            data = side.recv(_BLOCK)
+            if not data:
+                return
+            to[side].sendall(data)
+
+
+class Gate:
+    """In front of rerun's own server of a live view, on loopback. backend: where that listens. Raises OSError."""
+
+    def __init__(self, port: int, backend: tuple[str, int]) -> None:
+        class Handler(_Passing):
+            behind = backend
+
+        self._server = BoundedServer((LOOPBACK, port), Handler)
+        self._thread = threading.Thread(target=self._server.serve_forever, args=(0.1,), name="viewer-gate", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Let nobody in any more."""
+        self._server.shutdown()
+        self._server.server_close()
+        self._thread.join()
+
+
+class _Passing(socketserver.BaseRequestHandler):
+    """One connection: its first request decides."""
+
+    behind = ("", 0)
+
+    def handle(self) -> None:
+        client: socket.socket = self.request
+        with contextlib.suppress(OSError, TimeoutError):
+            head = _head(client)
+            if head is None:
+                return
+            if not head.startswith(_HTTP2):
+                why = refusal(_headers(head), HERE, "")
+                if why is not None:
+                    said = (f"HTTP/1.1 {why.value} {why.phrase}", "Content-Length: 0", "Connection: close", "", "")
+                    client.sendall("\r\n".join(said).encode())
+                    return
+                head = once(head)
+            with socket.create_connection(self.behind, HEAD_S) as server:
+                server.sendall(head)
+                pump(client, server)
+
+
+def once(head: bytes) -> bytes:
+    """The head of a request (with what follows it) that lets no second request follow on the same connection: only the first
+    was looked at."""
+    lines, body = head.partition(b"\r\n\r\n")[::2]
+    kept = [line for line in lines.split(b"\r\n") if not line.lower().startswith((b"connection:", b"upgrade:"))]
+    return b"\r\n".join([*kept, b"Connection: close"]) + b"\r\n\r\n" + body
+
+
+def _head(client: socket.socket) -> bytes | None:
+    """The bytes of a connection up to the end of the first head, and what came with it; None where that does not come."""
+    client.settimeout(HEAD_S)
+    data = b""
+    while b"\r\n\r\n" not in data:
+        piece = client.recv(4096)
+        data += piece
+        if not piece or len(data) > LONGEST_HEAD:
+            return None
+    return data
+
+
+def _headers(head: bytes) -> dict[str, str]:
+    """Headers by their names in small letters; of one that comes twice nothing is believed."""
+    found: dict[str, str] = {}
+    for line in head.partition(b"\r\n\r\n")[0].decode("latin-1").split("\r\n")[1:]:
+        name, _, value = line.partition(":")
+        key = name.strip().lower()
+        found[key] = "," if key in found else value.strip()
+    return found

@@ -1,0 +1,43 @@
+"""The verb `analyse`: from logs to one page, each stage kept so that a rerun does what has changed and no more."""
+
+from pathlib import Path
+
+import click
+
+from daq.contract.outputs import tried_folder
+
+EXAMPLE = "Example: sideslip analyse log.bin --map surfaces.toml --aircraft plane.toml -o analysis"
+_PATH = click.Path(path_type=Path)
+
+
+@click.command(epilog=EXAMPLE)
+@click.argument("logs", nargs=-1, required=True, type=_PATH, metavar="LOG...")
+@click.option("--aircraft", help="Built-in aircraft or an AIRCRAFT.toml; without one: what can be said all the same.")
+@click.option("--map", "mapping", type=_PATH, help="Mapping file, as of 'sideslip import'.")
+@click.option(
+    "--holdout", multiple=True, type=_PATH, metavar="LOG", help="A log kept out of every fit; may be repeated."
+)
+@click.option(
+    "-o",
+    "--output",
+    type=_PATH,
+    required=True,
+    callback=tried_folder,
+    help="Folder for index.html, answer.json and stages.",
+)
+def analyse(
+    logs: tuple[Path, ...], aircraft: str | None, mapping: Path | None, holdout: tuple[Path, ...], output: Path
+) -> int:
+    """From LOGs to an answer: import, contradictions, stretches, air data, the richest model, estimate, gap and one page."""
+    from estimation.commands.progress import Progress
+    from sideslip import analysis
+
+    with Progress("analysing") as progress:
+        answer = analysis.analyse(logs, aircraft, mapping, holdout, output, progress)
+    for line in answer.lines():
+        click.echo(line)
+    done = ", ".join(answer.repeated)
+    click.echo(
+        f"page: {output / 'index.html'}" + (f" (done in this run: {done})" if done else " (nothing had changed)")
+    )
+    return 0 if answer.passed else 1

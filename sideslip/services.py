@@ -1,0 +1,33 @@
+"""What the verbs of the ground station are given: aircraft files, recipes and estimates, each imported when it is used."""
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from groundstation.cli.services import Advice, Services
+
+if TYPE_CHECKING:
+    from groundstation.flight import Flight
+    from groundstation.identification.aircraft import LiveAircraft
+
+
+def _aircraft(name: str, text: str | None = None, model: str = "") -> "LiveAircraft":
+    from sideslip.live_aircraft import live_aircraft
+
+    return live_aircraft(name, text, model)
+
+
+def _recipe(flight: "Flight") -> Advice:
+    from estimation.session.recipe import recipe
+
+    return recipe(flight)
+
+
+def _estimate(flights: Sequence[Path], model: str, methods: str, report: Path) -> Iterable[str]:
+    from estimation.answers.estimates import estimate
+
+    answer = estimate(flights, model, methods)
+    return [*answer.lines(), f"report: {answer.report(report)}"]
+
+
+SERVICES = Services(_aircraft, _recipe, _estimate)
