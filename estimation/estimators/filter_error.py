@@ -25,6 +25,7 @@ from estimation.engine.simulate import Simulator
 from estimation.engine.trace import trace
 from estimation.estimators.frequency_domain.linearised import matrices
 from estimation.estimators.gauss_newton import LoopOptions, Status, minimise
+from estimation.estimators.input_path import in_own_terms, with_paths, without
 from estimation.estimators.kalman_gain import GainLaw, gain_law
 from estimation.estimators.likelihood import OutputErrorProblem
 from estimation.estimators.output_error import (
@@ -143,6 +144,11 @@ def filter_error(
     """
     chosen = load_model(model).with_starts(start or {})
     chosen, data = compared(chosen, prepared(chosen, flights, options.preparation))
+    return in_own_terms(_by_free_gain(with_paths(chosen, data), data, options), chosen)
+
+
+def _by_free_gain(chosen: Model, data: list[FlightData], options: OutputErrorOptions) -> Result:
+    """The fit with a gain of its own, of a model that has its unknowns of the inputs."""
     first = output_error(chosen, data, options=options)
     if first.status is Status.DIVERGED:
         return first.with_method("fem")
@@ -186,10 +192,11 @@ def process_noise_error(
     """
     chosen = load_model(model).with_starts(start or {})
     chosen, data = compared(chosen, prepared(chosen, flights, options.preparation))
-    first = output_error(chosen, data, options=options)
+    full = with_paths(chosen, data)
+    first = output_error(full, data, options=options)
     if first.status is Status.DIVERGED:
-        return first.with_method("fem-noise")
-    return _by_process_noise(chosen, data, first, options)
+        return in_own_terms(first.with_method("fem-noise"), chosen)
+    return in_own_terms(_by_process_noise(full, data, first, options), chosen)
 
 
 def _by_process_noise(chosen: Model, data: list[FlightData], first: Result, options: OutputErrorOptions) -> Result:
@@ -223,7 +230,7 @@ def _by_process_noise(chosen: Model, data: list[FlightData], first: Result, opti
         s: dict(zip(chosen.output_names, row.tolist(), strict=True))
         for s, row in zip(chosen.state_names, K, strict=True)
     }
-    return _without(last, chosen, set(names), {"gain": gain, "process_noise": sizes})
+    return without(last, chosen, set(names), {"gain": gain, "process_noise": sizes})
 
 
 def _white_noise(model: Model, data: Sequence[FlightData], first: Result) -> Array:
@@ -268,28 +275,4 @@ def _without_gains(result: Result, model: Model, names: list[list[str]]) -> Resu
         state: {o: result.parameters[n].estimate for o, n in zip(model.output_names, row, strict=True) if n}
         for state, row in zip(model.state_names, names, strict=True)
     }
-    return _without(result, model, {n for row in names for n in row if n}, {"gain": gain})
-
-
-def _without(result: Result, model: Model, gain_names: set[str], extra: Mapping[str, Any]) -> Result:
-    """The result in terms of the model's own parameters; what else was estimated goes into `extra`."""
-    keep = np.array([i for i, n in enumerate(result.names) if n not in gain_names])
-    parameters = {n: e for n, e in result.parameters.items() if n not in gain_names}
-    blind = [n for n, e in parameters.items() if not e.identifiable]
-    status, text = result.status, result.text
-    if status in (Status.CONVERGED, Status.NOT_IDENTIFIABLE):
-        status = Status.NOT_IDENTIFIABLE if blind else Status.CONVERGED
-        text = status.value + (f": {', '.join(blind)}" if blind else "")
-    pick = np.ix_(keep, keep)
-    return replace(
-        result,
-        model=model,
-        status=status,
-        text=text,
-        names=tuple(n for n in result.names if n not in gain_names),
-        parameters=parameters,
-        covariance=result.covariance[pick],
-        covariance_coloured=result.covariance_coloured[pick],
-        collinear=tuple(c for c in result.collinear if not gain_names & {c[0], c[1]}),
-        extra={**result.extra, **extra},
-    )
+    return without(result, model, {n for row in names for n in row if n}, {"gain": gain})
