@@ -16,7 +16,7 @@ from estimation.models.base import Model
 
 FEWEST_EDGES = 4  # from which the scatter of a share says something: four at random are as alike in one of fifty
 ALIKE = 0.2  # scatter of the share over its mean; 0.58 where edges come at any time of an interval
-FAST = 0.3  # share of the way within one interval from which the way between samples matters
+FAST = 0.15  # share of the way within one interval from which the way between samples matters
 LARGE = 0.3  # of the largest edge of a control: smaller ones are steering, not an input made on purpose
 REST = 0.05  # of an edge: a control that moves less was at rest before it
 NOISY = 8.0  # noise levels that an edge has to stand out by

@@ -57,10 +57,20 @@ def with_paths(model: Model, flights: Sequence[FlightData]) -> Model:
     size = float(np.hypot(SERVO, INTERVALS * step))
     if not model.free_names:
         return model
-    busy = {t.input for t in model.transforms if t.kind in ("delay", "lag", "bend")}
-    for name in clocked_controls(model, flights):
-        if name in busy:  # the model says itself how that surface follows
-            continue
+    busy = {t.input for t in model.transforms if t.kind in ("delay", "lag", "bend")}  # the model says itself how it follows
+    return _with_unknowns(model, [n for n in clocked_controls(model, flights) if n not in busy], size)
+
+
+def at_paths_of(model: Model, result: Result) -> Model:
+    """The model with the ways of the surfaces that a result found, as fixed numbers; itself where it found none."""
+    paths: Mapping[str, InputPath] = result.extra.get("inputs", {})
+    values = path_values(result)
+    return _with_unknowns(model, list(paths), SERVO).fixed(**values) if values else model
+
+
+def _with_unknowns(model: Model, controls: Sequence[str], size: float) -> Model:
+    """size: s, of the prior of a delay."""
+    for name in controls:
         lag, bend = PREFIX["lag"] + name, PREFIX["bend"] + name
         model = model.plus(
             parameters=[
