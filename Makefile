@@ -5,6 +5,7 @@ BIN     = $(VENV)/bin
 STAMP   = $(VENV)/.installed
 OUT    ?= demo
 CUTS   ?= 10
+MINUTES ?= 60
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
@@ -12,7 +13,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK = 1
 # Hundreds of processes are started by the tests; without bytecode each would compile all that it imports.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test test-all lint bench bench-gap rig study format clean setup
+.PHONY: demo test test-all lint bench bench-gap rig torture study format clean setup
 
 demo: $(STAMP)
 	$(BIN)/sideslip demo --out $(OUT)
@@ -40,6 +41,10 @@ bench-gap: $(STAMP)
 # A booted Debian in QEMU, with its plug in our hand: docs/rig.md. Root; skips with its reason where something is missing.
 rig: $(STAMP)
 	$(BIN)/python -m tests.rig --cuts $(CUTS)
+
+# Fuzz, kills, full disks, two at once, soak: docs/threat-model.md has the last table.
+torture: $(STAMP)
+	$(BIN)/python -m tests.torture --minutes $(MINUTES)
 
 study: $(STAMP)
 	$(BIN)/pytest -q -m study

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from sideslip.api import (
+        analyse,
         check,
         design,
         estimate,
@@ -40,8 +41,8 @@ _HOMES = {
 }
 _RENAMED = {"frequency_response": "frequency"}
 __all__ = [
-    "Flown", "calibrate", "check", "design", "estimate", "fly_scenario", "frequency", "frequency_response", "gap",
-    "import_log", "info", "main", "match", "open", "performance", "reconstruct", "recover",
+    "Flown", "analyse", "calibrate", "check", "design", "estimate", "fly_scenario", "frequency", "frequency_response",
+    "gap", "import_log", "info", "main", "match", "open", "performance", "reconstruct", "recover",
     "simulate", "software_version", "verify", "watch",
 ]  # fmt: skip
 

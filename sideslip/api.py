@@ -38,6 +38,7 @@ from estimation.answers.performances import Performance
 from estimation.answers.reconstruction import Reconstruction
 from estimation.answers.responses import Response
 from estimation.answers.watching import Watching
+from sideslip import analysis
 
 if TYPE_CHECKING:
     from estimation.resolve import AnyAircraft, AnyModel
@@ -45,8 +46,8 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Answer", "Check", "DesignAnswer", "Estimates", "Figures", "GapAnswer", "Match", "Performance", "Reconstruction", "Response",
-    "Watching", "check", "design", "estimate", "frequency", "gap", "import_log", "match", "open", "performance",
-    "reconstruct", "simulate", "watch",
+    "Watching", "analyse", "check", "design", "estimate", "frequency", "gap", "import_log", "match", "open",
+    "performance", "reconstruct", "simulate", "watch",
 ]  # fmt: skip
 
 P = ParamSpec("P")
@@ -89,6 +90,7 @@ frequency = _opening(responses.frequency)
 performance = _opening(performances.performance)
 reconstruct = _opening(reconstruction.reconstruct)
 design = designs.design
+analyse = analysis.analyse
 
 
 def import_log(

@@ -11,7 +11,10 @@ from daq.contract.outputs import tried_file, tried_folder, tried_picture
 Decorated = TypeVar("Decorated", bound=Callable[..., Any] | click.Command)
 Option = Callable[[Decorated], Decorated]
 
-STRETCHES = "Use only these stretches, each with initial states of its own: 2:12,15:25 [s], mode:MANUAL, 'V > 12 and abs(phi) < 0.5'."
+STRETCHES = (
+    "Use only these stretches, each with initial states of its own: 2:12,15:25 [s], mode:MANUAL, "
+    "'V > 12 and abs(phi) < 0.5'."
+)
 _PATH = click.Path(path_type=Path)
 
 

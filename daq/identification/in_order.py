@@ -13,6 +13,9 @@ from dataclasses import dataclass
 from daq.identification.airframe import Airframe, Sample
 from daq.identification.live import LiveEstimates, LiveEstimator
 
+HORIZON = 900.0
+"""How late [s] a sample may come and still be worked in; samples and copies older than that are forgotten, so that an hour of
+flight takes no more memory than a quarter of it. Backfill of what the radio lost comes within a minute or two."""
 COPY_EVERY = 30.0  # s between two kept copies (some 50 kB each)
 
 
@@ -34,10 +37,15 @@ class OrderedEstimator:
         self._copies: list[tuple[float, LiveEstimator]] = []  # time of the last sample in it
         self._estimator = LiveEstimator(airframe)
         self._rework: _Rework | None = None
+        self._forgotten = -math.inf  # time up to which samples are in the oldest copy only
+        self.too_late = 0
 
     def add(self, sample: Sample) -> None:
         """One sample; in order it counts at once, late it waits for `work`."""
         if not math.isfinite(sample.time):
+            return
+        if sample.time <= self._forgotten:
+            self.too_late += 1
             return
         if not self._times or sample.time > self._times[-1]:
             self._samples.append(sample)
@@ -45,6 +53,7 @@ class OrderedEstimator:
             self._estimator.add(sample)
             if self._rework is None:
                 self._keep_copy(sample.time, self._estimator)
+                self._forget(sample.time - HORIZON)
             return
         at = bisect_left(self._times, sample.time)
         if self._times[at] == sample.time:
@@ -56,6 +65,9 @@ class OrderedEstimator:
 
     def revise(self, sample: Sample) -> None:
         """One sample, in place of that of the same time if there is one: a late scan changes what its neighbours measured."""
+        if sample.time <= self._forgotten:
+            self.too_late += 1
+            return
         at = bisect_left(self._times, sample.time)
         if at == len(self._times) or self._times[at] != sample.time:
             self.add(sample)
@@ -102,6 +114,17 @@ class OrderedEstimator:
             self._rework = _Rework(LiveEstimator(self._airframe), 0)
 
     def _keep_copy(self, time: float, estimator: LiveEstimator) -> None:
-        since = self._copies[-1][0] if self._copies else self._times[0]
+        since = self._copies[-1][0] if self._copies else self._times[0] if self._times else time
         if time - since >= COPY_EVERY:
             self._copies.append((time, deepcopy(estimator)))
+
+    def _forget(self, before: float) -> None:
+        """Drop copies that a later one replaces, and the samples that are in the oldest copy left."""
+        later = sum(time < before for time, _ in self._copies)
+        if later < 2:
+            return
+        del self._copies[: later - 1]
+        self._forgotten = self._copies[0][0]
+        gone = bisect_right(self._times, self._forgotten)
+        del self._times[:gone]
+        del self._samples[:gone]

@@ -158,7 +158,7 @@ class ReopeningBus:
         if self._bus is None:
             now = self._clock.monotonic_ns()
             if now < self._retry_ns:
-                raise OSError(errno.ENODEV, f"{self._device} is gone")
+                raise OSError(errno.ENODEV, f"{self._device} is not there")
             self._retry_ns = now + REOPEN_AFTER_NS
             self._bus = self._open()
         return self._bus
@@ -235,7 +235,7 @@ class ReopeningPort:
         if self._port is None:
             now = self._clock.monotonic_ns()
             if now < self._retry_ns:
-                raise OSError(errno.ENODEV, f"{self._device} is gone")
+                raise OSError(errno.ENODEV, f"{self._device} is not there")
             self._retry_ns = now + REOPEN_AFTER_NS
             self._port = self._open()
         return self._port

@@ -5,7 +5,7 @@ import signal
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
 from types import FrameType
@@ -23,7 +23,7 @@ from daq.logger import Opening
 from daq.recorder.storage import RealStorage
 from daq.sensors.open import Hardware, open_hardware
 from daq.service.notify import Notifier
-from daq.service.preflight import Preflight, RadioReport, run_preflight
+from daq.service.preflight import Check, Preflight, RadioReport, Verdict, run_preflight
 from daq.service.radio_probe import listen
 from daq.service.realtime import GarbageDiscipline, prepare_process
 from daq.telemetry.link import open_port
@@ -168,7 +168,9 @@ def _preflight(
     heard: Callable[[], RadioReport | None] | None = None
     if radio is not None:
         heard = lambda: listen(radio, clock)  # noqa: E731
-    return run_preflight(config, clock, sampler, RealStorage(), heard, devices)
+    table = run_preflight(config, clock, sampler, RealStorage(), heard, devices)
+    away = (Check("hardware", Verdict.CAUTION, f"{why}; it joins when it comes") for why in absent(hardware, radio))
+    return replace(table, checks=(*table.checks, *away))
 
 
 def _opening(table: Preflight | None, override: str | None) -> list[Opening]:

@@ -246,6 +246,10 @@ def _next(
     """What a person can do, the most telling first."""
     steps = [f"settle in {c['flight']}: {c['text']}" for c in seen if c.get("stops")]
     steps += list(without["next"]) if without else []
+    if without and not any(m.able for m in found.models):
+        steps.append(
+            f"channels: {found.air}; 'sideslip import LOG --draft-map -o map.toml' proposes what each column is"
+        )
     steps += [c.hint for c in training if c.hint]
     best = recommended(estimate)
     steps += [str(text) for text in best.get("lacks", ())]

@@ -11,7 +11,10 @@ if TYPE_CHECKING:
 
 def session_lines(session: "Session", *, brief: bool = False) -> Iterator[str]:
     """The printed answer: a table for each flight and method, mean and scatter, joint."""
+    from estimation.report.conventions import conventions_lines
+
     yield f"aircraft {session.aircraft.name}, model {session.model.name}"
+    yield from () if brief else conventions_lines(session)
     for f in session.flights:
         for method, result in f.results.items():
             if brief:

@@ -114,7 +114,8 @@ def drawn_between(flight: Flight, columns: Iterable[str]) -> dict[str, NDArray[n
     gyros and accelerometers it was integrated from. So a log has the information it has, on whatever grid.
     """
     together: dict[float, list[str]] = {}
-    for column in columns:
+    sensed = [c for c in columns if flight.held(c) is None]  # a command holds: nothing is drawn between its records
+    for column in sensed:
         stated = [flight.native_rate(c) for c in (INTEGRATED if column in flight.reconstructed else (column,))]
         rate = min((r for r in stated if r is not None), default=None)
         if rate is not None and rate < NOT_SLOWER / flight.sample_interval:

@@ -41,7 +41,10 @@ class Estimate:
             "std": finite(self.std),
             "std_coloured": finite(self.std_coloured),
             "identifiable": self.identifiable,
+            "unit": self.unit,
         }
+        if self.reference is not None:
+            data |= {"reference": self.reference, "reference_source": self.reference_source}
         return data if self.identifiable else {**data, "why": self.why}
 
 

@@ -88,8 +88,9 @@ def _thrust(flight: Flight, throttle_off: bool) -> tuple[Array, str]:
     """(N,) thrust [N], NaN where it is not known, and how it is known."""
     if throttle_off:
         return np.zeros(len(flight)), "throttle off, as stated"
-    if flight.measured("thrust"):
-        return np.asarray(flight["thrust"], float), "thrust measured"
+    kind = flight.channels.get("thrust", {}).get("kind", "measured")
+    if flight.measured("thrust") and kind != "assumed":  # what is assumed is known to nobody
+        return np.asarray(flight["thrust"], float), f"thrust {kind}"
     if flight.measured("throttle"):
         closed = _closed(flight.time, np.asarray(flight["throttle"], float))
         if closed.any():

@@ -19,7 +19,8 @@ FORMATS = (".json", ".tex", ".csv")
 
 @dataclass(frozen=True)
 class ModelRow:
-    """One parameter: value, bound where an estimate gave one, and what was believed before."""
+    """One parameter: value, bound where an estimate gave one, and what was believed before. told: whether the data could tell
+    it."""
 
     name: str
     value: float
@@ -28,6 +29,7 @@ class ModelRow:
     reference: float | None = None
     reference_std: float | None = None
     source: str = ""
+    told: bool = True
 
 
 def model_rows(model: Model) -> list[ModelRow]:
@@ -53,7 +55,18 @@ def estimate_rows(content: dict[str, Any], path: Path) -> list[ModelRow]:
             f"{path}: {len(flights)} flights and no joint estimate; estimate with --joint, or one flight alone"
         )
     parameters = next(iter(methods.values()))["parameters"]
-    return [ModelRow(name, p["estimate"], std=p["std_coloured"] or p["std"]) for name, p in parameters.items()]
+    return [
+        ModelRow(
+            name,
+            p["estimate"],
+            p.get("unit", "1"),
+            p["std_coloured"] or p["std"],
+            p.get("reference"),
+            source=p.get("reference_source", ""),
+            told=bool(p.get("identifiable", True)),
+        )
+        for name, p in parameters.items()
+    ]
 
 
 def read_rows(path: Path) -> tuple[str, list[ModelRow]]:
@@ -118,9 +131,10 @@ def latex_table(rows: Sequence[ModelRow]) -> str:
         r"\midrule",
     ]
     for row in rows:
-        value, bound = rounded(row.value, row.std)
+        value, bound = rounded(row.value, row.std) if row.told else ("", "")
         before = "" if row.reference is None else f"{row.reference:.4g}"
-        cells = [_math(text) for text in (value, bound, before)]
+        cells = [_math(text) for text in (value, bound)] if row.told else [r"\multicolumn{2}{c}{cannot tell}"]
+        cells.append(_math(before) + (f" ({row.source})" if before and row.source else ""))
         lines.append(rf"${tex(row.name)}$ & {' & '.join(cells)} \\")
     return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""])
 

@@ -11,6 +11,7 @@ import numpy as np
 from estimation.models.base import ParameterRole
 from estimation.report import published
 from estimation.report.advice import grouped, untold
+from estimation.report.conventions import conventions_table
 from estimation.report.drawing.ellipses import ellipse_figure, most_correlated
 from estimation.report.drawing.estimate_figures import (
     correlation_figure,
@@ -54,6 +55,7 @@ def write_estimate_report(session: "Session", folder: Path) -> Path:
         "modes": _modes(session),
         "proof": _proof_table(session, proofs),
         "provenance": provenance_table(flights),
+        "conventions": conventions_table(session),
         "runs": _runs(session),
         "verdict": _verdict_table(session),
         "untold": _untold(session),

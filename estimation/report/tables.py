@@ -51,8 +51,22 @@ class Table:
         lines += [" & ".join(_plain(h) for h in self.head) + r" \\", r"\midrule"]
         for row in self.rows:
             first = f"${tex(row[0])}$" if self.symbols else _plain(row[0])
-            lines.append(" & ".join([first, *(_plain(c) for c in row[1:])]) + r" \\")
+            lines.append(" & ".join([first, *self._latex_cells(row)]) + r" \\")
         return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", r"\end{table}", ""])
+
+    def _latex_cells(self, row: tuple[str, ...]) -> list[str]:
+        """Cells after the first. A group of columns that ends in `cannot tell` says only that: a number printed in a thesis is
+        believed, whatever stands beside it."""
+        cells: list[str] = []
+        at = 1
+        for _, span in self.groups[1:] or [("", 1)] * (len(row) - 1):
+            group = row[at : at + span]
+            at += span
+            if span > 1 and group and group[-1] == CANNOT_TELL:
+                cells.append(rf"\multicolumn{{{span}}}{{c}}{{{CANNOT_TELL}}}")
+            else:
+                cells += [_plain(c) for c in group]
+        return [*cells, *(_plain(c) for c in row[at:])]
 
 
 def _no_formula(cell: str) -> str:

@@ -83,6 +83,8 @@ def _lacks(session: Session) -> list[Lack]:
 
 def _wanted(lack: Lack, model: Model, wish: Wish) -> bool:
     """Whether something that is lacking is to be added."""
+    if not lack.holds:  # the other flights do not confirm it
+        return False
     if wish is Wish.AUTO:
         return True
     return model.name in WHOLE and lack.leading.candidate.kind is Kind.LINEAR

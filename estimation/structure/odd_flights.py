@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 CHANCE = 1e-4
 """Probability below which a flight differs: of a hundred joint fits of ten flights, one in ten would name one by chance."""
 INFLATED = 2.0
-"""Of a flight's score covariance: flights of one aircraft differ by speed, loading and air by as much as noise once more."""
+"""Of a flight's score covariance: an allowance for what flights of one aircraft differ by in speed, loading and air."""
 SIMPLE = 0.8
 """Share of what one single derivative explains from which a simpler cause, all forces by one factor or a whole coefficient, is
 named."""

@@ -6,7 +6,7 @@ recording says takes precedence.
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from daq.contract.channels import CHANNEL_BY_NAME
 from groundstation.calibration.conversions.air_data import Bmp390
@@ -34,6 +34,7 @@ class Facts:
     """`group.key` -> text, as recorded."""
 
     values: Mapping[str, str]
+    _numbers: dict[str, float | None] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def nvm(self, group: str) -> bytes:
         """Coefficient bytes of a group's chip; empty when not known. Raises CalibrationError when not hexadecimal."""
@@ -78,6 +79,12 @@ class Facts:
         return recorded if recorded and not math.isclose(recorded, row.scale, rel_tol=1e-9) else row.scale
 
     def _number(self, key: str) -> float | None:
+        """Looked up and checked once: live each scan asks for all of them."""
+        if key not in self._numbers:
+            self._numbers[key] = self._checked(key)
+        return self._numbers[key]
+
+    def _checked(self, key: str) -> float | None:
         text = self.values.get(key)
         if text is None:
             return None

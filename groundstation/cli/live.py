@@ -349,6 +349,14 @@ def _estimate(
 
 @click.command(epilog="Example: sideslip view flights/first/flight.mcap")
 @click.argument("file", type=click.Path(path_type=Path))
+@click.argument("other", type=click.Path(path_type=Path), required=False)
+@click.option(
+    "--align",
+    type=click.Choice(["auto", "correlation", "input", "event", "start"]),
+    is_flag=False,
+    flag_value="auto",
+    help="Lay the flight OTHER on FILE in time: by likeness, by the first input, by an event that both have, or by their starts.",
+)
 @click.option("--view", "window", type=VIEW, default="web", show_default=True, help=_VIEW_HELP)
 @click.option("--layout", type=click.Choice(["full", "light"]), default="full", show_default=True)
 @click.option(
@@ -364,6 +372,8 @@ def _estimate(
 @click.option("--duration", type=float, help="Close after this many seconds.")
 def view(
     file: Path,
+    other: Path | None,
+    align: str | None,
     window: str,
     layout: str,
     rrd: Path | None,
@@ -372,20 +382,26 @@ def view(
     web_port: int,
     duration: float | None,
 ) -> int:
-    """Show any recording or flight FILE (.mcap raw or calibrated, .csv, .parquet, .rrd) in rerun."""
+    """Show any recording or flight FILE (.mcap raw or calibrated, .csv, .parquet, .rrd) in rerun; with --align two."""
     import tempfile
 
     from groundstation.viewer import blueprint
-    from groundstation.viewer.recorded import as_rrd
+    from groundstation.viewer.recorded import as_rrd, both_as_rrd
     from groundstation.viewer.window import NativeWindow, WebPage
 
+    if (other is None) != (align is None):
+        raise click.UsageError("two flights in one view: sideslip view A B --align")
     chosen: blueprint.Layout = "light" if layout == "light" else "full"
     if save_blueprint is not None:
         blueprint.save_blueprint(save_blueprint, chosen)
         click.echo(f"layout: {save_blueprint}")
     with ExitStack() as scratch:
         target = rrd or Path(scratch.enter_context(tempfile.TemporaryDirectory())) / "view.rrd"
-        shown = as_rrd(file, target, chosen, calibration)
+        if other is not None and align is not None:
+            shown, said = both_as_rrd(file, other, target, chosen, align, calibration)
+            click.echo(said)
+        else:
+            shown = as_rrd(file, target, chosen, calibration)
         if rrd is not None:
             click.echo(f"rerun recording: {shown}")
         if window == "none":

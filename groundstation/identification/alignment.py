@@ -21,6 +21,9 @@ NEIGHBOURS = 8  # scans to each side that a sample depends on: slopes of rates, 
 HELD = 21  # scans before that: slow channels are held for a second at 20 Hz
 BATCH_S = 1.0  # s of scans that are calibrated at once: a window costs 10 ms whether one scan of it is new or twenty
 BLOCK = 2000  # scans calibrated at once where very many are wanted
+MOST, SPARE = 20_000, 1000
+"""Scans that are kept, a quarter of an hour at 20 Hz and more: as long as `daq.identification.in_order.HORIZON` works late ones
+in. They are dropped by the thousand."""
 AT_ONCE = 40  # samples given at a call, so that a backlog is worked off in pieces of some 30 ms
 
 
@@ -35,6 +38,7 @@ class ScanAlignment:
         self._scans: dict[int, bytes] = {}
         self._numbers: list[int] = []
         self._done = 0  # scans from the front of which samples were given
+        self._oldest = 0  # number before which scans are forgotten
         self._dirty: set[int] = set()  # numbers of late scans among those
         self._latest = self._worked = -math.inf  # time [s] of the latest scan; what it was when samples were last made
 
@@ -51,7 +55,7 @@ class ScanAlignment:
         known = decode_scan(scan) if isinstance(scan, bytes) else scan
         data = scan if isinstance(scan, bytes) else encode_scan(scan)
         before = self._scans.get(known.number)
-        if before == data:
+        if before == data or known.number < self._oldest:
             return
         self._scans[known.number] = data
         if before is None:
@@ -63,6 +67,21 @@ class ScanAlignment:
         elif bisect_left(self._numbers, known.number) < self._done:
             self._dirty.add(known.number)
         self._latest = max(self._latest, known.time)
+        self._forget()
+
+    def _forget(self) -> None:
+        """Scans that are worked in and so old that nothing late changes them any more."""
+        if len(self._numbers) < MOST + SPARE:
+            return
+        gone = min(len(self._numbers) - MOST, self._done - NEIGHBOURS - HELD)
+        if gone <= 0:
+            return
+        for number in self._numbers[:gone]:
+            del self._scans[number]
+        del self._numbers[:gone]
+        self._done -= gone
+        self._oldest = self._numbers[0]
+        self._dirty = {n for n in self._dirty if n >= self._oldest}
 
     def again(self) -> None:
         """Give every sample once more: the calibration has changed."""

@@ -1,6 +1,7 @@
 """What was shown live, second by second, as it is kept in the finished flight."""
 
 import math
+from array import array
 from collections.abc import Mapping
 from typing import Any
 
@@ -19,7 +20,9 @@ class LiveHistory:
     """Estimates over time; of a very long flight every other entry is dropped, again and again."""
 
     def __init__(self) -> None:
-        self._rows: list[tuple[float, LiveEstimates]] = []
+        self._rows: list[
+            tuple[float, array[float]]
+        ] = []  # time; estimate and std of each derivative, NaN before it is told
         self._every = self._skipped = 0
 
     def __len__(self) -> int:
@@ -31,7 +34,9 @@ class LiveHistory:
             self._skipped += 1
             return
         self._skipped = 0
-        self._rows.append((time, estimates))
+        known = [estimates.derivatives[n] for n in DERIVATIVES]
+        numbers = [(d.estimate, d.std) if d.told else (math.nan, math.nan) for d in known]
+        self._rows.append((time, array("d", [x for pair in numbers for x in pair])))
         if len(self._rows) > MOST:
             self._rows = self._rows[::2]
             self._every = 2 * self._every + 1
@@ -39,13 +44,12 @@ class LiveHistory:
     def to_json(self) -> dict[str, Any]:
         """`time` and, by derivative, `estimate` and `std`, null before it could be told: as `estimate --method live` has them."""
 
-        def series(name: str, field: str) -> list[float | None]:
-            known = (e.derivatives[name] for _, e in self._rows)
-            return [_short(getattr(d, field)) if d.told else None for d in known]
+        def series(at: int) -> list[float | None]:
+            return [_short(row[at]) for _, row in self._rows]
 
         return {
             "time": [round(t, 3) for t, _ in self._rows],
-            **{n: {"estimate": series(n, "estimate"), "std": series(n, "std")} for n in DERIVATIVES},
+            **{n: {"estimate": series(2 * i), "std": series(2 * i + 1)} for i, n in enumerate(DERIVATIVES)},
         }
 
 

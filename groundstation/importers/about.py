@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 
 from groundstation.flight.marks import together
-from groundstation.importers.endings import LOGS
+from groundstation.importers.endings import BAGS, LOGS
+from groundstation.importers.formats.bags import is_bag
 from groundstation.importers.formats.dataflash_text import is_text
 from groundstation.importers.run import read_logs
 from groundstation.importers.series import Log, native_rate
@@ -19,6 +20,8 @@ _ENOUGH = 64
 def is_foreign_log(path: Path) -> bool:
     """Whether a file is an autopilot's log by its ending; a .bin or .log, which others write too, by its first bytes."""
     suffix = path.suffix.lower()
+    if suffix in BAGS:
+        return is_bag(path)
     if suffix not in LOGS or not path.is_file():
         return False
     if LOGS[suffix] != "ardupilot":

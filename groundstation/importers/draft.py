@@ -1,23 +1,30 @@
 """`import LOG --draft-map`: a mapping proposed, each line with its evidence, and UNKNOWN where the log cannot tell."""
 
+import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from daq.contract.channels import COLUMN_BY_NAME
 from daq.contract.errors import UserError
-from daq.contract.input_files import check_file
+from daq.contract.input_files import check_file, parse_toml, read_bytes
 from daq.contract.plain_words import one_line
 from groundstation.importers.columns import chosen_source, flight_kind
-from groundstation.importers.draft_names import meant, time_column, time_unit, unit_of
+from groundstation.importers.draft_names import fits, meant, time_column, time_unit, unit_in_name, unit_of
 from groundstation.importers.draft_surfaces import drafted_servos, surface_lines
 from groundstation.importers.endings import TABLES
 from groundstation.importers.errors import ImportDataError
-from groundstation.importers.mapping import EXAMPLE, FileFormat, Map, Source
+from groundstation.importers.mapping import EXAMPLE, FileFormat, Map, Source, Time
 from groundstation.importers.run import import_data, read_logs
 from groundstation.importers.series import Log, native_rate
 
+if TYPE_CHECKING:
+    from groundstation.importers.formats.tables import Table
+
+FIRST_BYTES = 65_536
+"""Of a file, among which its header line is."""
 SURFACES = ("delta_e", "delta_a", "delta_r")
 MOST_LEFT = 40
 """Columns in no flight column that are listed."""
@@ -93,9 +100,9 @@ def _value(value: object) -> str:
 
 def _of_table(path: Path) -> list[str]:
     """A table, whose columns are told by their names and values."""
-    from groundstation.importers.formats.tables import header_map, read_table
+    from groundstation.importers.formats.tables import header_map
 
-    table = read_table(path, FileFormat(), None)
+    table = _table(path)
     known, _ = header_map(table)
     names = list(table.numeric)
     lines = [*_head(path), "", "[time]"]
@@ -125,6 +132,8 @@ def _of_table(path: Path) -> list[str]:
             unit, why, sure = str(known.columns[flight_column][0].unit), f"by its header; {why}", True
         elif stated:
             unit, why, sure = stated, f"by the row of units; {why}", True
+        elif (named := unit_in_name(name)) is not None and fits(named, flight_column):
+            unit, why, sure = named, f"the unit stands in its name; {why}", True
         others = f"; also {', '.join(map(one_line, found[flight_column][1:]))}" if len(found[flight_column]) > 1 else ""
         doubt = "" if sure else "CHECK: "
         lines.append(
@@ -137,19 +146,33 @@ def _of_table(path: Path) -> list[str]:
     return [*lines, *(f"# {c} = UNKNOWN: no column looks like it" for c in missing)]
 
 
+def _table(path: Path) -> "Table":
+    """The table with the column that is its time, as numbers or as words; without one, its numbers alone."""
+    from groundstation.importers.formats.tables import read_table
+
+    try:
+        return read_table(path, FileFormat(), None)
+    except ImportDataError:
+        bare = read_table(path, FileFormat(), Time(rate_hz=1.0))
+    words = re.split(r"[,;\t\r\n]", read_bytes(path, error=ImportDataError)[:FIRST_BYTES].decode("utf-8", "replace"))
+    column = time_column([w.strip(' "') for w in words])
+    if column is None:
+        return bare
+    try:
+        return read_table(path, FileFormat(), Time(column=column, unit="s" if column in bare.numeric else "iso"))
+    except ImportDataError:
+        return bare
+
+
 def _tried(path: Path, text: str) -> Iterator[str]:
     """What an import with the draft finds, as comments."""
-    import tempfile
-
     yield "# An import with this draft says:"
-    with tempfile.TemporaryDirectory() as folder:
-        draft = Path(folder) / "draft.toml"
-        draft.write_text(text, encoding="utf-8")
-        try:
-            flight = import_data(path, draft, accept_implausible=True)
-        except UserError as error:
-            yield f"# {one_line(str(error).replace(str(draft), 'this draft'))}"
-            return
+    try:
+        chosen = Map.model_validate(parse_toml(text, "draft", ImportDataError))
+        flight = import_data(path, chosen, accept_implausible=True)
+    except UserError as error:
+        yield f"# {one_line(str(error))}"
+        return
     from groundstation.flight.contradictions import contradictions
 
     yield from (f"# note: {one_line(n.text)}" for n in flight.notes)

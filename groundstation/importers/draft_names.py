@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.contract.channels import COLUMN_BY_NAME
-from groundstation.importers.units import UNITS
+from groundstation.importers.units import UNITS, find_unit
 
 Array = NDArray[np.float64]
 
@@ -47,8 +47,12 @@ _MEANT: tuple[tuple[str, str], ...] = (
 )
 """Flight column -> names that people give it, in lower case, without units and with one underscore between words."""
 _UNIT_IN_NAME = re.compile(
-    r"[ _]?[\[(]?(deg(/s|ps)?|rad(/s|ps)?|m_?s2|m/s\^?2?|knots|kts?|ft|psi|hpa|kpa|pa|degc|kg/?m3)[\])]?$", re.I
+    r"[ _\[(]+(deg[/_]?s|degps|dps|deg|rad[/_]?s|rad|m[/_]?s\^?2|m[/_]s|mps|knots|kts?|kmh|ft|psi"
+    r"|hpa|kpa|pa|degc|kg[/_]?m3|g)[\])]?$",
+    re.IGNORECASE,
 )
+_SPELT = {"deg_s": "deg/s", "degs": "deg/s", "degps": "deg/s", "rad_s": "rad/s", "rads": "rad/s", "m_s2": "m/s2", "ms2": "m/s2",
+          "m_s": "m/s", "kmh": "km/h", "kg_m3": "kg/m3", "kgm3": "kg/m3"}  # fmt: skip
 _TIME = re.compile(r"(?i)(irig_?)?(time|t|timestamp|stamp|clock|sec(onds)?)(_?(s|ms|us|ns|utc|sec))?")
 
 _GRAVITY = {"m/s2": 9.80665, "g": 1.0, "ft/s2": 32.174, "mg": 1000.0, "cm/s2": 980.665}
@@ -71,6 +75,21 @@ class Guess:
 def plain(name: str) -> str:
     """A name as the table of names knows them."""
     return re.sub(r"[^a-z0-9]+", "_", _UNIT_IN_NAME.sub("", name).lower()).strip("_")
+
+
+def unit_in_name(name: str) -> str | None:
+    """The unit at the end of a name, as `deg/s` of `roll_rate_deg_s`."""
+    match = _UNIT_IN_NAME.search(name)
+    if match is None or match.start() == 0:
+        return None
+    word = match[1].lower()
+    return word if find_unit(_SPELT.get(word, word)) is not None and word not in _SPELT else _SPELT.get(word)
+
+
+def fits(unit: str, column: str) -> bool:
+    """Whether a unit is one of the quantity of a flight column."""
+    found = find_unit(unit)
+    return found is not None and found.si == COLUMN_BY_NAME[column].unit
 
 
 def meant(names: Sequence[str]) -> dict[str, list[str]]:
@@ -120,12 +139,12 @@ def unit_of(
         limit = np.pi if column in ("phi", "psi") else np.pi / 2 if column in ("theta", "alpha", "beta") else 1.0
         if most > 1.1 * limit:
             return "deg", f"{told}: more than an angle in rad can be", True
-        return "rad", f"{told}: rad, if it moves so far; UNKNOWN where degrees would be small", most > 0.35
+        return "rad", f"{told}: rad, if it moves so far; UNKNOWN where degrees would be small", False
     return _by_range(column, si, float(np.median(known)), told)
 
 
 _RANGES: Mapping[str, tuple[tuple[str, float, float], ...]] = {
-    "p_static": (("Pa", 15e3, 110e3), ("hPa", 150, 1100), ("kPa", 15, 110), ("inHg", 4.5, 14), ("psi", 2.1, 16)),
+    "p_static": (("Pa", 15e3, 110e3), ("hPa", 150, 1100), ("kPa", 15, 110), ("inHg", 4.5, 32), ("psi", 2.1, 16)),
     "temperature": (("K", 200, 330), ("degC", -60, 55)),
     "rho": (("kg/m3", 0.2, 1.5), ("slug/ft3", 0.0004, 0.003)),
 }
@@ -133,9 +152,11 @@ _RANGES: Mapping[str, tuple[tuple[str, float, float], ...]] = {
 
 
 def _by_range(column: str, si: str, median: float, told: str) -> tuple[str, str, bool]:
-    for unit, low, high in _RANGES.get(column, ()):
-        if low <= median <= high:
-            return unit, f"{told}: {unit} by what the atmosphere allows", True
+    able = [unit for unit, low, high in _RANGES.get(column, ()) if low <= median <= high]
+    if len(able) == 1:
+        return able[0], f"{told}: {able[0]} by what the atmosphere allows", True
+    if able:
+        return able[0], f"{told}; UNKNOWN unit: {' or '.join(able)}", False
     return si, f"{told}; UNKNOWN unit, taken as {si}", False
 
 

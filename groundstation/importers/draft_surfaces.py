@@ -148,8 +148,8 @@ def sign_of(output: Series, trim: float, rate: Series | None, answer: int, name:
 
 
 def _response(u: Array, y: Array, late: int) -> float:
-    """Standard errors of what a jump of u does, so many samples later, to the slope of y: the turn of y about each instant
-    against the jump of u about it. What moves y slowly, and feedback, have no part in a turn within a tenth of a second."""
+    """Standard errors of what a jump of u does, some samples later, to the slope of y: the turn of y about each instant against
+    the jump of u about it. What moves y slowly, and feedback, have no part in a turn so short."""
     h = round(_TURN * _RATE)
     jump = np.roll(u, late)[h:] - np.roll(u, late)[:-h]
     turn = y[2 * h :] - 2.0 * y[h:-h] + y[: -2 * h]

@@ -58,7 +58,8 @@ def _instances(series: Mapping[str, Series], message: str) -> dict[int, dict[str
         head, _, field = name.partition(".")
         if head == message:
             label = series.get(f"{message}.I")
-            number = int(label.values[0]) if label is not None and label.values.size else 0
+            known = label.values[np.isfinite(label.values)] if label is not None else np.zeros(0)
+            number = int(known[0]) if known.size else 0
         elif head.startswith(f"{message}[") and head.endswith("]") and head[len(message) + 1 : -1].isdigit():
             number = int(head[len(message) + 1 : -1])
         else:
@@ -72,6 +73,7 @@ def _primary(instances: Mapping[int, Mapping[str, Series]]) -> tuple[int | None,
     stated = [fields["Pri"].values for fields in instances.values() if "Pri" in fields]
     if stated:
         numbers = np.unique(np.concatenate(stated))
+        numbers = numbers[np.isfinite(numbers)]
         known = [int(n) for n in numbers if int(n) in instances]
         if len(known) == 1:
             return known[0], f"the log names it the primary (Pri {known[0]})"

@@ -18,8 +18,9 @@ from groundstation.flight.flight import CHANNELS
 from groundstation.flight.marks import PARAMETERS
 from groundstation.flight.notes import Note, NoteKind
 from groundstation.flight.quality.plausibility import suspicions
+from groundstation.importers.boots import by_boot
 from groundstation.importers.columns import flight_columns, spoken
-from groundstation.importers.endings import LOGS, TABLES
+from groundstation.importers.endings import BAGS, LOGS, TABLES
 from groundstation.importers.errors import ImportDataError
 from groundstation.importers.evidence import EVIDENCE
 from groundstation.importers.formats.tables import RECORD
@@ -136,13 +137,17 @@ def read_logs(path: Path, given: Map | None = None) -> list[tuple[Log, Map]]:
     suffix = path.suffix.lower()
     if suffix in TABLES:
         return _read_tables(path, given)
+    if suffix in BAGS:
+        log, made = _bag(path)
+        return [(log, given.over(made) if given else made)]
     if suffix not in LOGS:
         return [_read_with_package(path, given)]
     readers: dict[str, Callable[[Path], list[Log]]] = {"px4": _ulog, "ardupilot": _dataflash, "mavlink": _tlog}
     name = LOGS[suffix]
     base = built_in_map(name)
     chosen = given.over(base) if given else base
-    return [(EVIDENCE[log.kind](log), chosen) for log in readers[name](path)]
+    logs = [boot for log in readers[name](path) for boot in by_boot(log)]
+    return [(EVIDENCE[log.kind](log), chosen) for log in logs]
 
 
 def _read_with_package(path: Path, given: Map | None) -> tuple[Log, Map]:
@@ -150,7 +155,7 @@ def _read_with_package(path: Path, given: Map | None) -> tuple[Log, Map]:
     packages = entry_points(group=ENTRY_POINTS)
     found = next((p for p in packages if p.name == path.suffix.lower().removeprefix(".")), None)
     if found is None:
-        known = (*TABLES, *LOGS, *(f".{p.name}" for p in packages))
+        known = (*TABLES, *LOGS, *BAGS, *(f".{p.name}" for p in packages))
         raise ImportDataError(f"{path}: files of this kind are not known; give {', '.join(known)}")
     try:
         log, base = found.load()(path)
@@ -201,6 +206,17 @@ def _dataflash(path: Path) -> list[Log]:
     from groundstation.importers.formats.dataflash import read_dataflash
 
     return [read_dataflash(path)]
+
+
+def _bag(path: Path) -> tuple[Log, Map]:
+    from groundstation.importers.formats.bags import OURS, first_schema
+    from groundstation.importers.ros import read_ros
+
+    if path.suffix.lower() == ".mcap" and (first_schema(path) or "").startswith(OURS):
+        raise ImportDataError(
+            f"{path}: written by this program: a flight is taken as it is, a raw recording by 'sideslip calibrate'"
+        )
+    return read_ros(path)
 
 
 def _tlog(path: Path) -> list[Log]:

@@ -89,13 +89,14 @@ def series_groups(available: Iterable[str] | None = None) -> tuple[SeriesGroup, 
     return tuple(_group(e, (c for c in COLUMNS if c.entity == e and c.name in wanted)) for e in entities)
 
 
-def model_groups(available: Iterable[str]) -> tuple[SeriesGroup, ...]:
-    """Series of an estimated model that a flight carries beside the measured ones, as columns `<name>_model`."""
+def model_groups(available: Iterable[str], whose: str = "model") -> tuple[SeriesGroup, ...]:
+    """Series of an estimated model that a flight carries beside the measured ones, as columns `<name>_model`; or of another
+    flight. whose: word behind each name."""
     names = {c.removesuffix("_model") for c in available if c.endswith("_model")}
     rows = [c for c in COLUMNS if c.name in names]
     groups = []
     for entity in dict.fromkeys(c.entity for c in rows):
-        group = _group(MODEL + entity, (c for c in rows if c.entity == entity), " model")
+        group = _group(MODEL + entity, (c for c in rows if c.entity == entity), f" {whose}")
         names_in_flight = tuple(f"{c}_model" for c in group.columns)
         groups.append(replace(group, columns=names_in_flight, hue=_MODEL_HUE))
     return tuple(groups)

@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING, Any
 from daq.contract.recordings.messages import LogLevel
 from groundstation.flight import Flight, read_flight
 from groundstation.flight.marks import marks_of
+from groundstation.viewer.beside import beside
 from groundstation.viewer.blueprint import Layout
+from groundstation.viewer.glyphs import drawable
 from groundstation.viewer.live import ViewerError
 from groundstation.viewer.replay import write_rrd
 from groundstation.viewer.scene import LinkSample
@@ -45,6 +47,33 @@ def as_rrd(file: Path, target: Path, layout: Layout = "full", calibration: Path 
     flight = read_flight(file)
     write_rrd(flight, target, layout=layout, events=_events(flight))
     return target
+
+
+def both_as_rrd(
+    first: Path, second: Path, target: Path, layout: Layout, by: str, calibration: Path | None = None
+) -> tuple[Path, str]:
+    """Two files as one view, the second laid on the first in time; the path, and how the second was moved."""
+    a, b = (_flight(f, calibration) for f in (first, second))
+    found = beside(a, b, by)
+    marks = [(t + found.shift, f"{b.name}: {text}", level) for t, text, level in _events(b)]
+    write_rrd(
+        found.flight,
+        target,
+        layout=layout,
+        events=sorted([*_events(a), *marks]),
+        status=found.text,
+        whose=drawable(b.name),
+    )
+    return target, found.text
+
+
+def _flight(file: Path, calibration: Path | None) -> Flight:
+    """A flight, or a raw recording calibrated."""
+    if file.is_dir() or (file.suffix == ".mcap" and is_raw(file)):
+        from groundstation.calibration.recording import calibrate_recording
+
+        return calibrate_recording(file, calibration, salvage=True)
+    return read_flight(file)
 
 
 def is_raw(file: Path) -> bool:

@@ -34,8 +34,9 @@ def write_rrd(
     events: Events = (),
     link: Iterable[tuple[float, LinkSample]] = (),
     status: str = "",
+    whose: str = "model",
 ) -> None:
-    """Write a flight as .rrd with its blueprint inside.
+    """Write a flight as .rrd with its blueprint inside. whose: what the columns `<name>_model` are of.
 
     states: sensor group -> (time [s], state in words). events: (time [s], text, level). link: (time [s], quality).
     status: the status page as Markdown.
@@ -49,7 +50,7 @@ def write_rrd(
     page = blueprint(layout, live=False, identified=any(f.startswith(e.IDENTIFICATION) for f in filled))
     try:
         with rerun_file(stream, path, fitted(page, live=False, filled=filled)):
-            scene = Scene(stream, tuple(flight.columns))
+            scene = Scene(stream, tuple(flight.columns), whose)
             scene.flight(flight)
             _show(scene, flight, lanes, said, heard, status)
     except OSError as error:

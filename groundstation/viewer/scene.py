@@ -55,9 +55,11 @@ class LinkSample:
 class Scene:
     """Logs one aircraft into a recording stream. Not thread-safe: one thread logs."""
 
-    def __init__(self, stream: rr.RecordingStream, columns: tuple[str, ...] | None = None) -> None:
+    def __init__(
+        self, stream: rr.RecordingStream, columns: tuple[str, ...] | None = None, whose: str = "model"
+    ) -> None:
         self._stream = stream
-        self._groups = (*e.series_groups(columns), *e.model_groups(columns or ()))
+        self._groups = (*e.series_groups(columns), *e.model_groups(columns or (), whose))
         self._states: dict[str, str] = {}
         self._alarm: tuple[str, str] | None = None
         self._origin: tuple[float, float] | None = None

@@ -42,7 +42,7 @@ def timed(work: Callable[[], object], repeats: int = 3) -> float:
 def command_time(flight: Path, **environment: str) -> float:
     """Processor time [s] of `sideslip estimate` of one flight from the shell, imports included."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    command = [sys.executable, "-m", "sideslip", "estimate", str(flight)]
+    command = [sys.executable, "-m", "sideslip", "estimate", str(flight), "--aircraft", "cdfp"]
     subprocess.run(command, env={**os.environ, **environment}, stdout=subprocess.DEVNULL, check=True)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime

@@ -20,11 +20,15 @@ from daq.contract.recordings.accounting import verify
 from firmware_sim.runs.flight import prepare_flight
 from firmware_sim.world.scenario import load_scenario
 from groundstation.calibration.schema import NOMINAL_DIRECTORY
+from tests.benchmarks.conftest import Against
 from tests.benchmarks.replayed_bus import RecordingBus, RecordingPort
 
 ROOT = Path(__file__).resolve().parents[2]
 SECONDS = float(os.environ.get("LOGGER_BENCH_S", "60"))
 WARM_UP_S = 5.0
+SCANS_HZ = 20.0
+LOGGER_MOST = 0.12
+"""Of the reference's time for a scan: half as much again as the 0.08 measured; the reference itself varies by a quarter."""
 
 
 def record_answers(folder: Path) -> Path:
@@ -148,12 +152,13 @@ def _watch(pid: int, systemd: socket.socket, seconds: float) -> list[Look]:
 
 @pytest.mark.benchmark
 @pytest.mark.timeout(SECONDS + 120)
-def test_logger_in_real_time(tmp_path: Path) -> None:
+def test_logger_in_real_time(tmp_path: Path, against_reference: Against) -> None:
     result = measure(tmp_path, SECONDS)
     print(json.dumps(result, indent=1))
     assert verify(Path(str(result["directory"]))).ok
     assert result["written"] == result["slots"]
-    assert result["cpu_percent"] < 2.0  # type: ignore[operator]
+    a_scan = float(str(result["cpu_percent"])) / 100.0 / SCANS_HZ
+    against_reference("processor of the logger for a scan", a_scan, LOGGER_MOST)
     resident = result["resident_mb"]
     assert result["resident_most_mb"] < 80.0  # type: ignore[operator]
     assert resident[-1] - resident[0] < 2.0, "resident memory must be flat"  # type: ignore[index]
@@ -161,7 +166,7 @@ def test_logger_in_real_time(tmp_path: Path) -> None:
 
 @pytest.mark.benchmark
 @pytest.mark.timeout(2 * SECONDS + 240)
-def test_identification_on_board_beside_the_logger(tmp_path: Path) -> None:
+def test_identification_on_board_beside_the_logger(tmp_path: Path, compared: Against) -> None:
     """The same minute without and with `[identification]`: the loop's own cost, and that of the process beside it."""
     (tmp_path / "without").mkdir()
     (tmp_path / "with").mkdir()
@@ -176,4 +181,4 @@ def test_identification_on_board_beside_the_logger(tmp_path: Path) -> None:
     }
     print(json.dumps(cost, indent=1))
     assert verify(Path(str(beside["directory"]))).ok
-    assert float(str(beside["cpu_percent"])) < float(str(without["cpu_percent"])) + 0.5
+    compared("processor of the logger with identification beside it / without", float(str(cost["ratio"])), 1.25)

@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from estimation.errors import AircraftError, DataError
 from estimation.performance.polar import best_glide, fitted, least_sink
 from estimation.performance.samples import together, usable
 from groundstation.flight import Flight, write_flight
+from groundstation.flight.flight import CHANNELS
 from sideslip.cli import cli
 from tests.studies import second_truth as truth
 
@@ -116,6 +118,18 @@ def test_thrust_that_is_unknown_and_not_off_is_refused() -> None:
         usable(flight, CRAFT, throttle_off=False)
     with pytest.raises(DataError, match="throttle is never closed"):
         usable(flight.with_columns(throttle=np.full(len(flight), 0.4)), CRAFT, throttle_off=False)
+
+
+def test_thrust_that_somebody_assumed_is_not_known() -> None:
+    flight = glide(3, thrust=4.0).with_columns(thrust=np.full(800, 4.0))
+    for kind, told in (("computed", "thrust computed"), ("assumed", "")):
+        stated = replace(flight.provenance, detail={CHANNELS: {"thrust": {"from": "x", "kind": kind}}})
+        imported = replace(flight, provenance=stated)
+        if told:
+            assert usable(imported, CRAFT, throttle_off=False).thrust == told
+        else:
+            with pytest.raises(DataError, match="thrust is unknown"):
+                usable(imported, CRAFT, throttle_off=False)
 
 
 def test_measured_thrust_is_taken_off() -> None:

@@ -197,6 +197,22 @@ def _raw() -> Path:
     return seeds.RECORDINGS / "cdfp_ld1_raw.mcap"
 
 
+def _simulation(prefix: str) -> Reader:
+    """A simulation asked at some states."""
+
+    def read(path: Path, scratch: Path) -> object:
+        from estimation.simulation.oracle import VARIABLES, States
+        from estimation.simulation.spec import simulation_of
+
+        simulation = simulation_of(f"{prefix}{path}")
+        rng = np.random.default_rng(1)
+        values = {n: rng.uniform(-0.3, 0.3, 5) + (20.0 if n == "V" else 0.0) for n in VARIABLES}
+        assert np.isfinite(simulation.oracle.coefficients(States(values, np.full(5, 1.2), np.zeros(5)))).all()
+        return simulation
+
+    return read
+
+
 def _aircraft(path: Path, scratch: Path) -> object:
     from estimation.aircraft import load_aircraft
     from estimation.models.load import load_model
@@ -304,6 +320,8 @@ KINDS: dict[str, Kind] = {
         Kind("calibration", ".toml", lambda: seeds.toml_inputs("groundstation/calibration/files/cdfp/*.toml"), TOML,
              (_calibration,), quick=8),
         Kind("bench plan", ".toml", seeds.plan_inputs, TOML, (_bench_plan,), 0.5),
+        Kind("sitl", ".json", seeds.sitl_inputs, (*TEXT, *BYTES), (_simulation("ardupilot:"),)),
+        Kind("sdf", ".sdf", seeds.sdf_inputs, (*TEXT, *BYTES), (_simulation("gazebo:"),)),
         Kind("aircraft", ".toml", lambda: seeds.toml_inputs("estimation/aircraft/*.toml"), TOML, (_aircraft,)),
         Kind("model", ".toml", seeds.model_inputs, TOML, (_model,)),
         Kind("effects", ".toml", seeds.effect_inputs, TOML, (_effects,)),

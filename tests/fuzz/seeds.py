@@ -277,3 +277,27 @@ def key_inputs() -> list[bytes]:
 def recording_inputs() -> list[bytes]:
     """A raw recording and a flight."""
     return [(RECORDINGS / name).read_bytes()[:400_000] for name in ("cdfp_ld1_raw.mcap", "cdfp_ld1.mcap")]
+
+
+def sitl_inputs() -> list[bytes]:
+    """As this program writes it, and the few keys of a person."""
+    from estimation.simulation.autopilot.ardupilot_equations import BUILT_IN
+
+    keys = ",\n".join(f'  "{k}": {v!r}' for k, v in BUILT_IN.items())
+    own = f'# real mass = 3.5 kg\n# by hand\n{{\n{keys},\n  "CGOffset": [-0.15, 0.0, -0.05]\n}}\n'
+    return [own.encode(), b'{"s": 0.3, "b": 1.2, "c": 0.2, # more to come\n "c_lift_a": 4.5, "mystery": {"a": [1, 2]}}']
+
+
+def sdf_inputs() -> list[bytes]:
+    """As this program writes it."""
+    from xml.etree import ElementTree as ET
+
+    from estimation.aircraft import load_aircraft
+    from estimation.simulation.autopilot.gazebo import model_sdf
+    from estimation.simulation.autopilot.linear import LinearAircraft
+
+    craft = load_aircraft("cdfp")
+    derivatives = {n: d.value for n, d in craft.derivatives.items()}
+    throws = dict.fromkeys(("delta_e", "delta_a", "delta_r"), (-0.3, 0.3))
+    made = LinearAircraft("cdfp", "cdfp", craft, derivatives, throws=throws, thrust=14.0)
+    return [ET.tostring(model_sdf("cdfp", made, None))]

@@ -42,7 +42,7 @@ class LeftOut:
 
     def sentence(self) -> str:
         value = "" if np.isnan(self.value) else f" = {self.value:.4g}"
-        weighs = "" if np.isnan(self.share) else f", up to {100.0 * self.share:.2g} % of the largest {self.axis}"
+        weighs = "" if np.isnan(self.share) else f", up to {100.0 * self.share:.3g} % of the largest {self.axis}"
         return f"{self.name}{value}{weighs}"
 
 

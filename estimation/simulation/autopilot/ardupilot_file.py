@@ -12,15 +12,17 @@ from pathlib import Path
 from typing import Any
 
 from daq.contract.input_files import DEEPEST, LARGEST_TEXT, read_bytes
-from estimation.simulation.autopilot.ardupilot_equations import BUILT_IN, FULL, OFFSET, SitlPlane
+from estimation.simulation.autopilot.ardupilot_equations import BUILT_IN, CLAMP, FULL, OFFSET, SitlPlane
 from estimation.simulation.oracle import SimulationError
 
+FLOAT_EXPONENT = 88.0  # beyond it a float is infinite; SITL's own file has 87
 UNUSED = ("aero_moment_inertia",)  # read by nobody before ArduPilot's pull 34011
 MULTICOPTER = ("mass", "moment_inertia")  # of a quadplane's frame, in the same file
 ABOVE_ZERO = ("s", "b", "c", "mcoeff", *FULL.values())
 REAL = ("mass", "area", "span", "chord", "Ixx", "Iyy", "Izz", "Ixz")
 _REAL_LINE = re.compile(r"^# real (\w+) = (\S+)", re.MULTILINE)
-NUMBER_LIMIT = 1e12  # of a coefficient: SITL reads floats, and one beyond is a mistake
+NUMBER_LIMIT = 1e9  # of a coefficient: SITL reads floats, and one beyond is a mistake
+SIZES = (1e-6, 1e6)  # of an area, length, sharpness or throw
 
 
 def file_text(values: Mapping[str, float], comments: Sequence[str]) -> str:
@@ -59,8 +61,15 @@ def read_sitl_plane(path: Path) -> SitlPlane:
         )
     offset = _offset(content.get("CGOffset"), path)
     plane = SitlPlane({**BUILT_IN, **given}, offset, _real(text), tuple(notes))
-    if plane.values["oswald"] == 0.0:
-        raise SimulationError(f"{path}: oswald is 0, by which SITL divides; give a number")
+    k = plane.values
+    if abs(k["oswald"]) < SIZES[0]:
+        raise SimulationError(f"{path}: oswald is {k['oswald']:g}, by which SITL divides; give a number")
+    exponent = k["mcoeff"] * (2.0 * abs(k["alpha_stall"]) + CLAMP)
+    if exponent > FLOAT_EXPONENT:
+        raise SimulationError(
+            f"{path}: mcoeff {k['mcoeff']:g} with alpha_stall {k['alpha_stall']:g} is beyond a float in SITL's blend (exp of"
+            f" {exponent:.0f}); give a smaller mcoeff"
+        )
     return plane
 
 
@@ -92,8 +101,8 @@ def _refused(word: str) -> float:
 def _value(key: str, value: Any, path: Path) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < NUMBER_LIMIT:
         raise SimulationError(f"{path}: {key} is {_short(value)}, and SITL stops at anything but a number; correct it")
-    if key in ABOVE_ZERO and not value > 0.0:
-        raise SimulationError(f"{path}: {key} is {value:g}; give a number above zero")
+    if key in ABOVE_ZERO and not SIZES[0] <= value <= SIZES[1]:
+        raise SimulationError(f"{path}: {key} is {value:g}; give a number above zero, {SIZES[1]:g} at most")
     return float(value)
 
 

@@ -181,8 +181,8 @@ def symmetric_throws(craft: LinearAircraft, target: str) -> dict[str, float]:
     for name, (least, greatest) in craft.throws.items():
         if not math.isclose(-least, greatest, rel_tol=1e-6):
             raise SimulationError(
-                f"{craft.name}: {name} goes from {math.degrees(least):.3g} to {math.degrees(greatest):.3g} deg, and {target}"
-                " knows one throw both ways; limit it in the autopilot to the smaller one and state that,"
+                f"{craft.name}: {name} goes from {math.degrees(least):.3g} to {math.degrees(greatest):.3g} deg, and in {target}"
+                " a throw is the same both ways; limit it in the autopilot to the smaller one and state that,"
                 f" --throw {name}={min(-least, greatest):.4g}"
             )
     return {name: greatest for name, (_, greatest) in craft.throws.items()}

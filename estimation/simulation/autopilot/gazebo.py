@@ -107,7 +107,7 @@ def possible(inertia: Array) -> bool:
 
 def model_sdf(name: str, craft: LinearAircraft, stall: float | None) -> ET.Element:
     """The whole of model.sdf. Raises SimulationError for throws that differ both ways."""
-    throws = symmetric_throws(craft, "PX4's simulated servos, whose middle is no deflection,")
+    throws = symmetric_throws(craft, "PX4's simulated servos")
     thrust = craft.thrust or 0.0
     root = ET.Element("sdf", version="1.9")
     model = ET.SubElement(root, "model", name=name)

@@ -31,6 +31,8 @@ UNREAD = (
 OVER = np.diag([1.0, -1.0, -1.0])  # from x forward, y left, z up to x forward, y right, z down
 LARGEST = 1e9  # of a number in a file
 SURFACES_MOST = 64
+SIZES = (1e-6, 1e6)  # of an area, chord, aspect ratio or efficiency
+STALL_MOST = 10.0  # rad: out of reach, and no exponent beyond a double
 
 
 def read_gazebo_plane(path: Path) -> GazeboPlane:
@@ -86,12 +88,19 @@ def _model_of(root: ET.Element, plugin: ET.Element) -> ET.Element:
 
 
 def _check(values: dict[str, float], path: Path) -> None:
-    if not values["area"] > 0.0:
-        raise SimulationError(f"{path}: area is {values['area']:g}; give a number above zero")
-    if not values["AR"] > 0.0 or values["eff"] == 0.0:
-        raise SimulationError(f"{path}: AR and eff must be given, for the plugin divides by them")
+    for key in ("area", "AR"):
+        if not SIZES[0] <= values[key] <= SIZES[1]:
+            raise SimulationError(f"{path}: {key} is {values[key]:g}; give a number above zero, {SIZES[1]:g} at most")
+    if abs(values["eff"]) < SIZES[0]:
+        raise SimulationError(f"{path}: eff is {values['eff']:g}, by which the plugin divides; give it")
+    if not 0.0 < values["alpha_stall"] <= STALL_MOST:
+        raise SimulationError(
+            f"{path}: alpha_stall is {values['alpha_stall']:g} rad; give one from 0 to {STALL_MOST:g}"
+        )
     if values["mac"] == 0.0:
         values["mac"] = values["area"] / math.sqrt(values["area"] * values["AR"])
+    if not SIZES[0] <= values["mac"] <= SIZES[1]:
+        raise SimulationError(f"{path}: mac is {values['mac']:g}; give a number above zero, {SIZES[1]:g} at most")
 
 
 def _word(element: ET.Element, tag: str) -> str:

@@ -6,7 +6,7 @@ from typing import Any
 
 from estimation.aircraft import Aircraft, load_aircraft
 from estimation.models.base import Model
-from estimation.models.library import six_dof
+from estimation.models.library import not_in_model, six_dof, stated_terms
 from estimation.simulation.autopilot.gathering import (
     FIELDS,
     KEYS,
@@ -40,15 +40,21 @@ def whole_model(path: Path, stated: Stated) -> tuple[BuildUp, Aircraft, dict[str
     missing += [n for line in lacking for n in NEEDED[line] if n not in beliefs]
     if missing:
         raise MissingPartsError(asked_for(path, "a whole aircraft", missing, beside))
-    base = six_dof((beside or body).with_values(**_numbers(body)))
+    stated_by = (beside or body).with_values(**_numbers(body))
+    base = stated_terms(six_dof(stated_by), stated_by)
     zero = [n for line in lacking for n in MINOR[line] if n not in beliefs]
     more = {
         "throws": {n: list(t) for n, t in {**(beside.throws if beside else {}), **stated.throws}.items()},
         "thrust": _thrust(beside, stated),
         "sources": {n: beliefs[n].source for line in lacking for n in beliefs if n.split("_")[0] == line},
-        "notes": [f"nobody states, so zero: {', '.join(zero)}"] if zero else [],
+        "notes": _notes(zero, [n for n in not_in_model(base, stated_by) if n.partition("_")[0] in lacking]),
     }
     return _joined(body, model, base, has), body, more
+
+
+def _notes(zero: list[str], strange: list[str]) -> list[str]:
+    notes = [f"nobody states, so zero: {', '.join(zero)}"] if zero else []
+    return [*notes, f"left out, for no form of them is known: {', '.join(strange)}"] if strange else notes
 
 
 def _numbers(body: Aircraft) -> dict[str, float]:

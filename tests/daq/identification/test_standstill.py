@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from daq.identification.airframe import Sample
+from daq.identification.in_order import COPY_EVERY, HORIZON, OrderedEstimator
 from daq.identification.next_manoeuvre import LIBRARY, has_condition, predicted_columns
 from sideslip.live_aircraft import live_aircraft
 
@@ -46,3 +47,26 @@ def test_a_flight_condition_has_the_same_rows_and_information_in_them() -> None:
     assert flown.shape == still.shape
     assert np.isfinite(flown).all()
     assert flown.any()
+
+
+def test_an_hour_of_samples_takes_no_more_memory_than_its_horizon() -> None:
+    ordered = OrderedEstimator(live_aircraft("cdfp").airframe)
+    rng = np.random.default_rng(5)
+    counts = []
+    for n in range(36_000):
+        wave = 0.05 * math.sin(n * 0.07)
+        sample = FLYING._replace(time=0.1 * n, p=wave, beta=0.3 * wave, delta_a=wave + 0.001 * float(rng.normal()))
+        ordered.add(sample)
+        if n % 9000 == 8999:
+            counts.append((len(ordered._samples), len(ordered._copies)))
+    assert counts[1:] == [counts[1]] * 3
+    assert counts[1][0] < 10 * (HORIZON + 3 * COPY_EVERY)
+    before = ordered.estimates()
+    ordered.add(FLYING._replace(time=100.05))
+    assert ordered.too_late == 1
+    assert ordered.behind == 0
+    assert ordered.estimates().rows == before.rows
+    ordered.add(FLYING._replace(time=3500.05))
+    assert 0 < ordered.behind < 10 * 200
+    while not ordered.work():
+        pass

@@ -319,3 +319,13 @@ def test_mission_planners_matrices_and_structs_by_message_are_the_log(tmp_path: 
         difference = flight[name] - np.interp(flight.time, direct.time, direct[name])
         assert np.nanstd(difference) < 0.02 * np.nanstd(direct[name])
     assert "instance 1 is taken" in said(flight)
+
+
+def test_a_dataflash_log_of_two_boots_is_two_records(tmp_path: Path) -> None:
+    first, second = autopilots.flight(seed=3, seconds=12), autopilots.flight(seed=4, seconds=15)
+    data = [autopilots.dataflash(autopilots.ardupilot(f)) for f in (first, second)]
+    flight = imported(tmp_path, "two.bin", b"".join(data))
+    assert len(flight.segments) == 2
+    lengths = [flight.time[s][-1] - flight.time[s][0] for s in flight.segments]
+    assert lengths == pytest.approx([12, 15], abs=0.1)
+    assert "boot 2 of 2" in said(flight)

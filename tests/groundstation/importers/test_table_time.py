@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from groundstation.flight import Flight
+from groundstation.flight.expression import parse
 from groundstation.importers.errors import ImportDataError
-from groundstation.importers.expression import parse
 from groundstation.importers.run import import_data
 from tests.groundstation.turning import Columns, turning_flight
 

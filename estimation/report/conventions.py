@@ -1,0 +1,82 @@
+"""What the numbers of an estimate mean: signs, units, axes, and the constants of the aircraft that they rest on."""
+
+import math
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+from estimation.models.library import BUILDERS
+from estimation.report.tables import Table
+
+if TYPE_CHECKING:
+    from estimation.session.session import Session
+
+AXES = "body axes through the CG: x forward, y right, z down; moments about the CG"
+UNITS = (
+    "derivatives per rad; rates as p b/2V, q c/2V, r b/2V; V m/s, forces by q_dyn S, moments by"
+    " q_dyn S b (Cl, Cn) and q_dyn S c (Cm)"
+)
+SIGNS = (
+    "+delta_e trailing edge down (nose down), +delta_a rolls left, +delta_r trailing edge to port (force to +y, nose left);"
+    " +beta wind from the right, +ay specific force to the right"
+)
+OWN = "as the equations of the model have them (a model of one's own)"
+CONSTANTS = {
+    "S": "m2",
+    "b": "m",
+    "c": "m",
+    "m": "kg",
+    "Ixx": "kg m2",
+    "Iyy": "kg m2",
+    "Izz": "kg m2",
+    "Ixz": "kg m2",
+    "g": "m/s2",
+}
+
+
+def conventions(session: "Session") -> Iterator[tuple[str, str]]:
+    """(what, how) of everything one has to know to use the numbers elsewhere."""
+    built_in = session.model.name in BUILDERS
+    yield "axes", AXES if built_in else OWN
+    yield "units", UNITS if built_in else OWN
+    yield "signs", SIGNS if built_in else OWN
+    known = session.model.constants
+    told = [f"{n} {known[n]:.6g} {unit}" for n, unit in CONSTANTS.items() if n in known and math.isfinite(known[n])]
+    yield "constants", ", ".join(told) or "none"
+    yield "CG", _centre(session)
+    yield "aircraft", session.aircraft.title or session.aircraft.name
+    yield "beliefs before", _sources(session)
+
+
+def _centre(session: "Session") -> str:
+    place = session.aircraft.cg_from_nose
+    return (
+        "not stated in the aircraft file" if place is None else f"{place:g} m aft of the nose, as in the aircraft file"
+    )
+
+
+def _sources(session: "Session") -> str:
+    """Whose values stand in the column before flying, and which of them enter the fit."""
+    parameters = session.model.parameters
+    sources = dict.fromkeys(p.reference_source for p in parameters if p.reference is not None and p.reference_source)
+    priors = [f"{p.name} {p.prior_mean:g} +- {p.prior_std:g}" for p in parameters if p.prior_std is not None]
+    beside = f"{', '.join(sources)} (beside the estimates; they do not enter)" if sources else "none"
+    return beside + (f"; entering the fit as priors: {', '.join(priors)}" if priors else "")
+
+
+def conventions_table(session: "Session") -> Table:
+    """The same as a table of the page, and for a thesis."""
+    return Table(
+        "conventions",
+        "Conventions and constants of the estimates",
+        ("what", "how"),
+        tuple(conventions(session)),
+        symbols=False,
+        texts=(1,),
+    )
+
+
+def conventions_lines(session: "Session") -> Iterator[str]:
+    """The same in print."""
+    for what, how in conventions(session):
+        if how != OWN or what == "units":
+            yield f"  {what}: {how}"

@@ -1,0 +1,86 @@
+"""Messages of a bag as series: every number of every message, under the name of its topic and field."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from groundstation.importers.series import Series
+
+LONGEST = 32
+"""Elements of an array that become series: 32 outputs of an autopilot; longer ones are images and clouds."""
+DEEPEST = 8
+"""Messages within messages."""
+MOST = 2_000
+"""Numbers of one message."""
+STAMP = ("header.stamp.sec", "header.stamp.nanosec")
+
+
+@dataclass
+class Topic:
+    """name, and kind of its messages (`sensor_msgs/msg/Imu`); time received [s] and numbers of each."""
+
+    name: str
+    kind: str
+    time: list[float] = field(default_factory=list)
+    columns: dict[str, list[float]] = field(default_factory=dict)
+
+    def add(self, time: float, row: Mapping[str, float]) -> None:
+        """Keep a message; NaN where it lacks a field that others have."""
+        count = len(self.time)
+        for name, value in row.items():
+            column = self.columns.setdefault(name, [])
+            column += [np.nan] * (count - len(column))
+            column.append(value)
+        self.time.append(time)
+
+    def series(self, prefix: str, unit_of_stamp: float | None = None) -> dict[str, Series]:
+        """Series by `prefix.field`, by the sender's stamp where it has one, else by the time received [s].
+
+        unit_of_stamp: of a field `timestamp`, of kinds that have their own.
+        """
+        count = len(self.time)
+        made = {n: np.array([*v, *[np.nan] * (count - len(v))]) for n, v in self.columns.items()}
+        time = np.array(self.time)
+        if unit_of_stamp is not None and "timestamp" in made:
+            time = made["timestamp"] * unit_of_stamp
+        elif all(n in made for n in STAMP) and np.all(made[STAMP[0]] + made[STAMP[1]] > 0):
+            time = made[STAMP[0]] + 1e-9 * made[STAMP[1]]
+        order = np.argsort(time, kind="stable")
+        skipped = ("header.", "timestamp")
+        return {f"{prefix}.{n}": Series(time[order], v[order]) for n, v in made.items() if not n.startswith(skipped)}
+
+
+def numbers_of(message: Any) -> dict[str, float]:
+    """Every number in a message, by the path of its fields: `linear_acceleration.x`, `channels[3]`."""
+    found: dict[str, float] = {}
+    for name, value in _walk("", message, DEEPEST):
+        found[name] = value
+        if len(found) >= MOST:
+            break
+    return found
+
+
+def _walk(name: str, value: Any, depth: int) -> Iterator[tuple[str, float]]:
+    if isinstance(value, bool | int | float | np.number):
+        yield name, float(value)
+    elif isinstance(value, str | bytes | None) or depth == 0:
+        return
+    elif isinstance(value, Mapping):
+        for key, part in value.items():
+            yield from _walk(f"{name}.{key}" if name else str(key), part, depth - 1)
+    elif hasattr(value, "__len__") and hasattr(value, "__getitem__"):
+        for i in range(min(len(value), LONGEST)) if len(value) <= LONGEST else ():
+            yield from _walk(f"{name}[{i}]", value[i], depth - 1)
+    else:
+        for key in _fields(value):
+            yield from _walk(f"{name}.{key}" if name else key, getattr(value, key), depth - 1)
+
+
+def _fields(message: Any) -> list[str]:
+    descriptor = getattr(message, "DESCRIPTOR", None)
+    if descriptor is not None:  # protobuf
+        return [f.name for f in descriptor.fields]
+    slots = getattr(message, "__slots__", None) or getattr(message, "__dict__", {})
+    return [n for n in slots if not n.startswith("_")]

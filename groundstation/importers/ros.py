@@ -1,0 +1,120 @@
+"""Bags as logs: px4_msgs under the names of PX4's own topics, the standard messages in body axes x forward, y right, z down.
+
+ROS turns x forward, y left, z up, and world axes east, north, up (REP 103, REP 105); mavros follows. So y and z change sign, and
+attitude is turned from east-north-up to north-east-down.
+"""
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from groundstation.importers.errors import ImportDataError
+from groundstation.importers.evidence import EVIDENCE
+from groundstation.importers.formats.attitude import euler_from_quaternion, with_attitudes
+from groundstation.importers.formats.bag_series import Topic
+from groundstation.importers.formats.bags import read_bag
+from groundstation.importers.mapping import Map, Source, built_in_map
+from groundstation.importers.series import Log, Series
+
+_PX4 = re.compile(r"px4_msgs/msg/(\w+)")
+PX4_US = 1e-6
+_SIDE = {"x": 1, "y": -1, "z": -1}
+"""Sign of a body axis of ROS in ours."""
+
+
+def read_ros(path: Path) -> tuple[Log, Map]:
+    """A bag as a log with the mapping that its kinds of messages make. Raises ImportDataError where nothing can be read."""
+    bag = read_bag(path)
+    px4 = {n: t for n, t in bag.topics.items() if _PX4.fullmatch(t.kind)}
+    if px4:
+        log = Log("ulog", with_attitudes(_px4_series(px4)), notes=tuple(bag.notes))
+        return EVIDENCE["ulog"](log), built_in_map("px4")
+    series: dict[str, Series] = {}
+    columns: dict[str, list[Source]] = {}
+    kinds: dict[str, str] = {}
+    turned = False
+    for topic in bag.topics.values():
+        made = topic.series(topic.name)
+        turned |= _standard(topic, made, columns, kinds)
+        series |= made
+    if not series:
+        raise ImportDataError(f"{path}: no numbers in the messages of this bag")
+    notes = [*bag.notes]
+    if turned:
+        notes.append("messages of ROS: axes turned from x forward, y left, z up and east, north, up to ours (REP 103)")
+    log = Log("bag", series, notes=tuple(notes), kinds=kinds)
+    return log, Map(format=1, title="bag", columns={n: tuple(s) for n, s in columns.items()})
+
+
+def _px4_series(topics: dict[str, Topic]) -> dict[str, Series]:
+    """Series under the names of uORB topics; a second topic of one kind is instance 1."""
+    series: dict[str, Series] = {}
+    seen: dict[str, int] = {}
+    for topic in topics.values():
+        match = _PX4.fullmatch(topic.kind)
+        name = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", match[1]).lower() if match else topic.name
+        number = seen.get(name, 0)
+        seen[name] = number + 1
+        series |= topic.series(f"{name}[{number}]" if number else name, PX4_US)
+    return series
+
+
+def _standard(topic: Topic, made: dict[str, Series], columns: dict[str, list[Source]], kinds: dict[str, str]) -> bool:
+    """Flight columns of a standard message; whether axes were turned. made: series of the topic, to which attitude is added."""
+    name = topic.name
+
+    def give(column: str, field: str, unit: str, sign: int = 1) -> None:
+        if f"{name}.{field}" in made:
+            source = {"column": f"{name}.{field}", "unit": unit, "sign": sign}
+            columns.setdefault(column, []).append(Source.model_validate(source))
+
+    match topic.kind.split("/")[-1], topic.kind.split("/")[0]:
+        case "Imu", "sensor_msgs":
+            for rate, force, axis in zip("pqr", ("ax", "ay", "az"), "xyz", strict=True):
+                give(rate, f"angular_velocity.{axis}", "rad/s", _SIDE[axis])
+                give(force, f"linear_acceleration.{axis}", "m/s2", _SIDE[axis])
+            _attitude(name, "orientation", made, columns, kinds)
+            return True
+        case "TwistStamped", "geometry_msgs" if "body" not in name:
+            give("vn", "twist.linear.y", "m/s")
+            give("ve", "twist.linear.x", "m/s")
+            give("vd", "twist.linear.z", "m/s", -1)
+            return True
+        case "PoseStamped", "geometry_msgs":
+            _attitude(name, "pose.orientation", made, columns, kinds)
+            return True
+        case "QuaternionStamped", "geometry_msgs":
+            _attitude(name, "quaternion", made, columns, kinds)
+            return True
+        case "NavSatFix", _:
+            for column, unit in (("latitude", "deg"), ("longitude", "deg"), ("altitude", "m")):
+                give("altitude_gnss" if column == "altitude" else column, column, unit)
+        case "FluidPressure", _:
+            give("p_dynamic" if re.search(r"diff|dyn|pitot", name) else "p_static", "fluid_pressure", "Pa")
+        case "Temperature", _:
+            give("temperature", "temperature", "degC")
+            kinds[f"{name}.temperature"] = "assumed"
+        case "VfrHud", _:
+            give("V_cas", "airspeed", "m/s")
+    return False
+
+
+def _attitude(
+    name: str, field: str, made: dict[str, Series], columns: dict[str, list[Source]], kinds: dict[str, str]
+) -> None:
+    """Angles of a quaternion from east-north-up and x forward, y left, z up, to ours, as series of the topic."""
+    parts = [made.get(f"{name}.{field}.{axis}") for axis in "wxyz"]
+    if any(p is None for p in parts):
+        return
+    q = np.array([p.values for p in parts if p is not None])
+    size = np.sqrt(np.sum(q**2, axis=0))
+    if not np.any(np.isfinite(size) & (np.abs(size - 1.0) < 0.1)):
+        return  # an IMU without attitude leaves it at zero
+    roll, pitch, yaw = euler_from_quaternion(*q)
+    time = next(p.time for p in parts if p is not None)
+    angles = {"roll": roll, "pitch": -pitch, "yaw": (np.pi / 2 - yaw + np.pi) % (2 * np.pi) - np.pi}
+    for column, (label, values) in zip(("phi", "theta", "psi"), angles.items(), strict=True):
+        made[f"{name}.{label}"] = Series(time, np.asarray(values))
+        kinds[f"{name}.{label}"] = "computed"
+        columns.setdefault(column, []).append(Source(column=f"{name}.{label}", unit="rad"))

@@ -1,0 +1,138 @@
+"""Two flights in one view: the second moved in time until it lies on the first, drawn beside the first's columns."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundstation.flight import Flight
+from groundstation.flight.flight import GAP_FACTOR
+from groundstation.flight.manoeuvres import find_manoeuvres
+from groundstation.flight.marks import marks_of
+from groundstation.viewer.live import ViewerError
+
+Array = NDArray[np.float64]
+
+COMPARED = ("delta_a", "delta_r", "delta_e", "cmd_a", "cmd_r", "cmd_e", "p", "q", "r", "phi", "theta")
+"""Columns whose likeness tells which time of one flight is which of the other."""
+RATE = 20.0
+"""[Hz] at which they are compared: a servo's rise is some samples long."""
+SHORTEST = 5.0
+"""[s] of common time below which any two flights look alike."""
+ALIKE = 0.3
+"""Correlation over all columns from which on two flights are said to lie on each other."""
+BESIDE = "_model"
+"""Ending of the columns that the view draws beside those of a flight."""
+
+
+@dataclass(frozen=True)
+class Beside:
+    """flight: the first, with the second's columns beside its own; shift: added to the second's time [s]; text: how found."""
+
+    flight: Flight
+    shift: float
+    text: str
+
+
+def beside(first: Flight, second: Flight, by: str = "auto") -> Beside:
+    """Both in one. by: 'input' (first movement of a control), 'event' (first event, mode or message that both have),
+    'correlation', 'start', or 'auto': correlation, else input, else start. Raises ViewerError where that cannot be done."""
+    ways: Mapping[str, Callable[[Flight, Flight], tuple[float, str] | None]] = {
+        "correlation": _by_correlation, "input": _by_input, "event": _by_event, "start": _by_start,
+    }  # fmt: skip
+    tried = ("correlation", "input", "start") if by == "auto" else (by,)
+    found = next((f for f in (ways[w](first, second) for w in tried) if f is not None), None)
+    if found is None:
+        raise ViewerError(
+            f"{second.name} cannot be laid on {first.name} by {by}: they have nothing of it in common; try --align start"
+        )
+    shift, text = found
+    time = second.time + shift
+    columns = {
+        f"{n}{BESIDE}": _onto(first.time, time, v, second) for n, v in second.columns.items() if not n.endswith(BESIDE)
+    }
+    if not any(np.isfinite(v).any() for v in columns.values()):
+        raise ViewerError(f"{second.name}, moved by {shift:+.2f} s, has no time in common with {first.name}")
+    own = {n: v for n, v in first.columns.items() if not n.endswith(BESIDE)}
+    together = Flight.build(
+        first.name, first.time, {**own, **columns}, segment=first.segment, provenance=first.provenance
+    )
+    return Beside(together, shift, f"{second.name} is moved by {shift:+.2f} s onto {first.name}: {text}")
+
+
+def _onto(base: Array, time: Array, values: Array, flight: Flight) -> Array:
+    """Values of the second at times of the first; NaN outside it and in its gaps."""
+    good = np.isfinite(values)
+    if good.sum() < 2:
+        return np.full(base.size, np.nan)
+    t, v = time[good], values[good]
+    at = np.clip(np.searchsorted(t, base) - 1, 0, t.size - 2)
+    inside = (base >= t[0]) & (base <= t[-1]) & (t[at + 1] - t[at] <= GAP_FACTOR * flight.sample_interval)
+    return np.where(inside, np.interp(base, t, v), np.nan)
+
+
+def _by_start(first: Flight, second: Flight) -> tuple[float, str]:
+    return float(first.time[0] - second.time[0]), "both begin together"
+
+
+def _by_input(first: Flight, second: Flight) -> tuple[float, str] | None:
+    a, b = find_manoeuvres(first), find_manoeuvres(second)
+    if not a or not b:
+        return None
+    return a[0].start - b[0].start, f"the first input of each ({a[0].title}; {b[0].title})"
+
+
+def _by_event(first: Flight, second: Flight) -> tuple[float, str] | None:
+    theirs: dict[str, float] = {}
+    for time, text in _said(second):
+        theirs.setdefault(text, time)
+    return next(((time - theirs[text], f"by '{text}'") for time, text in _said(first) if text in theirs), None)
+
+
+def _said(flight: Flight) -> list[tuple[float, str]]:
+    marks = marks_of(flight)
+    found = [(m.time, m.text) for m in (*marks.events, *marks.messages)] + [
+        (m.start, f"mode {m.name}") for m in marks.modes
+    ]
+    return sorted(found)
+
+
+def _by_correlation(first: Flight, second: Flight) -> tuple[float, str] | None:
+    """The shift at which the columns that both have are most alike, over all of them."""
+    names = [n for n in COMPARED if first.measured(n) and second.measured(n)]
+    best = None
+    a, b = (np.arange(f.time[0], f.time[-1], 1 / RATE) for f in (first, second))
+    least = round(SHORTEST * RATE)
+    if not names or min(a.size, b.size) < least:
+        return None
+    size = a.size + b.size
+    top = np.zeros(2 * size)
+    one = two = np.zeros(2 * size)
+    for name in names:
+        x, y = _even(first, name, a), _even(second, name, b)
+        top = top + _products(x, y, size)
+        one = one + _products(x**2, np.ones_like(y), size)
+        two = two + _products(np.ones_like(x), y**2, size)
+    common = _products(np.ones(a.size), np.ones(b.size), size)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        alike = np.where((common >= least) & (one > 0) & (two > 0), top / np.sqrt(one * two), -1.0)
+        alike = alike * np.sqrt(np.clip(common / min(a.size, b.size), 0.0, 1.0))  # a short overlap is alike by chance
+    best = int(np.argmax(alike))
+    if alike[best] < ALIKE:
+        return None
+    lag = best if best < size else best - 2 * size
+    return float(a[0] - b[0] + lag / RATE), f"{', '.join(names)} correlate by {alike[best]:.2f}"
+
+
+def _even(flight: Flight, name: str, time: Array) -> Array:
+    """A column at an even rate, about its median, in units of its spread over both."""
+    good = np.isfinite(flight[name])
+    values = np.interp(time, flight.time[good], flight[name][good])
+    values = values - np.median(values)
+    return np.asarray(values / (np.sqrt(np.mean(values**2)) or 1.0))
+
+
+def _products(x: Array, y: Array, size: int) -> Array:
+    """Sum over t of x(t + lag) y(t), by lag; negative ones from the end."""
+    return np.asarray(np.fft.irfft(np.fft.rfft(x, 2 * size) * np.conj(np.fft.rfft(y, 2 * size)), 2 * size))

@@ -1,0 +1,91 @@
+"""From logs to an answer: what `analyse` and `ss.analyse` do; each stage is kept, so that a rerun does what has changed."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from estimation.analysis.outcome import Analysis
+    from estimation.analysis.stages import Stages
+    from groundstation.flight import Flight
+
+READY = (".mcap",)
+"""Endings of files that may be flights as they stand."""
+
+
+def analyse(
+    logs: str | Path | Sequence[str | Path],
+    aircraft: str | Path | None = None,
+    mapping: str | Path | None = None,
+    holdout: Sequence[str | Path] = (),
+    output: str | Path = "analysis",
+    progress: Callable[[str, float], None] | None = None,
+) -> "Analysis":
+    """What `sideslip analyse` does, with its arguments; writes the folder `output`. progress: told what is being done, and the
+    share of the whole. Raises a UserError of one sentence for a log that cannot be read."""
+    from estimation.analysis.run import Given, analyse_flights
+    from estimation.analysis.stages import Stages, digest
+    from estimation.report.markup.html import software
+    from estimation.session.flights import unique_names
+
+    logs = [logs] if isinstance(logs, str | Path) else list(logs)
+    mapping = None if mapping is None else Path(mapping)
+    aircraft = None if aircraft is None else str(aircraft)
+    tell = progress or (lambda what, share: None)
+    stages = Stages(Path(output), software())
+    extra = [_content(mapping), aircraft, _content(Path(aircraft)) if aircraft and aircraft.endswith(".toml") else ""]
+    imported = []
+    for number, path in enumerate([*logs, *holdout]):
+        tell(f"importing {Path(path).name}", 0.14 * number / (len(logs) + len(holdout)))
+        imported.append(_imported(number, Path(path), mapping, aircraft, extra, stages))
+    flights = unique_names([flight for flight, _, _ in imported])
+    key = digest([k for _, k, _ in imported])
+    given = Given(tuple(flights[: len(logs)]), tuple(flights[len(logs) :]), key, any(r for _, _, r in imported))
+    return analyse_flights(given, aircraft, digest(extra[1:]), stages, tell)
+
+
+def _content(path: Path | None) -> str:
+    """What a small file says, for the key of a stage; its name where it is none (a built-in's)."""
+    return path.read_bytes().decode("latin-1") if path is not None and path.is_file() else str(path)
+
+
+def _imported(
+    number: int, path: Path, mapping: Path | None, aircraft: str | None, extra: Sequence[str | None], stages: "Stages"
+) -> "tuple[Flight, str, bool]":
+    """The flight of a log, the key of its stage and whether it was imported in this run."""
+    import hashlib
+    from dataclasses import replace
+
+    from daq.contract.input_files import check_file
+    from groundstation.flight import read_flight, write_flight
+    from groundstation.importers.errors import ImportDataError
+
+    check_file(path, error=ImportDataError)
+    target = stages.path(f"import_{number}.mcap")
+
+    def work() -> dict[str, object]:
+        flight = _read(path, mapping, aircraft)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        write_flight(flight, target)
+        return {"name": flight.name, "path": flight.provenance.path, "sha256": flight.provenance.sha256}
+
+    with path.open("rb") as opened:
+        sha = hashlib.file_digest(opened, "sha256").hexdigest()
+    stage = stages.run(f"import_{number}", [sha, path.name, *extra], work, target)
+    flight = read_flight(target)
+    provenance = replace(flight.provenance, path=str(path), sha256=sha)
+    return replace(flight, name=str(stage.content["name"]), provenance=provenance), stage.key, stage.repeated
+
+
+def _read(path: Path, mapping: Path | None, aircraft: str | None) -> "Flight":
+    """A flight as it stands, a raw recording calibrated, or somebody else's log imported."""
+    from groundstation.importers.aircraft import with_aircraft
+    from groundstation.importers.run import import_data
+
+    if path.suffix.lower() in READY and mapping is None:
+        from groundstation.export.run import open_flight
+
+        flight = open_flight(path)
+    else:
+        flight = import_data(path, mapping)
+    return flight if aircraft is None else with_aircraft(flight, aircraft)

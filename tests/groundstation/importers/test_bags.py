@@ -1,0 +1,216 @@
+"""MCAP files and ROS 2 bags of other programs, written by rosbags: an implementation that has nothing to do with the reader."""
+
+import json
+import sqlite3
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from groundstation.importers.about import is_foreign_log, log_info
+from groundstation.importers.errors import ImportDataError
+from groundstation.importers.formats.bags import is_bag
+from groundstation.importers.run import import_data
+
+STORE = get_typestore(Stores.ROS2_HUMBLE)
+START = 1_700_000_000.0
+PX4 = {
+    "px4_msgs/msg/SensorCombined": "uint64 timestamp\nfloat32[3] gyro_rad\nfloat32[3] accelerometer_m_s2\n",
+    "px4_msgs/msg/VehicleAttitude": "uint64 timestamp\nfloat32[4] q\n",
+}
+
+
+def quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
+    """w, x, y, z of yaw, pitch, roll in turn."""
+    a, b, c = roll / 2, pitch / 2, yaw / 2
+    return (
+        float(np.cos(a) * np.cos(b) * np.cos(c) + np.sin(a) * np.sin(b) * np.sin(c)),
+        float(np.sin(a) * np.cos(b) * np.cos(c) - np.cos(a) * np.sin(b) * np.sin(c)),
+        float(np.cos(a) * np.sin(b) * np.cos(c) + np.sin(a) * np.cos(b) * np.sin(c)),
+        float(np.cos(a) * np.cos(b) * np.sin(c) - np.sin(a) * np.sin(b) * np.cos(c)),
+    )
+
+
+def attitude(t: float) -> tuple[float, float, float]:
+    """phi, theta, psi in our axes."""
+    return 0.4 * np.sin(0.8 * t), 0.1 + 0.05 * np.sin(0.5 * t), 1.0 + 0.02 * t
+
+
+def rates(t: float) -> tuple[float, float, float]:
+    """p, q, r by differences of the attitude."""
+    h = 1e-5
+    (f, th, _), d = attitude(t), (np.array(attitude(t + h)) - np.array(attitude(t - h))) / (2 * h)
+    return (
+        d[0] - np.sin(th) * d[2],
+        np.cos(f) * d[1] + np.sin(f) * np.cos(th) * d[2],
+        -np.sin(f) * d[1] + np.cos(f) * np.cos(th) * d[2],
+    )
+
+
+def ros_messages() -> list[tuple[str, str, float, Any]]:
+    """Topic, type, time and message, of 20 s: x forward, y left, z up; east, north, up."""
+    t = STORE.types
+    vector, header, stamp = t["geometry_msgs/msg/Vector3"], t["std_msgs/msg/Header"], t["builtin_interfaces/msg/Time"]
+    cov = np.zeros(9)
+    out = []
+    for k in range(400):
+        at = 0.05 * k
+        time = START + at
+        head = header(stamp(int(time), round(1e9 * (time % 1))), "base_link")
+        phi, theta, psi = attitude(at)
+        p, q, r = rates(at)
+        w, x, y, z = quaternion(phi, -theta, np.pi / 2 - psi)
+        force = (9.81 * np.sin(theta), 9.81 * np.sin(phi) * np.cos(theta), 9.81 * np.cos(phi) * np.cos(theta))
+        imu = t["sensor_msgs/msg/Imu"](
+            head, t["geometry_msgs/msg/Quaternion"](x, y, z, w), cov, vector(p, -q, -r), cov,
+            vector(force[0], force[1], force[2]), cov,
+        )  # fmt: skip
+        out.append(("/mavros/imu/data", "sensor_msgs/msg/Imu", time + 0.003, imu))
+        twist = t["geometry_msgs/msg/Twist"](vector(7.0, 18.0, 0.5), vector(0.0, 0.0, 0.0))
+        out.append(
+            (
+                "/mavros/local_position/velocity_local",
+                "geometry_msgs/msg/TwistStamped",
+                time + 0.004,
+                t["geometry_msgs/msg/TwistStamped"](head, twist),
+            )
+        )
+        press = t["sensor_msgs/msg/FluidPressure"](head, 95_000.0 + k, 0.0)
+        out.append(("/mavros/imu/static_pressure", "sensor_msgs/msg/FluidPressure", time + 0.004, press))
+    return out
+
+
+def write_bag(
+    folder: Path, plugin: StoragePlugin, messages: list[tuple[str, str, float, Any]], store: Any = STORE
+) -> Path:
+    with Writer(folder, version=9, storage_plugin=plugin) as writer:
+        made: dict[str, Any] = {}
+        for topic, kind, time, message in messages:
+            if topic not in made:
+                made[topic] = writer.add_connection(topic, kind, typestore=store)
+            writer.write(made[topic], round(1e9 * time), store.serialize_cdr(message, kind))
+    return next(p for p in folder.iterdir() if p.suffix in (".mcap", ".db3"))
+
+
+@pytest.mark.parametrize("plugin", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
+def test_standard_messages_come_in_our_axes(tmp_path: Path, plugin: StoragePlugin) -> None:
+    bag = write_bag(tmp_path / "bag", plugin, ros_messages())
+    assert is_bag(bag)
+    flight = import_data(bag)
+    at = flight.time - flight.time[0]
+    inner = slice(2, -2)
+    expected = np.array([attitude(t) for t in at]).T
+    for name, values in zip(("phi", "theta", "psi"), expected, strict=True):
+        np.testing.assert_allclose(flight[name][inner], values[inner], atol=2e-4)
+    for name, values in zip("pqr", np.array([rates(t) for t in at]).T, strict=True):
+        np.testing.assert_allclose(flight[name][inner], values[inner], atol=2e-4)
+    assert np.nanmedian(flight["az"]) == pytest.approx(-9.3, abs=0.5)
+    np.testing.assert_allclose(flight["vn"][inner], 18.0)
+    np.testing.assert_allclose(flight["ve"][inner], 7.0)
+    np.testing.assert_allclose(flight["vd"][inner], -0.5)
+    assert flight.channels["phi"]["kind"] == "computed"
+    assert flight.channels["p"]["kind"] == "measured"
+    assert any("axes turned from x forward, y left, z up" in n.text for n in flight.notes)
+
+
+def test_messages_of_px4_go_by_the_names_of_its_own_log(tmp_path: Path) -> None:
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    for name, text in PX4.items():
+        store.register(get_types_from_msg(text, name))
+    messages = []
+    for k in range(300):
+        at = 100.0 + 0.04 * k
+        phi, theta, psi = attitude(at)
+        imu = store.types["px4_msgs/msg/SensorCombined"](
+            round(1e6 * at), np.array(rates(at), np.float32), np.array([0.1, 0.0, -9.8], np.float32)
+        )
+        q = store.types["px4_msgs/msg/VehicleAttitude"](
+            round(1e6 * at), np.array(quaternion(phi, theta, psi), np.float32)
+        )
+        messages += [("/fmu/out/sensor_combined", "px4_msgs/msg/SensorCombined", START + at, imu)]
+        messages += [("/fmu/out/vehicle_attitude", "px4_msgs/msg/VehicleAttitude", START + at, q)]
+    flight = import_data(write_bag(tmp_path / "bag", StoragePlugin.MCAP, messages, store))
+    assert flight.time[0] == pytest.approx(100.0, abs=0.05)  # the sender's own clock
+    np.testing.assert_allclose(flight["theta"][2:-2], [attitude(t)[1] for t in flight.time[2:-2]], atol=1e-3)
+    assert flight.channels["phi"]["from"] == "vehicle_attitude.roll"
+
+
+def test_an_old_bag_without_definitions_and_json_in_mcap(tmp_path: Path) -> None:
+    bag = write_bag(tmp_path / "bag", StoragePlugin.SQLITE3, ros_messages())
+    with sqlite3.connect(bag) as file:
+        file.execute("drop table if exists message_definitions")
+        file.execute("insert into topics (id, name, type, serialization_format, offered_qos_profiles, type_description_hash) "
+                     "values (99, '/own', 'own_msgs/msg/Thing', 'cdr', '', '')")  # fmt: skip
+    flight = import_data(bag)
+    assert flight.measured("p")
+    assert any("/own (own_msgs/msg/Thing: this bag carries no definitions" in n.text for n in flight.notes)
+
+
+def test_json_and_a_map(tmp_path: Path) -> None:
+    from mcap.writer import Writer as McapWriter
+
+    path, mapping = tmp_path / "own.mcap", tmp_path / "map.toml"
+    with path.open("wb") as file:
+        writer = McapWriter(file)
+        writer.start()
+        schema = writer.register_schema("own.State", "jsonschema", b"{}")
+        channel = writer.register_channel("/state", "json", schema)
+        for k in range(100):
+            stamp = round(1e9 * (START + 0.02 * k))
+            writer.add_message(
+                channel, stamp, json.dumps({"roll": 10.0 * np.sin(0.02 * k), "gyro": [0.1, 0.2, 0.3]}).encode(), stamp
+            )
+        writer.finish()
+    mapping.write_text(
+        'format = 1\n[columns]\nphi = { column = "/state.roll", unit = "deg" }\n'
+        'p = { column = "/state.gyro[0]", unit = "rad/s" }\n'
+    )
+    flight = import_data(path, mapping, accept_implausible=True)
+    np.testing.assert_allclose(flight["phi"], np.radians(10.0 * np.sin(flight.time - flight.time[0])), atol=1e-3)
+    with pytest.raises(ImportDataError, match=r"nothing in it is known|none of the expected"):
+        import_data(path)
+
+
+def test_a_cut_bag_keeps_its_whole_messages_and_noise_is_a_sentence(tmp_path: Path) -> None:
+    from mcap.reader import make_reader
+    from mcap.writer import Writer as McapWriter
+
+    bag, short = write_bag(tmp_path / "bag", StoragePlugin.MCAP, ros_messages()), tmp_path / "short.mcap"
+    with bag.open("rb") as file, short.open("wb") as other:  # the same in small chunks
+        writer = McapWriter(other, chunk_size=4000)
+        writer.start()
+        schemas: dict[int, int] = {}
+        channels: dict[int, int] = {}
+        for schema, channel, message in make_reader(file).iter_messages():
+            assert schema is not None
+            if schema.id not in schemas:
+                schemas[schema.id] = writer.register_schema(schema.name, schema.encoding, schema.data)
+            if channel.id not in channels:
+                channels[channel.id] = writer.register_channel(
+                    channel.topic, channel.message_encoding, schemas[schema.id]
+                )
+            writer.add_message(channels[channel.id], message.log_time, message.data, message.publish_time)
+        writer.finish()
+    data = short.read_bytes()
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(data[: int(0.5 * len(data))])
+    flight = import_data(cut)
+    assert 100 < len(flight) < 380
+    assert any("cut off or damaged" in n.text for n in flight.notes)
+    (tmp_path / "noise.mcap").write_bytes(np.random.default_rng(2).bytes(5000))
+    (tmp_path / "noise.db3").write_bytes(b"SQLite format 3\0" + np.random.default_rng(3).bytes(5000))
+    for name in ("noise.mcap", "noise.db3"):
+        with pytest.raises(ImportDataError, match=r"noise\.(mcap|db3): "):
+            import_data(tmp_path / name)
+
+
+def test_info_knows_a_bag(tmp_path: Path) -> None:
+    bag = write_bag(tmp_path / "bag", StoragePlugin.MCAP, ros_messages())
+    assert is_foreign_log(bag)
+    found = log_info(bag)
+    assert found["kind"] == "bag"
+    assert found["duration_s"] == pytest.approx(19.95, abs=0.1)
+    assert "/mavros/imu/data.angular_velocity.x" in {c["name"] for c in found["channels"]}

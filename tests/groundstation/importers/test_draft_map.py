@@ -1,0 +1,142 @@
+"""`import --draft-map`: columns by name, units by values, servos by the log's parameters, signs by what the aircraft did."""
+
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from groundstation.importers.draft import draft_map
+from groundstation.importers.draft_names import meant, unit_in_name
+from groundstation.importers.draft_surfaces import sign_of
+from groundstation.importers.mapping import load_map
+from groundstation.importers.run import import_data
+from groundstation.importers.series import Series
+from sideslip.cli import cli
+
+SIGN = {"aileron": 1, "elevator": -1, "rudder": 1}
+"""Of the deflection at the upper end of the travel, as the log below was flown."""
+
+
+def test_names_and_the_units_in_them() -> None:
+    names = ["Roll Rate (deg/s)", "bank", "gyro_x", "TAS", "Rudder_Pos", "foo", "psi_deg", "lateral_g"]
+    assert meant(names) == {
+        "p": ["Roll Rate (deg/s)", "gyro_x"],
+        "phi": ["bank"],
+        "V": ["TAS"],
+        "delta_r": ["Rudder_Pos"],
+        "psi": ["psi_deg"],
+    }
+    assert [unit_in_name(n) for n in ("roll_rate_deg_s", "psi_deg", "tas_knots", "q", "heading")] == [
+        "deg/s",
+        "deg",
+        "knots",
+        None,
+        None,
+    ]
+
+
+def test_a_table_is_drafted_with_units_by_its_values(tmp_path: Path) -> None:
+    time = np.arange(0.0, 30.0, 0.04)
+    phi, theta, psi = 25.0 * np.sin(0.9 * time), 4.0 + 2.0 * np.sin(0.5 * time), 200.0 + 3.0 * time
+    f, th = np.radians(phi), np.radians(theta)
+    df, dth, dps = (np.radians(np.gradient(x, time)) for x in (phi, theta, psi))
+    p, q, r = (
+        df - np.sin(th) * dps,
+        np.cos(f) * dth + np.sin(f) * np.cos(th) * dps,
+        -np.sin(f) * dth + np.cos(f) * np.cos(th) * dps,
+    )
+    columns = {
+        "Time": 1000 * time, "roll": phi, "pitch": theta, "heading": psi % 360, "gyro_x": p, "gyro_y": q, "gyro_z": r,
+        "acc_x": np.sin(th), "acc_y": -np.sin(f) * np.cos(th), "acc_z": -np.cos(f) * np.cos(th),
+        "static_pressure": 950.0 + 0 * time, "mystery": time,
+    }  # fmt: skip
+    path, draft = tmp_path / "log.csv", tmp_path / "map.toml"
+    np.savetxt(path, np.column_stack(list(columns.values())), delimiter=",", header=",".join(columns), comments="")
+    done = CliRunner().invoke(cli, ["import", str(path), "--draft-map", "-o", str(draft)])
+    assert done.exit_code == 0, done.output
+    text = draft.read_text()
+    chosen = load_map(draft)
+    assert chosen.time is not None
+    assert chosen.time.unit == "ms"
+    units = {n: s[0].unit for n, s in chosen.columns.items()}
+    assert units == {
+        "phi": "deg", "theta": "deg", "psi": "deg", "p": "rad/s", "q": "rad/s", "r": "rad/s", "ax": "g", "ay": "g", "az": "g",
+            "p_static": "hPa",
+    }  # fmt: skip
+    assert "# mystery: UNKNOWN" in text
+    assert "# V = UNKNOWN" in text
+    flight = import_data(path, draft)
+    np.testing.assert_allclose(flight["p"], p, atol=1e-6)
+    np.testing.assert_allclose(flight["az"], -9.80665 * np.cos(f) * np.cos(th), atol=1e-5)
+
+
+def flown(time: np.ndarray, rng: np.random.Generator) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    """Pulses [us] of three servos, and the rates that they make through a lag."""
+    pulses, rates = {}, {}
+    for name, rate in (("aileron", "p"), ("elevator", "q"), ("rudder", "r")):
+        steps = np.repeat(rng.choice([-1.0, 0.0, 1.0], time.size // 40 + 1), 40)[: time.size]
+        y = np.zeros(time.size)
+        moved = 0.0
+        for k in range(1, time.size):
+            moved += (steps[k - 1] - moved) * 0.02 / 0.05
+            y[k] = y[k - 1] + 0.02 * (-4.0 * y[k - 1] - 6.0 * SIGN[name] * moved)
+        pulses[name], rates[rate] = 1500.0 + 120.0 * steps, y + 0.01 * rng.standard_normal(time.size)
+    return pulses, rates
+
+
+def dataflash(path: Path) -> None:
+    def described(kind: int, size: int, name: str, layout: str, labels: str) -> bytes:
+        texts = (name.encode(), layout.encode(), labels.encode())
+        return struct.pack("<BBBBB4s16s64s", 0xA3, 0x95, 128, kind, size, *texts)
+
+    time = np.arange(0.0, 60.0, 0.02)
+    pulses, rates = flown(time, np.random.default_rng(12))
+    out = described(128, 89, "FMT", "BBnNZ", "Type,Length,Name,Format,Columns")
+    out += described(64, 35, "PARM", "QNff", "TimeUS,Name,Value,Default")
+    out += described(65, 19, "RCOU", "QHHHH", "TimeUS,C1,C2,C3,C4")
+    out += described(66, 35, "IMU", "Qffffff", "TimeUS,GyrX,GyrY,GyrZ,AccX,AccY,AccZ")
+    stated = {"SERVO1_FUNCTION": 4, "SERVO2_FUNCTION": 19, "SERVO3_FUNCTION": 70, "SERVO4_FUNCTION": 21,
+              "SERVO1_TRIM": 1500, "SERVO2_TRIM": 1500,
+              "SERVO4_TRIM": 1500, "SERVO1_MIN": 1080, "SERVO1_MAX": 1920, "SERVO2_MIN": 1100, "SERVO2_MAX": 1900}  # fmt: skip
+    for name, value in stated.items():
+        out += struct.pack("<BBBQ16sff", 0xA3, 0x95, 64, 0, name.encode(), value, 0.0)
+    for k, t in enumerate(time):
+        us = round(1e6 * t)
+        row = (round(pulses["aileron"][k]), round(pulses["elevator"][k]), 1200 + k % 50, round(pulses["rudder"][k]))
+        out += struct.pack("<BBBQHHHH", 0xA3, 0x95, 65, us, *row)
+        out += struct.pack(
+            "<BBBQffffff", 0xA3, 0x95, 66, us, rates["p"][k], rates["q"][k], rates["r"][k], 0.0, 0.0, -9.8
+        )
+    path.write_bytes(out)
+
+
+def test_servos_by_their_functions_signs_by_the_motion(tmp_path: Path) -> None:
+    path, draft = tmp_path / "log.bin", tmp_path / "map.toml"
+    dataflash(path)
+    draft.write_text(draft_map([path]))
+    chosen = load_map(draft)
+    assert {n: s.column for n, s in chosen.servos.items()} == {
+        "aileron": "RCOU.C1",
+        "elevator": "RCOU.C2",
+        "rudder": "RCOU.C4",
+    }
+    for name, servo in chosen.servos.items():
+        assert np.sign(servo.ends[1][1]) == SIGN[name], name
+    assert [end[0] for end in chosen.servos["aileron"].ends] == [1080, 1920]
+    text = draft.read_text()
+    assert "RCOU.C3" in text
+    assert "throttle by SERVO3_FUNCTION" in text
+    assert text.count("deflections UNKNOWN") == 3
+    assert "UNKNOWN ends" in text  # of the rudder, whose MIN and MAX the log does not state
+    assert any("example map" in n.text for n in import_data(path, draft, accept_implausible=True).notes)
+
+
+@pytest.mark.parametrize("late", [0.0, 0.02])
+def test_an_output_that_nothing_follows_has_no_sign(late: float) -> None:
+    rng = np.random.default_rng(4)
+    time = np.arange(0.0, 60.0, 0.02)
+    output = Series(time, 1500.0 + 100.0 * np.repeat(rng.choice([-1.0, 1.0], 60), 50))
+    sign, why = sign_of(output, 1500.0, Series(time + late, rng.standard_normal(time.size)), -1, "IMU.GyrX")
+    assert (sign, why) == (1, "sign UNKNOWN: IMU.GyrX does not tell")
