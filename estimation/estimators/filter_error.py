@@ -14,7 +14,6 @@ model are white, so both bounds agree. The fit that a result reports is that of 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -200,7 +199,18 @@ def process_noise_error(
 
 
 def _by_process_noise(chosen: Model, data: list[FlightData], first: Result, options: OutputErrorOptions) -> Result:
-    """The fit from an output error that came to a result."""
+    """The fit from an output error that came to a result; one that says why where the arithmetic of the filter fails."""
+    try:
+        with np.errstate(all="ignore"):
+            return _steady_filter(chosen, data, first, options)
+    except (np.linalg.LinAlgError, ArithmeticError) as error:
+        text = (
+            f"no filter could be found ({error}): the model is unstable or too stiff for these samples; use method ml"
+        )
+        return replace(first, method="fem-noise", status=Status.DIVERGED, text=text)
+
+
+def _steady_filter(chosen: Model, data: list[FlightData], first: Result, options: OutputErrorOptions) -> Result:
     noise = _white_noise(chosen, data, first)
     driven = force_states(chosen)
     fallback = float(np.median(noise))

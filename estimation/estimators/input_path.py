@@ -32,8 +32,8 @@ PREFIX = {"lag": "lag_of_", "bend": "way_of_"}
 
 @dataclass(frozen=True)
 class InputPath:
-    """lag, std: s by which a surface acts later than its record, and the bound of that; bend, bend_std: share of a step by which it
-    is beyond the straight line half-way between samples."""
+    """lag, std: s by which a surface acts later than its record, and the bound of that; bend, bend_std: share of a step by which
+    it is beyond the straight line half-way between samples."""
 
     lag: float
     std: float
@@ -52,12 +52,14 @@ class InputPath:
 
 
 def with_paths(model: Model, flights: Sequence[FlightData]) -> Model:
-    """The model with two unknowns for each control whose way between samples the record leaves open; itself where there is none."""
+    """The model with two unknowns for each control whose way between samples is open; itself where there is none."""
     step = float(np.median(np.concatenate([np.diff(s.time) for f in flights for s in f.segments])))
     size = float(np.hypot(SERVO, INTERVALS * step))
     if not model.free_names:
         return model
-    busy = {t.input for t in model.transforms if t.kind in ("delay", "lag", "bend")}  # the model says itself how it follows
+    busy = {
+        t.input for t in model.transforms if t.kind in ("delay", "lag", "bend")
+    }  # the model says itself how it follows
     return _with_unknowns(model, [n for n in clocked_controls(model, flights) if n not in busy], size)
 
 

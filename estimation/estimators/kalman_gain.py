@@ -47,11 +47,16 @@ class GainLaw:
         return np.array(found).reshape(relative.size, *self.transition.shape[:1], self.C.shape[0])
 
     def _prediction(self, Q: Array) -> Array:
-        """Covariance of the one-step prediction."""
+        """Covariance of the one-step prediction. LinAlgError where the linearised motion has no steady filter."""
+        if not (np.isfinite(self.transition).all() and np.isfinite(self.C).all() and np.isfinite(Q).all()):
+            raise np.linalg.LinAlgError("the linearised motion grows beyond all numbers within one sample interval")
         R = np.diag(self.noise**2)
         # a state that nothing disturbs and that does not decay is known for good: its filter has no steady state but zero gain
         floor = TINY * max(float(Q.max()), float(R.min())) * np.eye(len(Q))
-        return np.asarray(solve_discrete_are(self.transition.T, self.C.T, Q + floor, R))
+        try:
+            return np.asarray(solve_discrete_are(self.transition.T, self.C.T, Q + floor, R))
+        except ValueError as error:  # scipy's word for infinite intermediate results
+            raise np.linalg.LinAlgError("the Riccati equation of its filter has no finite solution") from error
 
 
 TINY = 1e-12  # of the largest process noise, or of the smallest noise of measurement

@@ -22,8 +22,8 @@ TRANSFORM_KINDS: Mapping[str, int] = {
     "bias": 1,
 }
 """Input transforms by name -> number of parameters. Seconds for delay and lag, the input's unit for dead zone, backlash and
-bias, seconds per unit of the input for the rate limit (0: none); bend: share of each step by which the input is beyond the straight
-line half-way between two samples."""
+bias, seconds per unit of the input for the rate limit (0: none); bend: share of each step by which the input is beyond the
+straight line half-way between two samples."""
 
 
 @dataclass(frozen=True, slots=True)
