@@ -46,6 +46,10 @@ LOOP = LoopOptions(iterations=150, tolerance=1e-3)  # relaxation of the full cov
 FIRST_NOISE = 0.3  # of what a state gathers in a sample interval, over the noise of its measurement
 NOISE_PRIOR = 3.0  # standard deviation of the same
 LINEARISED = 2  # at the estimates of output error, and once at its own
+NO_FILTER = (
+    "no filter of this model has a steady state that can be calculated: the model that output error found grows or decays beyond "
+    "all numbers within a sample interval; check units and signs, fix what the data cannot tell, or use another method"
+)
 GAIN_PRIOR = 1.0  # standard deviation of a gain, in units of the noise of state over the noise of output
 
 
@@ -69,12 +73,15 @@ class _Filtered(OutputErrorProblem, ABC):
 
     def motion(self, unknowns: Array, flight: int, segment: int, derivatives: bool) -> Motion:
         values = self.values(unknowns, flight)
+        gain = self._gain(values)
+        if not np.isfinite(gain).all():  # no such filter: the search steps back
+            return self._no_motion(flight, segment)
         motion = self.simulator.run(
             self.flights[flight].segments[segment],
             values,
             self.initial_state(unknowns, flight, segment),
             sensitivities=derivatives,
-            gain=self._gain(values),
+            gain=gain,
             gain_free=self._free_entries() if derivatives else None,
         )
         if motion.dy is None:
@@ -82,7 +89,12 @@ class _Filtered(OutputErrorProblem, ABC):
         count = len(self.free) + self.nx
         dy = motion.dy[:, :, :count].copy()
         self._by_unknowns(values, motion.dy[:, :, count:], dy)
-        return replace(motion, dy=dy)
+        return replace(motion, dy=dy) if np.isfinite(dy).all() else self._no_motion(flight, segment)
+
+    def _no_motion(self, flight: int, segment: int) -> Motion:
+        """A motion that left the finite numbers at once."""
+        count = len(self.flights[flight].segments[segment])
+        return Motion(np.full((count, self.nx), np.nan), np.full((count, self.ny), np.nan), None, 0)
 
     @abstractmethod
     def _free_entries(self) -> Array:
@@ -233,6 +245,8 @@ def _steady_filter(chosen: Model, data: list[FlightData], first: Result, options
             break
         values = last.values
     assert last is not None
+    if last.status is Status.DIVERGED:
+        last = replace(last, text=NO_FILTER)
     dt = _step(data)
     sizes = {s: float(last.values[n] * unit[s] / np.sqrt(dt)) for s, n in zip(driven, names, strict=True)}
     K = problem.law.gain(np.array([last.values[n] for n in names]))

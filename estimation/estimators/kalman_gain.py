@@ -9,6 +9,7 @@ the noise, which a free gain is not, and a handful of standard deviations make i
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.linalg import LinAlgError
 from scipy.linalg import expm, solve_discrete_are
 
 from estimation.engine.kernel import Array
@@ -28,16 +29,19 @@ class GainLaw:
     states: tuple[int, ...]
 
     def gain(self, relative: Array) -> Array:
-        """K (nx, ny) at process noise `relative` (n,), in units of `unit`."""
+        """K (nx, ny) at process noise `relative` (n,), in units of `unit`; NaN where the filter has no steady state that can be
+        calculated: a model that grows or decays beyond all numbers within a sample interval."""
         Q = np.zeros(self.transition.shape)
         for state, unit, size in zip(self.states, self.unit, relative, strict=True):
             Q[state, state] = (unit * size) ** 2
         P = self._prediction(Q)
+        if not np.isfinite(P).all():
+            return np.full((len(Q), len(self.noise)), np.nan)
         S = self.C @ P @ self.C.T + np.diag(self.noise**2)
         return np.asarray(np.linalg.solve(S, self.C @ P).T)
 
     def slopes(self, relative: Array) -> Array:
-        """dK/d relative (n, nx, ny); at zero, where the gain begins, the slope to the right."""
+        """dK/d relative (n, nx, ny); at zero, where the gain begins, the slope to the right. NaN as of `gain`."""
         found = []
         for i in range(relative.size):
             up, down = relative.copy(), relative.copy()
@@ -64,4 +68,5 @@ TINY = 1e-12  # of the largest process noise, or of the smallest noise of measur
 
 def gain_law(A: Array, C: Array, dt: float, noise: Array, unit: Array, states: tuple[int, ...]) -> GainLaw:
     """The law at a point of flight; A (nx, nx), C (ny, nx), dt [s] between samples."""
-    return GainLaw(np.asarray(expm(A * dt)), C, noise, unit, states)
+    with np.errstate(over="ignore", invalid="ignore"):  # what grows beyond all numbers is refused where the gain is asked for
+        return GainLaw(np.asarray(expm(A * dt)), C, noise, unit, states)

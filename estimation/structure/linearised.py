@@ -19,9 +19,9 @@ from estimation.engine.simulate import Simulator
 from estimation.estimators.arrow import pseudo_inverse
 from estimation.estimators.coloured import Piece, noise_spectrum, white_products, without_nuisance
 from estimation.estimators.input_error import LEAST_NOISE, Disturbed, Evidence, common_error, disturbed, edge_size
+from estimation.estimators.input_path import at_paths_of
 from estimation.estimators.likelihood import LikelihoodPoint, OutputErrorProblem, whiten_all
 from estimation.estimators.output_error import in_pieces_of
-from estimation.estimators.input_path import at_paths_of
 from estimation.estimators.result import Result
 from estimation.estimators.uncertainty import input_lags, white_responses
 from estimation.structure.candidates import Candidate, Kind, candidates, with_candidates
