@@ -19,6 +19,7 @@ from estimation.engine.edges import clocked_controls
 from estimation.estimators.gauss_newton import Status
 from estimation.estimators.result import Estimate, Result, finite
 from estimation.models.base import InputTransform, Model, Parameter, ParameterRole
+from groundstation.flight.notes import Note, NoteKind
 
 SERVO = 0.04  # s: lags of model servos lie between .02 and .06; a record that is a command is wrong by this
 INTERVALS = 0.5  # of a sample interval: what an edge on the clock leaves open
@@ -98,7 +99,17 @@ def in_own_terms(result: Result, model: Model) -> Result:
     if not names:
         return result
     paths = {n: _path(e[PREFIX["lag"] + n], e[PREFIX["bend"] + n]) for n in names}
-    return without(result, model, set(e) - set(model.free_names), {"inputs": paths})
+    notes = tuple(Note(NoteKind.OTHER, _sentence(n, path)) for n, path in paths.items())
+    stated = replace(result, flights=tuple(replace(f, notes=(*f.notes, *notes)) for f in result.flights))
+    return without(stated, model, set(e) - set(model.free_names), {"inputs": paths})
+
+
+def _sentence(control: str, path: InputPath) -> str:
+    return (
+        f"{control}: its edges fall on the sampling clock or were logged as steps, so its way between samples was estimated: it "
+        f"acts {path.lag * 1e3:+.1f} +- {path.std * 1e3:.1f} ms after its record and is {path.bend:+.2f} +- {path.bend_std:.2f} "
+        "of a step beyond the straight line half-way; the bounds count what is not known of it; log surfaces faster to narrow them"
+    )
 
 
 def _path(lag: Estimate, bend: Estimate) -> InputPath:

@@ -9,7 +9,6 @@ the noise, which a free gain is not, and a handful of standard deviations make i
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.linalg import LinAlgError
 from scipy.linalg import expm, solve_discrete_are
 
 from estimation.engine.kernel import Array
@@ -68,5 +67,7 @@ TINY = 1e-12  # of the largest process noise, or of the smallest noise of measur
 
 def gain_law(A: Array, C: Array, dt: float, noise: Array, unit: Array, states: tuple[int, ...]) -> GainLaw:
     """The law at a point of flight; A (nx, nx), C (ny, nx), dt [s] between samples."""
-    with np.errstate(over="ignore", invalid="ignore"):  # what grows beyond all numbers is refused where the gain is asked for
+    with np.errstate(
+        over="ignore", invalid="ignore"
+    ):  # what grows beyond all numbers is refused where the gain is asked for
         return GainLaw(np.asarray(expm(A * dt)), C, noise, unit, states)
