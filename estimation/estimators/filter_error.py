@@ -46,10 +46,6 @@ LOOP = LoopOptions(iterations=150, tolerance=1e-3)  # relaxation of the full cov
 FIRST_NOISE = 0.3  # of what a state gathers in a sample interval, over the noise of its measurement
 NOISE_PRIOR = 3.0  # standard deviation of the same
 LINEARISED = 2  # at the estimates of output error, and once at its own
-NO_FILTER = (
-    "no filter of this model has a steady state that can be calculated: the model that output error found grows or decays beyond "
-    "all numbers within a sample interval; check units and signs, fix what the data cannot tell, or use another method"
-)
 GAIN_PRIOR = 1.0  # standard deviation of a gain, in units of the noise of state over the noise of output
 
 
@@ -73,23 +69,24 @@ class _Filtered(OutputErrorProblem, ABC):
 
     def motion(self, unknowns: Array, flight: int, segment: int, derivatives: bool) -> Motion:
         values = self.values(unknowns, flight)
-        gain = self._gain(values)
-        if not np.isfinite(gain).all():  # no such filter: the search steps back
+        try:
+            gain = self._gain(values)
+            motion = self.simulator.run(
+                self.flights[flight].segments[segment],
+                values,
+                self.initial_state(unknowns, flight, segment),
+                sensitivities=derivatives,
+                gain=gain,
+                gain_free=self._free_entries() if derivatives else None,
+            )
+            if motion.dy is None:
+                return motion
+            count = len(self.free) + self.nx
+            dy = motion.dy[:, :, :count].copy()
+            self._by_unknowns(values, motion.dy[:, :, count:], dy)
+        except np.linalg.LinAlgError:  # no such filter: the search steps back
             return self._no_motion(flight, segment)
-        motion = self.simulator.run(
-            self.flights[flight].segments[segment],
-            values,
-            self.initial_state(unknowns, flight, segment),
-            sensitivities=derivatives,
-            gain=gain,
-            gain_free=self._free_entries() if derivatives else None,
-        )
-        if motion.dy is None:
-            return motion
-        count = len(self.free) + self.nx
-        dy = motion.dy[:, :, :count].copy()
-        self._by_unknowns(values, motion.dy[:, :, count:], dy)
-        return replace(motion, dy=dy) if np.isfinite(dy).all() else self._no_motion(flight, segment)
+        return replace(motion, dy=dy) if np.isfinite(dy).all() else replace(motion, dy=None, reached=0)
 
     def _no_motion(self, flight: int, segment: int) -> Motion:
         """A motion that left the finite numbers at once."""
@@ -213,7 +210,7 @@ def process_noise_error(
 def _by_process_noise(chosen: Model, data: list[FlightData], first: Result, options: OutputErrorOptions) -> Result:
     """The fit from an output error that came to a result; one that says why where the arithmetic of the filter fails."""
     try:
-        with np.errstate(all="ignore"):
+        with np.errstate(all="ignore"):  # what leaves the numbers is refused where it does
             return _steady_filter(chosen, data, first, options)
     except (np.linalg.LinAlgError, ArithmeticError) as error:
         text = (
@@ -223,6 +220,7 @@ def _by_process_noise(chosen: Model, data: list[FlightData], first: Result, opti
 
 
 def _steady_filter(chosen: Model, data: list[FlightData], first: Result, options: OutputErrorOptions) -> Result:
+    """The fit with the filter of its process noise. LinAlgError where the law of that has no gain to begin with."""
     noise = _white_noise(chosen, data, first)
     driven = force_states(chosen)
     fallback = float(np.median(noise))
@@ -239,6 +237,7 @@ def _steady_filter(chosen: Model, data: list[FlightData], first: Result, options
         )
         problem.noises = names
         problem.law = _law(simulator, data, values, noise, unit)
+        problem.law.gain(np.array([values[n] for n in names]))  # a law without a gain here says why
         outcome = minimise(problem, problem.pack(extended.starts()), LOOP)
         last = describe(problem, outcome, "fem-noise")
         if not last.converged:
@@ -246,7 +245,7 @@ def _steady_filter(chosen: Model, data: list[FlightData], first: Result, options
         values = last.values
     assert last is not None
     if last.status is Status.DIVERGED:
-        last = replace(last, text=NO_FILTER)
+        return without(last, chosen, set(names), {})
     dt = _step(data)
     sizes = {s: float(last.values[n] * unit[s] / np.sqrt(dt)) for s, n in zip(driven, names, strict=True)}
     K = problem.law.gain(np.array([last.values[n] for n in names]))

@@ -108,7 +108,7 @@ def _sentence(control: str, path: InputPath) -> str:
     return (
         f"{control}: its edges fall on the sampling clock or were logged as steps, so its way between samples was estimated: it "
         f"acts {path.lag * 1e3:+.1f} +- {path.std * 1e3:.1f} ms after its record and is {path.bend:+.2f} +- {path.bend_std:.2f} "
-        "of a step beyond the straight line half-way; the bounds count what is not known of it; log surfaces faster to narrow them"
+        "of a step beyond a straight line half-way; the bounds count that; log surfaces faster to narrow it"
     )
 
 

@@ -28,19 +28,17 @@ class GainLaw:
     states: tuple[int, ...]
 
     def gain(self, relative: Array) -> Array:
-        """K (nx, ny) at process noise `relative` (n,), in units of `unit`; NaN where the filter has no steady state that can be
-        calculated: a model that grows or decays beyond all numbers within a sample interval."""
+        """K (nx, ny) at process noise `relative` (n,), in units of `unit`. LinAlgError where the filter has no steady state that
+        can be calculated, as where the model grows or decays beyond all numbers within a sample interval."""
         Q = np.zeros(self.transition.shape)
         for state, unit, size in zip(self.states, self.unit, relative, strict=True):
             Q[state, state] = (unit * size) ** 2
         P = self._prediction(Q)
-        if not np.isfinite(P).all():
-            return np.full((len(Q), len(self.noise)), np.nan)
         S = self.C @ P @ self.C.T + np.diag(self.noise**2)
         return np.asarray(np.linalg.solve(S, self.C @ P).T)
 
     def slopes(self, relative: Array) -> Array:
-        """dK/d relative (n, nx, ny); at zero, where the gain begins, the slope to the right. NaN as of `gain`."""
+        """dK/d relative (n, nx, ny); at zero, where the gain begins, the slope to the right. LinAlgError as of `gain`."""
         found = []
         for i in range(relative.size):
             up, down = relative.copy(), relative.copy()
