@@ -152,7 +152,7 @@ def filter_error(
     """
     chosen = load_model(model).with_starts(start or {})
     chosen, data = compared(chosen, prepared(chosen, flights, options.preparation))
-    return in_own_terms(_by_free_gain(with_paths(chosen, data), data, options), chosen)
+    return in_own_terms(_by_free_gain(with_paths(chosen, data) if options.paths else chosen, data, options), chosen)
 
 
 def _by_free_gain(chosen: Model, data: list[FlightData], options: OutputErrorOptions) -> Result:
@@ -200,7 +200,7 @@ def process_noise_error(
     """
     chosen = load_model(model).with_starts(start or {})
     chosen, data = compared(chosen, prepared(chosen, flights, options.preparation))
-    full = with_paths(chosen, data)
+    full = with_paths(chosen, data) if options.paths else chosen
     first = output_error(full, data, options=options)
     if first.status is Status.DIVERGED:
         return in_own_terms(first.with_method("fem-noise"), chosen)
