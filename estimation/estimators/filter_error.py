@@ -200,11 +200,13 @@ def process_noise_error(
     """
     chosen = load_model(model).with_starts(start or {})
     chosen, data = compared(chosen, prepared(chosen, flights, options.preparation))
-    full = with_paths(chosen, data) if options.paths else chosen
-    first = output_error(full, data, options=options)
+    plain = replace(
+        options, paths=False
+    )  # a way between samples and process noise of the angles explain the same residuals
+    first = output_error(chosen, data, options=plain)
     if first.status is Status.DIVERGED:
-        return in_own_terms(first.with_method("fem-noise"), chosen)
-    return in_own_terms(_by_process_noise(full, data, first, options), chosen)
+        return first.with_method("fem-noise")
+    return _by_process_noise(chosen, data, first, plain)
 
 
 def _by_process_noise(chosen: Model, data: list[FlightData], first: Result, options: OutputErrorOptions) -> Result:

@@ -162,11 +162,11 @@ def _pulled(c: Columns) -> bool:
 
 def _angles(time: Array, c: Columns) -> Iterator[Suspicion]:
     for name in _ANGLES:
-        if name in c and not (name in _RUNS_ON and runs_on(time, c, name)):
+        if name in c:
             low, high = COLUMN_BY_NAME[name].plausible
             lowest, highest = float(np.nanmin(c[name])), float(np.nanmax(c[name]))
             worst = highest if highest > -lowest else lowest
-            if lowest < low - 1e-3 or highest > high + 1e-3:
+            if (lowest < low - 1e-3 or highest > high + 1e-3) and not runs_on(time, c, name):
                 unit = "deg" if abs(worst) <= 370 else "cdeg or us"
                 yield Suspicion(
                     (name,), f"reaches {worst:.4g} rad, beyond {high if worst > 0 else low:.3g}; is it in {unit}?"
@@ -174,11 +174,11 @@ def _angles(time: Array, c: Columns) -> Iterator[Suspicion]:
 
 
 def runs_on(time: Array, c: Columns, name: str) -> bool:
-    """Whether an angle beyond its range is one that was not wrapped: in radians by what the gyros turn, without a jump of a turn.
+    """Whether an angle (N,) beyond its range is one that was not wrapped: in radians by what the gyros turn.
 
-    Without gyros, or where they turn too little to tell the unit, it is not.
+    False without gyros, or where they turn too little to tell the unit.
     """
-    if not all(n in c for n in (name, _RUNS_ON[name])):
+    if name not in _RUNS_ON or not all(n in c for n in (name, _RUNS_ON[name])):
         return False
     turning = c[_RUNS_ON[name]] if name == "phi" else _heading_rate(c)
     slope = _integral_slope(time, c[name], turning)
