@@ -33,6 +33,7 @@ from daq.recorder.storage import Storage
 from daq.recorder.timing import LoopTiming
 from daq.sensors.bus import I2cBus, SerialPort
 from daq.telemetry.link import RadioLink, radio_link
+from daq.telemetry.pitot_zero import PitotZero
 from daq.telemetry.uplink import TURN_NS
 from daq.transport.ports import BytePort
 
@@ -165,6 +166,7 @@ def assemble(
         new_recorder=next_recorder,
         housekeeping=housekeeping,
         opening=opening,
+        zero=PitotZero(config.scan.rate_hz).look if config.preflight.auto_zero_pitot else None,
     )
     if actuation is not None:
         logger.actuate(actuation)

@@ -74,6 +74,8 @@ class PreflightConfig(Section):
     radio_margin_db: Annotated[float, Field(ge=0)] = 10.0  # signal above noise, where the radio reports it
     require_time: bool = True  # False: no UTC from GPS is a caution, not a no-go
     require_radio: bool = False
+    pitot_offset_pa: Annotated[float, Field(gt=0)] = 10.0  # at rest; 10 Pa there are 4 m/s
+    auto_zero_pitot: bool = False  # True: the logger zeroes the pitot itself where the aircraft rests before flight
 
 
 class LoggerConfig(Section):

@@ -127,6 +127,7 @@ class Logger:
     `connect` adds a link that itself needs the logger.
     timing: the histograms that the recorder reports; give the recorder the same object.
     housekeeping: called about once a second in the slack after a scan (watchdog, garbage collection).
+    zero: looks at every scan, and gives the text of an event where the pitot is to be zeroed.
     """
 
     def __init__(
@@ -143,6 +144,7 @@ class Logger:
         new_recorder: Callable[[], Recorder] | None = None,
         housekeeping: Callable[[], None] = _nothing,
         opening: Iterable[Opening] = (),
+        zero: Callable[[Scan], str | None] | None = None,
     ) -> None:
         self.timing = timing or LoopTiming()
         self._period_ns = round(NS / rate_hz)
@@ -154,6 +156,7 @@ class Logger:
         self._uplink = uplink
         self._housekeeping = housekeeping
         self._opening = tuple(opening)
+        self._zero = zero
         self._number = 0
         self._tried = -1  # number of the last slot in which a scan was begun
         self._first = 0  # number of the slot at `_start_ns`
@@ -273,6 +276,8 @@ class Logger:
             if self._recorder is not None:
                 self._recorder.scan(scan)
             self._watch_states(scan)
+            if self._zero is not None and (text := self._zero(scan)) is not None:
+                self.mark_event(text, "logger")
         if self._health_due:
             self._report(self._clock.monotonic_ns())
         self._serve_link(scans)

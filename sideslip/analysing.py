@@ -4,7 +4,8 @@ from pathlib import Path
 
 import click
 
-from daq.contract.outputs import tried_folder
+from daq.contract.options import aircraft_option, json_option
+from daq.contract.outputs import tried_folder, write_json
 
 EXAMPLE = "Example: sideslip analyse log.bin --map surfaces.toml --aircraft plane.toml -o analysis"
 _PATH = click.Path(path_type=Path)
@@ -12,11 +13,12 @@ _PATH = click.Path(path_type=Path)
 
 @click.command(epilog=EXAMPLE)
 @click.argument("logs", nargs=-1, required=True, type=_PATH, metavar="LOG...")
-@click.option("--aircraft", help="Built-in aircraft or an AIRCRAFT.toml; without one: what can be said all the same.")
+@aircraft_option("Built-in aircraft or an AIRCRAFT.toml; without one: what can be said all the same", "")
 @click.option("--map", "mapping", type=_PATH, help="Mapping file, as of 'sideslip import'.")
 @click.option(
     "--holdout", multiple=True, type=_PATH, metavar="LOG", help="A log kept out of every fit; may be repeated."
 )
+@json_option()
 @click.option(
     "-o",
     "--output",
@@ -26,7 +28,12 @@ _PATH = click.Path(path_type=Path)
     help="Folder for index.html, answer.json and stages.",
 )
 def analyse(
-    logs: tuple[Path, ...], aircraft: str | None, mapping: Path | None, holdout: tuple[Path, ...], output: Path
+    logs: tuple[Path, ...],
+    aircraft: str | None,
+    mapping: Path | None,
+    holdout: tuple[Path, ...],
+    output: Path,
+    json_path: Path | None,
 ) -> int:
     """From LOGs to an answer: import, contradictions, stretches, air data, the richest model, estimate, gap and one page."""
     from estimation.commands.progress import Progress
@@ -36,6 +43,8 @@ def analyse(
         answer = analysis.analyse(logs, aircraft, mapping, holdout, output, progress)
     for line in answer.lines():
         click.echo(line)
+    if json_path is not None:
+        write_json(answer.to_json(), json_path)
     done = ", ".join(answer.repeated)
     click.echo(
         f"page: {output / 'index.html'}" + (f" (done in this run: {done})" if done else " (nothing had changed)")

@@ -5,6 +5,7 @@ listened to. A no-go refuses the recording unless a person overrides it, and the
 """
 
 import contextlib
+import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from enum import StrEnum
@@ -20,6 +21,8 @@ from daq.config import LoggerConfig
 from daq.contract.scan import Scan, SensorState
 from daq.logger import SensorSource
 from daq.recorder.storage import Storage, in_memory
+from daq.telemetry.display import SEA_LEVEL_DENSITY
+from daq.telemetry.flight_state import flight_evidence, pitot_offset
 
 _PROBE_BYTES = 64 * 1024
 _PROBE_WRITES = 8
@@ -102,6 +105,7 @@ def run_preflight(
     summary = sampler.health()
     checks = [
         *_sensor_checks(summary, scans),
+        *_pitot_checks(config, scans),
         _timing_check(config, lateness_us),
         _clock_check(config, clock, scans[-1]),
         *(_card_checks(config, clock, storage)),
@@ -143,6 +147,26 @@ def _sensor_check(health: GroupHealth, scans: list[Scan]) -> Check:
     if health.state is SensorState.OK or (health.group == "gnss" and health.state is SensorState.STALE and well):
         return Check(health.group, Verdict.CAUTION, f"{health.words}, but well in only {well} of {len(states)} scans")
     return Check(health.group, bad, health.words)
+
+
+def _pitot_checks(config: LoggerConfig, scans: list[Scan]) -> Iterable[Check]:
+    """What the pitot of the standard fit reads while nothing else moves."""
+    pitot, read = config.sensors.pitot, pitot_offset(scans)
+    if pitot is None or pitot.driver != "ms4525do" or read is None:
+        return
+    offset, scatter = read
+    moving, limit = flight_evidence(scans), config.preflight.pitot_offset_pa
+    airspeed = math.sqrt(2.0 * abs(offset) / SEA_LEVEL_DENSITY)
+    text = f"reads {offset:+.0f} Pa ({airspeed:.0f} m/s) +- {scatter:.1f} Pa at rest (limit {limit:g} Pa)"
+    if moving is not None:
+        yield Check("pitot at rest", Verdict.CAUTION, f"not judged: {moving}")
+    elif abs(offset) <= limit:
+        yield Check("pitot at rest", Verdict.GO, text)
+    elif config.preflight.auto_zero_pitot:
+        yield Check("pitot at rest", Verdict.GO, f"{text}; it is zeroed before flight")
+    else:
+        cure = "zero it: command 'zero' at the ground station, or auto_zero_pitot = true under [preflight]"
+        yield Check("pitot at rest", Verdict.NO_GO, f"{text}; {cure}")
 
 
 def _timing_check(config: LoggerConfig, lateness_us: list[int]) -> Check:

@@ -115,7 +115,7 @@ def _estimated(
         tried: list[str] = []
         for i, model in enumerate(models):
             tell(f"estimate of {model}", 0.35 + 0.3 * i / len(models))
-            answer = estimate(flights, model, methods, aircraft=aircraft, joint=len(flights) > 1)
+            answer = estimate(flights, model, methods, aircraft=aircraft, joint=len(flights) > 1, structure="auto")
             best = recommended(answer.to_json())
             if best.get("method", "none") != "none":
                 return _kept(answer, stages.folder, tried)
@@ -252,7 +252,12 @@ def _next(
         )
     steps += [c.hint for c in training if c.hint]
     best = recommended(estimate)
-    steps += [str(text) for text in best.get("lacks", ())]
+    lacks = ", ".join(str(term) for term in best.get("lacks", ()))
+    steps += (
+        [f"settle what the model may lack ({lacks}): what is said of each stands on the page of the derivatives"]
+        if lacks
+        else []
+    )
     if estimate and best.get("method", "none") == "none":
         steps += [str(d.get("text", "")) for f in estimate.get("flights", []) for d in f.get("doubts", [])]
     if not estimate and not without:

@@ -12,8 +12,8 @@ from estimation.models.base import Model
 Array = NDArray[np.float64]
 
 ALONE = 0.02
-"""Share of a control's movement that other controls and the motion must leave unexplained: less is a gearing, an interconnect or
-a damper, and its derivatives would be told by the noise of two recordings of one movement."""
+"""Share of a control's movement that other controls and the motion must leave unexplained: less is a gearing, an interconnect
+or a damper, and its derivatives would be told by the noise of two recordings of one movement."""
 HEARD = 1.0  # times its noise, which de-noising halves: what is left over of a control must be more
 NAMED = 0.05  # of the explained movement from which a companion is named
 

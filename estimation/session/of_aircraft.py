@@ -12,8 +12,8 @@ from estimation.session.aircraft_review import Note, review
 
 @dataclass(frozen=True)
 class OfAircraft:
-    """impossible: sentences on constants of the model; dropped: stated derivatives that the model has no term for; span, area,
-    chord [m, m2, m]: NaN where not stated."""
+    """impossible: sentences on constants of the model; dropped: stated derivatives that the model has no term for; span,
+    area, chord [m, m2, m]: NaN where not stated."""
 
     impossible: tuple[str, ...] = ()
     dropped: tuple[str, ...] = ()

@@ -1,12 +1,10 @@
 """What a derivative of an aeroplane can be, by its class: signs, sizes, static margin. In the conventions of this house.
 
 Ranges are the widest of the tables of J. Roskam, Airplane Flight Dynamics and Automatic Flight Controls I (appendix B and C:
-ten aeroplanes
-from Cessna 182 to F-4 and 747), R. C. Nelson, Flight Stability and Automatic Control (appendix B), B. W. McCormick, Aerodynamics,
-Aeronautics and Flight Mechanics (chapter 9-10) and USAF Stability and Control Datcom, half as much again added; signs are theirs,
-turned where the house counts a control the other way (+delta_a rolls left, +delta_r yaws left). An unstable aeroplane is one
-still:
-stiffnesses may have either sign, dampings in roll, pitch and yaw may not.
+ten aeroplanes from Cessna 182 to F-4 and 747), R. C. Nelson, Flight Stability and Automatic Control (appendix B), B. W.
+McCormick, Aerodynamics, Aeronautics and Flight Mechanics (chapter 9-10) and USAF Stability and Control Datcom, half as much
+again added; signs are theirs, turned where the house counts a control the other way (+delta_a rolls left, +delta_r yaws
+left). An unstable aeroplane is one still: stiffnesses may have either sign, dampings in roll, pitch and yaw may not.
 """
 
 import math

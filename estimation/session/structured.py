@@ -1,7 +1,7 @@
 """The structure test beside the fits of a session, and fits again with what the model turns out to lack.
 
-Each flight's fit is tested, and the joint one. The whole linear model is the built-in models' own: derivatives that the data tell
-are added whatever is wished (`estimation.structure.score_test.THRESHOLD`), everything else on request only.
+Each flight's fit is tested, and the joint one. The whole linear model is the built-in models' own: derivatives that the data
+tell are added whatever is wished (`estimation.structure.score_test.THRESHOLD`), everything else on request only.
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -144,7 +144,8 @@ def _moved_result(results: Mapping[str, Result], basis: Result) -> Result:
 def _of_result(
     basis: Result, chosen: Result, ready: list[FlightData], places: Collection[str]
 ) -> tuple[Structure, tuple[OddFlight, ...]]:
-    """What a fit lacks in all flights, and the flight that still differs with that; what is lacking is then asked of the others.
+    """What a fit lacks in all flights, and the flight that still differs with that; what is lacking is then asked of the
+    others.
 
     places: sensors whose places are stated, so that readings are brought to the CG.
     """

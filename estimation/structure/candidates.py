@@ -1,10 +1,9 @@
 """What a model may lack, found in its own equations: terms of the general linear model, first nonlinear ones, lags, scales.
 
 A line of a force or moment is one in which estimated derivatives stand in products with motion or controls. Each such line is
-offered
-every regressor of the lines it shares regressors with, and the first odd power of those that it has. A recorded control may act
-later than recorded, a vane or an attitude may show the motion late, a measured channel may read too much by a factor, an
-accelerometer may sit off the CG, and the product of inertia may be another.
+offered every regressor of the lines it shares regressors with, and the first odd power of those that it has. A recorded
+control may act later than recorded, a vane or an attitude may show the motion late, a measured channel may read too much by a
+factor, an accelerometer may sit off the CG, and the product of inertia may be another.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
@@ -33,8 +32,8 @@ class Kind(Enum):
 
 @dataclass(frozen=True)
 class Candidate:
-    """One thing that a model may lack. name: of its parameter; null: the value at which the model is as it was; line, term: what
-    is added to which line; channel: the input or output concerned; phrase: as a sentence has it."""
+    """One thing that a model may lack. name: of its parameter; null: the value at which the model is as it was; line, term:
+    what is added to which line; channel: the input or output concerned; phrase: as a sentence has it."""
 
     name: str
     kind: Kind

@@ -1,8 +1,8 @@
 """Whether what a filter takes for gusts follows the controls: then it is something that the model lacks.
 
 Innovations of a right filter have nothing in common with what the controls did before, however rough the air and whoever
-steers: they
-are what could not be foretold. Where a term, a lag or a scale is missing, they repeat at every movement of a control.
+steers: they are what could not be foretold. Where a term, a lag or a scale is missing, they repeat at every movement of a
+control.
 """
 
 from collections.abc import Sequence
@@ -19,8 +19,7 @@ Array = NDArray[np.float64]
 STEPS = 8  # samples of the past that count: what lacks shows within half a second of a movement
 FOLLOWS = 0.08
 """Share of the innovations of one output that past movements of the controls foretell: 0.03 at most in plain and gusty
-flights, 0.13 to
-0.35 with a late vane, a late rudder or another product of inertia (random aeroplanes, docs/validation.md)."""
+flights, 0.13 to 0.35 with a late vane, a late rudder or another product of inertia (random aeroplanes, docs/validation.md)."""
 CHANCE = 1e-6  # probability of so much by chance
 
 

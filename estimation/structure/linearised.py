@@ -1,11 +1,9 @@
 """One fit with everything that its model may lack beside it, linearised: inner products of sensitivities and residuals.
 
 Products are in the metric in which the outputs' noise is white. That noise is found of what is left once parameters *and*
-everything
-that may be lacking have been fitted, flight by flight: what a model lacks must not pass for noise. A flight's own unknowns
-(initial states, constants of the day) are eliminated. What the inputs' errors put in (`estimation.estimators.input_error`) is
-kept
-as draws: simulated nulls, by which scores are calibrated.
+everything that may be lacking have been fitted, flight by flight: what a model lacks must not pass for noise. A flight's own
+unknowns (initial states, constants of the day) are eliminated. What the inputs' errors put in
+(`estimation.estimators.input_error`) is kept as draws: simulated nulls, by which scores are calibrated.
 """
 
 from collections.abc import Collection, Sequence
@@ -35,9 +33,8 @@ SEEN = 1e-6
 @dataclass(frozen=True)
 class FlightProducts:
     """One flight, columns [shared parameters | candidates | residual], its own unknowns eliminated. gram: as weighed by the
-    noise; plain:
-    weighed by the variances of the residuals, as output error does (without the residual). noise, edges: (columns, draws) and
-    common: (columns, errors) products with what the inputs' errors do to the outputs."""
+    noise; plain: weighed by the variances of the residuals, as output error does (without the residual). noise, edges:
+    (columns, draws) and common: (columns, errors) products with what the inputs' errors do to the outputs."""
 
     name: str
     gram: Array
@@ -56,8 +53,8 @@ class FlightProducts:
 
 @dataclass(frozen=True)
 class Linearised:
-    """All flights of a fit. shared: parameters; values: theirs; tested: candidates. prior: information of priors on the shared
-    ones."""
+    """All flights of a fit. shared: parameters; values: theirs; tested: candidates. prior: information of priors on the
+    shared ones."""
 
     shared: tuple[str, ...]
     values: Array

@@ -1,8 +1,8 @@
 """Which flight of a joint fit differs from the others, in what, and how likely that is chance: leave-one-out.
 
-Each flight's score at the estimate of all the others scatters as its own noise and their uncertainty say. Where it does not, what
-would explain it in this flight alone is looked for: all forces by one factor (mass, or dynamic pressure), one coefficient, one
-derivative, or one of the things tested beside every fit.
+Each flight's score at the estimate of all the others scatters as its own noise and their uncertainty say. Where it does not,
+what would explain it in this flight alone is looked for: all forces by one factor (mass, or dynamic pressure), one
+coefficient, one derivative, or one of the things tested beside every fit.
 """
 
 from collections.abc import Iterator, Sequence
@@ -25,16 +25,16 @@ CHANCE = 1e-4
 INFLATED = 2.0
 """Of a flight's score covariance: an allowance for what flights of one aircraft differ by in speed, loading and air."""
 SIMPLE = 0.8
-"""Share of what one single derivative explains from which a simpler cause, all forces by one factor or a whole coefficient, is
-named."""
+"""Share of what one single derivative explains from which a simpler cause, all forces by one factor or a whole coefficient,
+is named."""
 WHOLE = "mass or dynamic pressure"
 
 
 @dataclass(frozen=True)
 class OddFlight:
-    """A flight that differs. ratio: of what it has to what the others have (mass over mass, derivative over derivative, scale;
-    seconds
-    for a lag, as it is); probability: of so much by chance; moves: bounds by which it moves the joint estimate at most."""
+    """A flight that differs. ratio: of what it has to what the others have (mass over mass, derivative over derivative,
+    scale; seconds for a lag, as it is); probability: of so much by chance; moves: bounds by which it moves the joint estimate
+    at most."""
 
     flight: str
     what: str
@@ -42,13 +42,17 @@ class OddFlight:
     probability: float
     parameter: str
     moves: float
+    beside: str = ""
 
     @property
     def text(self) -> str:
         """As it is printed."""
         size = f"{self.ratio:.3g} s" if self.what.startswith("lag") else f"{self.ratio:.3g} times the others'"
+        who = f"{self.flight} differs from the other flights"
+        if self.beside:
+            who = f"{self.flight} and {self.beside} differ from one another, and two flights cannot tell which is the odd one"
         return (
-            f"{self.flight} differs from the other flights (probability of chance {self.probability:.1g}), most likely in"
+            f"{who} (probability of chance {self.probability:.1g}), most likely in"
             f" {self.what}: {size}; it moves the joint {self.parameter} by {self.moves:.1f} bounds"
         )
 
@@ -109,7 +113,9 @@ def _of_flight(linear: Linearised, result: Result, index: int) -> tuple[float, O
         moved = np.where(np.isfinite(bounds) & (bounds > 0.0), moved / bounds, 0.0)
     most = int(np.argmax(moved))
     ratio = 1.0 / max(1.0 + size, 0.05) if best.what == WHOLE else best.null + size
-    odd = OddFlight(mine.name, best.what, ratio, probability, linear.shared[most], float(moved[most]))
+    names = [f.name for f in linear.flights]
+    beside = names[1 - index] if len(names) == 2 else ""
+    odd = OddFlight(mine.name, best.what, ratio, probability, linear.shared[most], float(moved[most]), beside)
     return surprise / max(rank, 1), odd
 
 

@@ -1,11 +1,10 @@
 """Which of the things that a model may lack the residuals ask for, and what leaving them out does to the estimates.
 
 The score of one candidate is what the residuals have in common with its effect once all parameters have taken what they can,
-over its
-standard deviation from the outputs' noise and the inputs' errors: of unit variance where nothing is lacking (C. R. Rao, 1948;
-V. Klein and E. A. Morelli, Aircraft System Identification, 2nd ed., section 5.4, does the same for regressions). Candidates
-that are significant are taken one after the other, the strongest first, until none is left; what would have served as well is its
-rival.
+over its standard deviation from the outputs' noise and the inputs' errors: of unit variance where nothing is lacking (C. R.
+Rao, 1948; V. Klein and E. A. Morelli, Aircraft System Identification, 2nd ed., section 5.4, does the same for regressions).
+Candidates that are significant are taken one after the other, the strongest first, until none is left; what would have served
+as well is its rival.
 """
 
 from collections.abc import Mapping, Sequence
@@ -24,8 +23,8 @@ Array = NDArray[np.float64]
 
 THRESHOLD = 5.0
 """Score from which a candidate is significant. In ten joint fits of plain, noisy, thin and gusty flights of random aeroplanes
-the largest of
-25 scores was 1.4 to 3.4, with edges on the sampling clock 3.2 and 4.7; what was hidden scored 9 to 140 (docs/validation.md)."""
+the largest of 25 scores was 1.4 to 3.4, with edges on the sampling clock 3.2 and 4.7; what was hidden scored 9 to 140
+(docs/validation.md)."""
 RIVAL = 0.85
 """Share of the strongest score from which another candidate would serve as well, if it is no more needed once that is in."""
 TIED = 0.97
@@ -33,8 +32,8 @@ TIED = 0.97
 instrument."""
 MOST = 4  # candidates taken one after the other: a model that lacks more is another model
 ADVERSE = 0.25
-"""Of the roll by aileron, the largest yaw by aileron (Roskam, Airplane Flight Dynamics I, 4.1: -5 to -15 %; spoilers the same the
-other way): more is a product of inertia that is not what the file says."""
+"""Of the roll by aileron, the largest yaw by aileron (Roskam, Airplane Flight Dynamics I, 4.1: -5 to -15 %; spoilers the same
+the other way): more is a product of inertia that is not what the file says."""
 FACTORS = {"alpha": (0.5, 2.0), "beta": (0.5, 2.0)}
 """Scales that a vane in the upwash of an airframe can have (Gracey, NASA RP-1046: 1.1 to 1.8 ahead of a fuselage)."""
 FACTORS_ELSE = (0.75, 1.33)  # of any other channel: a calibration, not another instrument
@@ -59,8 +58,7 @@ LIKELY = {
 @dataclass(frozen=True)
 class Tested:
     """One candidate. score: signed, in standard deviations; value: what it would be; moves: parameter -> by how many of its
-    corrected
-    bounds the estimate is moved by leaving it out."""
+    corrected bounds the estimate is moved by leaving it out."""
 
     candidate: Candidate
     score: float
@@ -120,9 +118,9 @@ class Lack:
 
 @dataclass(frozen=True)
 class Structure:
-    """What was tested beside a fit. added: candidates that have been put into the model; ambiguous: of these, those that a rival
-    outside the model explains as well, though it gives other values. follows: filter method -> why its process noise is no
-    gusts."""
+    """What was tested beside a fit. added: candidates that have been put into the model; ambiguous: of these, those that a
+    rival outside the model explains as well, though it gives other values. follows: filter method -> why its process noise is
+    no gusts."""
 
     tested: tuple[Tested, ...]
     lacks: tuple[Lack, ...]

@@ -16,8 +16,8 @@ from estimation.models import load_model
 from tests.benchmarks.conftest import Against
 from tests.estimation.truth import NOISE, Case, fly
 
-BOOTSTRAP_MOST, WHOLE_MOST = 16.0, 400.0
-"""Twice the 7 to 8 times that were measured."""
+BOOTSTRAP_MOST, WHOLE_MOST = 16.0, 100.0
+"""Twice the 8 times that were measured, and well above the 37 times of networks from random starts."""
 
 
 def seconds(work: Callable[[], object]) -> tuple[float, float]:
@@ -28,6 +28,7 @@ def seconds(work: Callable[[], object]) -> tuple[float, float]:
 
 
 @pytest.mark.benchmark
+@pytest.mark.timeout(1200)
 def test_networks_of_a_bootstrap(compared: Against) -> None:
     """64 bootstrap networks for one 30 s flight: what they cost beside ML, under 1 GB."""
     aircraft = load_aircraft("cdfp")

@@ -1,11 +1,13 @@
 """Every verb and its function of Python give the same JSON for the same files, key by key and to the bit."""
 
+import inspect
 import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import click
 import numpy as np
 import pytest
 
@@ -16,6 +18,7 @@ from estimation.aircraft import unknown_aircraft
 from estimation.models import load_model, write_model
 from estimation.session import runner
 from groundstation.flight import write_flight
+from sideslip.cli import cli
 
 RECORDINGS = Path(__file__).parents[2] / "recordings"
 RAW = RECORDINGS / "cdfp_ld2_raw.mcap"
@@ -171,6 +174,41 @@ def test_verb_and_function_give_the_same_json(name: str, files: Files, tmp_path:
     verb, python = (json.loads((tmp_path / f"{door}.json").read_text()) for door in ("verb", "python"))
     assert list(differences(verb, python)) == []
     assert ended.value.code == (0 if answer.passed else 1)
+
+
+WRITES = {
+    "json_path", "report_folder", "figure_path", "histories_folder", "model_path", "stretch_path", "folder", "brief", "split",
+    "progress",
+}  # fmt: skip
+"""What a verb writes or prints, and a function hands over as an answer; and how far the work is."""
+VALUES = {"design": {"values", "noise"}}
+"""What only Python can be given: tables of numbers."""
+RENAMED = {"control": "input", "duration": "time", "recording": "recording", "report": "json_path"}
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "check",
+        "estimate",
+        "match",
+        "gap",
+        "watch",
+        "frequency",
+        "design",
+        "reconstruct",
+        "calibrate",
+        "verify",
+        "performance",
+    ],
+)
+def test_a_function_takes_what_its_verb_takes(name: str) -> None:
+    command = cli.get_command(click.Context(cli), name)
+    assert command is not None
+    options = {RENAMED.get(str(p.name), str(p.name)) for p in command.params} - WRITES
+    arguments = set(inspect.signature(getattr(ss, name)).parameters) - WRITES - VALUES.get(name, set())
+    assert options - arguments <= ({"output"} if name == "design" else set())
+    assert arguments <= options
 
 
 def test_a_difference_in_the_last_bit_is_seen() -> None:

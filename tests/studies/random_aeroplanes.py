@@ -1,9 +1,8 @@
 """Random aeroplanes flown with known derivatives in situations that a model or a record may lack something in.
 
 Full motion of a rigid body in body velocities (u, v, w), written here on its own and vectorised over flights; classical
-Runge-Kutta.
-Nothing comes from `estimation`, `firmware_sim` or `second_truth`. Mass, size, inertia, speed and all derivatives are drawn; the
-pilot flies doublets and 3-2-1-1 of aileron and rudder with a weak wing leveller, and holds pitch.
+Runge-Kutta. Nothing comes from `estimation`, `firmware_sim` or `second_truth`. Mass, size, inertia, speed and all derivatives
+are drawn; the pilot flies doublets and 3-2-1-1 of aileron and rudder with a weak wing leveller, and holds pitch.
 """
 
 from collections.abc import Mapping, Sequence
@@ -65,8 +64,7 @@ class Aeroplane:
 @dataclass(frozen=True)
 class Situation:
     """What is special. Shifts in s, scales as factors, derivatives and Ixz added to what is flown. odd: factor on four
-    derivatives of
-    the last flight; gust: rms sideslip [rad]; clocked: edges lie on the sampling clock."""
+    derivatives of the last flight; gust: rms sideslip [rad]; clocked: edges lie on the sampling clock."""
 
     name: str
     rate: float = 20.0

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from groundstation.flight import Flight
-from groundstation.flight.expression import parse
+from groundstation.flight.expression import ExpressionError, parse
 from groundstation.importers.errors import ImportDataError
 from groundstation.importers.run import import_data
 from tests.groundstation.turning import Columns, turning_flight
@@ -250,7 +250,7 @@ def test_columns_are_combined_by_an_expression(tmp_path: Path, turning: Columns)
     ],
 )  # fmt: skip
 def test_what_is_no_expression_is_told_and_never_run(text: str, words: str) -> None:
-    with pytest.raises(ImportDataError, match=words):
+    with pytest.raises(ExpressionError, match=words):
         parse(text)
 
 
