@@ -66,7 +66,7 @@ def with_paths(model: Model, flights: Sequence[FlightData]) -> Model:
 
 def at_paths_of(model: Model, result: Result) -> Model:
     """The model with the ways of the surfaces that a result found, as fixed numbers; itself where it found none."""
-    paths: Mapping[str, InputPath] = result.extra.get("inputs", {})
+    paths: Mapping[str, InputPath] = result.extra.get("input_paths", {})
     values = path_values(result)
     return _with_unknowns(model, list(paths), SERVO).fixed(**values) if values else model
 
@@ -87,13 +87,13 @@ def _with_unknowns(model: Model, controls: Sequence[str], size: float) -> Model:
 
 def path_values(result: Result) -> dict[str, float]:
     """Values of those unknowns in an earlier result, by the names that `with_paths` gives them."""
-    paths: Mapping[str, InputPath] = result.extra.get("inputs", {})
+    paths: Mapping[str, InputPath] = result.extra.get("input_paths", {})
     lags = {PREFIX["lag"] + n: p.lag for n, p in paths.items()}
     return lags | {PREFIX["bend"] + n: p.bend for n, p in paths.items()}
 
 
 def in_own_terms(result: Result, model: Model) -> Result:
-    """The result in terms of the parameters of `model`, what was found of the inputs in `extra["inputs"]`."""
+    """The result in terms of the parameters of `model`, what was found of the inputs in `extra["input_paths"]`."""
     e = result.parameters
     names = [n for n in model.input_names if PREFIX["lag"] + n in e]
     if not names:
@@ -101,7 +101,7 @@ def in_own_terms(result: Result, model: Model) -> Result:
     paths = {n: _path(e[PREFIX["lag"] + n], e[PREFIX["bend"] + n]) for n in names}
     notes = tuple(Note(NoteKind.OTHER, _sentence(n, path)) for n, path in paths.items())
     stated = replace(result, flights=tuple(replace(f, notes=(*f.notes, *notes)) for f in result.flights))
-    return without(stated, model, set(e) - set(model.free_names), {"inputs": paths})
+    return without(stated, model, set(e) - set(model.free_names), {"input_paths": paths})
 
 
 def _sentence(control: str, path: InputPath) -> str:

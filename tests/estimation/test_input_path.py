@@ -63,7 +63,7 @@ def test_roll_damping_with_edges_on_the_clock(rate: float, servo: float) -> None
     assert np.abs(misses(result)).max() < 3.5
     off = abs(result.parameters["Cl_p"].estimate - TRUE["Cl_p"])
     assert off < 0.5 * abs(without.parameters["Cl_p"].estimate - TRUE["Cl_p"])
-    path: InputPath = result.extra["inputs"]["delta_a"]
+    path: InputPath = result.extra["input_paths"]["delta_a"]
     assert abs(path.lag) < 3.0 * path.std
     assert result.to_json()["inputs"]["delta_a"]["lag"] == path.lag
     assert set(result.parameters) == set(LATERAL.free_names)
@@ -72,7 +72,7 @@ def test_roll_damping_with_edges_on_the_clock(rate: float, servo: float) -> None
 def test_filter_error_has_the_same_unknowns() -> None:
     flights, _ = fly(Case(rate=10.0, servo=0.05, noise=NOISE), np.random.default_rng(7))
     result = filter_error(LATERAL, flights[0])
-    assert set(result.extra["inputs"]) == {"delta_a", "delta_r"}
+    assert set(result.extra["input_paths"]) == {"delta_a", "delta_r"}
     assert np.abs(misses(result)).max() < 4.0
 
 
