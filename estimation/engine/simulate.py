@@ -110,13 +110,44 @@ class Simulator:
         return Drive(
             np.append(step, 0.0),
             u,
-            self._middle(u, step),
+            self._middle(u, step) + self._bends(u, step, values),
             self._end(u),
             segment.z,
             du,
-            self._middle_slopes(u, du, step),
+            self._middle_slopes(u, du, step) + self._bend_slopes(u, du, step, values),
             self._end(du),
         )
+
+    def _bent(self) -> list[tuple[int, str]]:
+        """Inputs whose way between samples has a parameter of its own: column and name of the parameter."""
+        names = self.model.input_names
+        return [(names.index(t.input), t.parameters[0]) for t in self.model.transforms if t.kind == "bend"]
+
+    def _bends(self, u: Array, step: Array, values: Mapping[str, float]) -> Array:
+        """(N, nu) what a parameter of the way between samples adds half-way: the straight line plus its share of the step,
+        where there is one, in place of the usual way."""
+        added = np.zeros_like(u)
+        if not self._bent():
+            return added
+        usual = self._middle(u, step)
+        for column, name in self._bent():
+            line = 0.5 * (u[:-1, column] + u[1:, column])
+            added[:-1, column] = line + values[name] * np.diff(u[:, column]) - usual[:-1, column]
+        return added
+
+    def _bend_slopes(self, u: Array, du: Array, step: Array, values: Mapping[str, float]) -> Array:
+        """(N, nu, nt) derivatives of `_bends`."""
+        added = np.zeros_like(du)
+        if not du.shape[2] or not self._bent():
+            return added
+        usual = self._middle_slopes(u, du, step)
+        names = self._transform_names()
+        for column, name in self._bent():
+            line = 0.5 * (du[:-1, column] + du[1:, column])
+            added[:-1, column] = line + values[name] * np.diff(du[:, column], axis=0) - usual[:-1, column]
+            if name in names:
+                added[:-1, column, names.index(name)] += np.diff(u[:, column])
+        return added
 
     def _transformed(
         self, segment: Segment, values: Mapping[str, float], sensitivities: bool, moved: Array | None = None

@@ -81,6 +81,12 @@ def _clamped(lower: Array, upper: Array, first: float) -> Array:
     return np.minimum(np.maximum(first, low), high)
 
 
+def _bend(time: Array, value: Array, share: float) -> Array:
+    """Nothing at the samples: between them the input is `share` of the step beyond the straight line, half-way
+    (`engine.simulate`): above zero the way of a servo that lags behind an edge on the sampling clock."""
+    return value
+
+
 def _scale(time: Array, value: Array, factor: float) -> Array:
     return factor * value
 
@@ -95,6 +101,7 @@ FUNCTIONS: Mapping[str, tuple[Callable[[Array, Array, float], Array], float]] = 
     "deadzone": (_deadzone, 1e-5),
     "backlash": (_backlash, 1e-5),
     "rate_limit": (_rate_limit, 1e-4),
+    "bend": (_bend, 1e-4),
     "scale": (_scale, 1e-4),
     "bias": (_bias, 1e-5),
 }

@@ -14,7 +14,6 @@ model are white, so both bounds agree. The fit that a result reports is that of 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -25,6 +24,7 @@ from estimation.engine.simulate import Simulator
 from estimation.engine.trace import trace
 from estimation.estimators.frequency_domain.linearised import matrices
 from estimation.estimators.gauss_newton import LoopOptions, Status, minimise
+from estimation.estimators.input_path import in_own_terms, with_paths, without
 from estimation.estimators.kalman_gain import GainLaw, gain_law
 from estimation.estimators.likelihood import OutputErrorProblem
 from estimation.estimators.output_error import (
@@ -69,20 +69,29 @@ class _Filtered(OutputErrorProblem, ABC):
 
     def motion(self, unknowns: Array, flight: int, segment: int, derivatives: bool) -> Motion:
         values = self.values(unknowns, flight)
-        motion = self.simulator.run(
-            self.flights[flight].segments[segment],
-            values,
-            self.initial_state(unknowns, flight, segment),
-            sensitivities=derivatives,
-            gain=self._gain(values),
-            gain_free=self._free_entries() if derivatives else None,
-        )
-        if motion.dy is None:
-            return motion
-        count = len(self.free) + self.nx
-        dy = motion.dy[:, :, :count].copy()
-        self._by_unknowns(values, motion.dy[:, :, count:], dy)
-        return replace(motion, dy=dy)
+        try:
+            gain = self._gain(values)
+            motion = self.simulator.run(
+                self.flights[flight].segments[segment],
+                values,
+                self.initial_state(unknowns, flight, segment),
+                sensitivities=derivatives,
+                gain=gain,
+                gain_free=self._free_entries() if derivatives else None,
+            )
+            if motion.dy is None:
+                return motion
+            count = len(self.free) + self.nx
+            dy = motion.dy[:, :, :count].copy()
+            self._by_unknowns(values, motion.dy[:, :, count:], dy)
+        except np.linalg.LinAlgError:  # no such filter: the search steps back
+            return self._no_motion(flight, segment)
+        return replace(motion, dy=dy) if np.isfinite(dy).all() else replace(motion, dy=None, reached=0)
+
+    def _no_motion(self, flight: int, segment: int) -> Motion:
+        """A motion that left the finite numbers at once."""
+        count = len(self.flights[flight].segments[segment])
+        return Motion(np.full((count, self.nx), np.nan), np.full((count, self.ny), np.nan), None, 0)
 
     @abstractmethod
     def _free_entries(self) -> Array:
@@ -143,6 +152,11 @@ def filter_error(
     """
     chosen = load_model(model).with_starts(start or {})
     chosen, data = compared(chosen, prepared(chosen, flights, options.preparation))
+    return in_own_terms(_by_free_gain(with_paths(chosen, data) if options.paths else chosen, data, options), chosen)
+
+
+def _by_free_gain(chosen: Model, data: list[FlightData], options: OutputErrorOptions) -> Result:
+    """The fit with a gain of its own, of a model that has its unknowns of the inputs."""
     first = output_error(chosen, data, options=options)
     if first.status is Status.DIVERGED:
         return first.with_method("fem")
@@ -186,14 +200,29 @@ def process_noise_error(
     """
     chosen = load_model(model).with_starts(start or {})
     chosen, data = compared(chosen, prepared(chosen, flights, options.preparation))
-    first = output_error(chosen, data, options=options)
+    plain = replace(
+        options, paths=False
+    )  # a way between samples and process noise of the angles explain the same residuals
+    first = output_error(chosen, data, options=plain)
     if first.status is Status.DIVERGED:
         return first.with_method("fem-noise")
-    return _by_process_noise(chosen, data, first, options)
+    return _by_process_noise(chosen, data, first, plain)
 
 
 def _by_process_noise(chosen: Model, data: list[FlightData], first: Result, options: OutputErrorOptions) -> Result:
-    """The fit from an output error that came to a result."""
+    """The fit from an output error that came to a result; one that says why where the arithmetic of the filter fails."""
+    try:
+        with np.errstate(all="ignore"):  # what leaves the numbers is refused where it does
+            return _steady_filter(chosen, data, first, options)
+    except (np.linalg.LinAlgError, ArithmeticError) as error:
+        text = (
+            f"no filter could be found ({error}): the model is unstable or too stiff for these samples; use method ml"
+        )
+        return replace(first, method="fem-noise", status=Status.DIVERGED, text=text)
+
+
+def _steady_filter(chosen: Model, data: list[FlightData], first: Result, options: OutputErrorOptions) -> Result:
+    """The fit with the filter of its process noise. LinAlgError where the law of that has no gain to begin with."""
     noise = _white_noise(chosen, data, first)
     driven = force_states(chosen)
     fallback = float(np.median(noise))
@@ -210,12 +239,15 @@ def _by_process_noise(chosen: Model, data: list[FlightData], first: Result, opti
         )
         problem.noises = names
         problem.law = _law(simulator, data, values, noise, unit)
+        problem.law.gain(np.array([values[n] for n in names]))  # a law without a gain here says why
         outcome = minimise(problem, problem.pack(extended.starts()), LOOP)
         last = describe(problem, outcome, "fem-noise")
         if not last.converged:
             break
         values = last.values
     assert last is not None
+    if last.status is Status.DIVERGED:
+        return without(last, chosen, set(names), {})
     dt = _step(data)
     sizes = {s: float(last.values[n] * unit[s] / np.sqrt(dt)) for s, n in zip(driven, names, strict=True)}
     K = problem.law.gain(np.array([last.values[n] for n in names]))
@@ -223,7 +255,7 @@ def _by_process_noise(chosen: Model, data: list[FlightData], first: Result, opti
         s: dict(zip(chosen.output_names, row.tolist(), strict=True))
         for s, row in zip(chosen.state_names, K, strict=True)
     }
-    return _without(last, chosen, set(names), {"gain": gain, "process_noise": sizes})
+    return without(last, chosen, set(names), {"gain": gain, "process_noise": sizes})
 
 
 def _white_noise(model: Model, data: Sequence[FlightData], first: Result) -> Array:
@@ -268,28 +300,4 @@ def _without_gains(result: Result, model: Model, names: list[list[str]]) -> Resu
         state: {o: result.parameters[n].estimate for o, n in zip(model.output_names, row, strict=True) if n}
         for state, row in zip(model.state_names, names, strict=True)
     }
-    return _without(result, model, {n for row in names for n in row if n}, {"gain": gain})
-
-
-def _without(result: Result, model: Model, gain_names: set[str], extra: Mapping[str, Any]) -> Result:
-    """The result in terms of the model's own parameters; what else was estimated goes into `extra`."""
-    keep = np.array([i for i, n in enumerate(result.names) if n not in gain_names])
-    parameters = {n: e for n, e in result.parameters.items() if n not in gain_names}
-    blind = [n for n, e in parameters.items() if not e.identifiable]
-    status, text = result.status, result.text
-    if status in (Status.CONVERGED, Status.NOT_IDENTIFIABLE):
-        status = Status.NOT_IDENTIFIABLE if blind else Status.CONVERGED
-        text = status.value + (f": {', '.join(blind)}" if blind else "")
-    pick = np.ix_(keep, keep)
-    return replace(
-        result,
-        model=model,
-        status=status,
-        text=text,
-        names=tuple(n for n in result.names if n not in gain_names),
-        parameters=parameters,
-        covariance=result.covariance[pick],
-        covariance_coloured=result.covariance_coloured[pick],
-        collinear=tuple(c for c in result.collinear if not gain_names & {c[0], c[1]}),
-        extra={**result.extra, **extra},
-    )
+    return without(result, model, {n for row in names for n in row if n}, {"gain": gain})

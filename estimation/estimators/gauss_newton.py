@@ -199,5 +199,7 @@ def _search(
             if not whole:
                 candidate = problem.evaluate(trial, True)
                 count += 1
+                if not math.isfinite(candidate.cost):  # a place without derivatives is none to go on from
+                    continue
             return trial, candidate, count
     return None, None, count

@@ -28,7 +28,8 @@ class GainLaw:
     states: tuple[int, ...]
 
     def gain(self, relative: Array) -> Array:
-        """K (nx, ny) at process noise `relative` (n,), in units of `unit`."""
+        """K (nx, ny) at process noise `relative` (n,), in units of `unit`. LinAlgError where the filter has no steady state that
+        can be calculated, as where the model grows or decays beyond all numbers within a sample interval."""
         Q = np.zeros(self.transition.shape)
         for state, unit, size in zip(self.states, self.unit, relative, strict=True):
             Q[state, state] = (unit * size) ** 2
@@ -37,7 +38,7 @@ class GainLaw:
         return np.asarray(np.linalg.solve(S, self.C @ P).T)
 
     def slopes(self, relative: Array) -> Array:
-        """dK/d relative (n, nx, ny); at zero, where the gain begins, the slope to the right."""
+        """dK/d relative (n, nx, ny); at zero, where the gain begins, the slope to the right. LinAlgError as of `gain`."""
         found = []
         for i in range(relative.size):
             up, down = relative.copy(), relative.copy()
@@ -47,11 +48,16 @@ class GainLaw:
         return np.array(found).reshape(relative.size, *self.transition.shape[:1], self.C.shape[0])
 
     def _prediction(self, Q: Array) -> Array:
-        """Covariance of the one-step prediction."""
+        """Covariance of the one-step prediction. LinAlgError where the linearised motion has no steady filter."""
+        if not (np.isfinite(self.transition).all() and np.isfinite(self.C).all() and np.isfinite(Q).all()):
+            raise np.linalg.LinAlgError("the linearised motion grows beyond all numbers within one sample interval")
         R = np.diag(self.noise**2)
         # a state that nothing disturbs and that does not decay is known for good: its filter has no steady state but zero gain
         floor = TINY * max(float(Q.max()), float(R.min())) * np.eye(len(Q))
-        return np.asarray(solve_discrete_are(self.transition.T, self.C.T, Q + floor, R))
+        try:
+            return np.asarray(solve_discrete_are(self.transition.T, self.C.T, Q + floor, R))
+        except ValueError as error:  # scipy's word for infinite intermediate results
+            raise np.linalg.LinAlgError("the Riccati equation of its filter has no finite solution") from error
 
 
 TINY = 1e-12  # of the largest process noise, or of the smallest noise of measurement
@@ -59,4 +65,7 @@ TINY = 1e-12  # of the largest process noise, or of the smallest noise of measur
 
 def gain_law(A: Array, C: Array, dt: float, noise: Array, unit: Array, states: tuple[int, ...]) -> GainLaw:
     """The law at a point of flight; A (nx, nx), C (ny, nx), dt [s] between samples."""
-    return GainLaw(np.asarray(expm(A * dt)), C, noise, unit, states)
+    with np.errstate(
+        over="ignore", invalid="ignore"
+    ):  # what grows beyond all numbers is refused where the gain is asked for
+        return GainLaw(np.asarray(expm(A * dt)), C, noise, unit, states)

@@ -19,6 +19,7 @@ from estimation.engine.simulate import Compile, Hold, Simulator
 from estimation.errors import DataError, ModelError
 from estimation.estimators.equation_error import start_values
 from estimation.estimators.gauss_newton import AS_USUAL_LOOP, LoopOptions, Outcome, P, Status, minimise
+from estimation.estimators.input_path import in_own_terms, path_values, with_paths
 from estimation.estimators.likelihood import LikelihoodPoint, Noise, OutputErrorProblem
 from estimation.estimators.result import Estimate, FlightFit, Result
 from estimation.estimators.uncertainty import Effect, effects_of, estimates, uncertainty
@@ -50,6 +51,7 @@ class OutputErrorOptions:
     hold: Hold | None = None
     preparation: Preparation = AS_USUAL
     loop: LoopOptions = AS_USUAL_LOOP
+    paths: bool = True
 
 
 STANDARD = OutputErrorOptions()
@@ -75,13 +77,14 @@ def output_error(
     """
     chosen = load_model(model).with_starts(start or {})
     chosen, data = compared(chosen, prepared(chosen, flights, options.preparation))
-    problem = build_problem(chosen, data, options)
+    full = with_paths(chosen, data) if options.paths else chosen
+    problem = build_problem(full, data, options)
     _enough(problem)
     outcome = optimum(problem, _starts(problem, options), options)
     if _hopeless(problem, outcome) or _unstable(problem, outcome):
-        problem, outcome = _rescued(chosen, data, options, problem, outcome)
+        problem, outcome = _rescued(full, data, options, problem, outcome)
     problem, outcome = _fine_enough(problem, outcome, options)
-    return describe(problem, outcome, "ml")
+    return in_own_terms(describe(problem, outcome, "ml"), chosen)
 
 
 def optimum(problem: OutputErrorProblem, start: Array, options: OutputErrorOptions) -> Fit:
@@ -229,6 +232,7 @@ def reopened(
     if len(data) != len(result.flights):
         raise DataError(f"{len(data)} flights given for a fit of {len(result.flights)}: give those that were fitted")
     data = in_pieces_of(data, result)
+    chosen = with_paths(chosen, data).with_starts(path_values(result)) if options.paths else chosen
     problem = build_problem(chosen, data, options)
     start = problem.pack(chosen.starts(), [list(f.initial_states) for f in result.flights])
     return _fine_enough(problem, minimise(problem, start, options.loop), options)

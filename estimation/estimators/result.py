@@ -216,6 +216,8 @@ class Result:
             data["profile"] = {n: p.to_json() for n, p in self.profile.items()}
         if self.bootstrap is not None:
             data["bootstrap"] = self.bootstrap.to_json()
+        if paths := self.extra.get("input_paths"):
+            data["inputs"] = {n: path.to_json() for n, path in paths.items()}
         if noise := self.extra.get("process_noise"):
             data["process_noise"] = {n: finite(v) for n, v in noise.items()}
         if self.history is not None:

@@ -17,11 +17,13 @@ TRANSFORM_KINDS: Mapping[str, int] = {
     "deadzone": 1,
     "backlash": 1,
     "rate_limit": 1,
+    "bend": 1,
     "scale": 1,
     "bias": 1,
 }
 """Input transforms by name -> number of parameters. Seconds for delay and lag, the input's unit for dead zone, backlash and
-bias, seconds per unit of the input for the rate limit (0: none)."""
+bias, seconds per unit of the input for the rate limit (0: none); bend: share of each step by which the input is beyond the
+straight line half-way between two samples."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,11 +3,10 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
-from numpy.linalg import LinAlgError
-
 from daq.contract.errors import UserError
 from estimation.aircraft import Aircraft
 from estimation.errors import AircraftError, DataError, EstimationError
+from estimation.estimators.arithmetic import NumericalFailure, believable, numerical_failures
 from estimation.estimators.estimator import NO_EXTRAS, Estimator, Extras, Task
 from estimation.estimators.registry import check_extras, find, names
 from estimation.estimators.result import Result
@@ -26,10 +25,7 @@ from groundstation.flight.quality.plausibility import suspicions
 from groundstation.flight.quality.rates import too_slow
 from groundstation.flight.quality.same_record import one_record_twice
 
-NUMERICAL = (LinAlgError, ArithmeticError)
-"""What a method's own arithmetic may end in on a flight that it cannot settle: no fault of the flight or the program."""
-
-Outcome = Result | UserError | LinAlgError | ArithmeticError
+Outcome = Result | UserError | NumericalFailure
 """What a method leaves of one flight: an answer, or why there is none."""
 
 
@@ -161,8 +157,9 @@ def _odd_columns(model: Model, flight: Flight) -> tuple[str, ...]:
 def _tried(estimator: Estimator, task: Task) -> Outcome:
     """One fit; where it fails, why: the results of other methods and flights stand."""
     try:
-        return estimator.fit(task.for_estimator(estimator))
-    except (UserError, *NUMERICAL) as error:
+        with numerical_failures():
+            return believable(estimator.fit(task.for_estimator(estimator)))
+    except (UserError, NumericalFailure) as error:
         return error
 
 
@@ -172,8 +169,9 @@ def _each(estimator: Estimator, task: Task) -> list[Outcome]:
         count = len(task.flights)
         task.tell(f"{count} flight{'s' if count > 1 else ''} side by side: {estimator.title}")
         try:
-            return list(estimator.fit_each(task.for_estimator(estimator)))
-        except (UserError, *NUMERICAL):
+            with numerical_failures():
+                return [believable(r) for r in estimator.fit_each(task.for_estimator(estimator))]
+        except (UserError, NumericalFailure):
             pass  # one of them cannot be used: which one shows when each is tried by itself
     results = []
     for number, flight in enumerate(task.flights):
@@ -192,13 +190,7 @@ def _refuse_useless(flight: Flight, outcomes: Sequence[Outcome]) -> None:
 def _split(outcomes: Mapping[str, Outcome]) -> tuple[dict[str, Result], dict[str, str]]:
     """Results, and sentences on why there are none, by method."""
     results = {m: o for m, o in outcomes.items() if isinstance(o, Result)}
-    return results, {m: _why(o) for m, o in outcomes.items() if not isinstance(o, Result)}
-
-
-def _why(error: Outcome) -> str:
-    if isinstance(error, UserError):
-        return str(error)
-    return f"failed in its arithmetic ({error}): the record is unstable or too poor for this method; use another"
+    return results, {m: str(o) for m, o in outcomes.items() if not isinstance(o, Result)}
 
 
 def run_method(
@@ -209,8 +201,9 @@ def run_method(
     device: str = "cpu",
     extras: Extras = NO_EXTRAS,
 ) -> Result:
-    """One method over one flight or several together."""
-    return find(method).fit(Task(model, flights, aircraft, extras, device))
+    """One method over one flight or several together; NumericalFailure where its arithmetic fails."""
+    with numerical_failures():
+        return believable(find(method).fit(Task(model, flights, aircraft, extras, device)))
 
 
 def _check(extras: Extras, model: Model, chosen: Sequence[Estimator]) -> None:

@@ -8,12 +8,11 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from enum import Enum
 
-from numpy.linalg import LinAlgError
-
 from daq.contract.errors import UserError
 from estimation.engine.data import FlightData
 from estimation.engine.prepared import compared
 from estimation.errors import EstimationError
+from estimation.estimators.arithmetic import NumericalFailure, numerical_failures
 from estimation.estimators.estimator import Task
 from estimation.estimators.output_error import output_error
 from estimation.estimators.result import Result
@@ -113,8 +112,9 @@ def _test(
 ) -> tuple[Structure, tuple[OddFlight, ...]]:
     """The structure test of one set of results on the same flights; a structure that says why not where there is none."""
     try:
-        return _of_basis(session, replace(task, flights=flights), results)
-    except (UserError, LinAlgError, ArithmeticError) as error:
+        with numerical_failures():
+            return _of_basis(session, replace(task, flights=flights), results)
+    except (UserError, NumericalFailure) as error:
         return Structure((), (), why_not=f"not tested: {error}"), ()
 
 

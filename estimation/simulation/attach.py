@@ -9,6 +9,7 @@ import numpy as np
 from daq.contract.errors import UserError
 from estimation.aircraft import Aircraft
 from estimation.aircraft.of_flight import aircraft_of
+from estimation.estimators.arithmetic import NumericalFailure, numerical_failures
 from estimation.estimators.output_error import OutputErrorOptions, output_error
 from estimation.models.base import Model
 from estimation.models.library import BUILDERS
@@ -97,8 +98,9 @@ def settled(attached: Attached) -> Attached:
 def estimated_about_its_motion(attached: Attached) -> Attached:
     """The same with the simulation at the motion of its own best fit to all flights; the measured one where that fit fails."""
     try:
-        first = output_error(attached.model, attached.flights)
-    except (UserError, ArithmeticError, np.linalg.LinAlgError):
+        with numerical_failures():
+            first = output_error(attached.model, attached.flights)
+    except (UserError, NumericalFailure):
         return attached
     return renewed(attached, first.fitted_model) if first.converged else attached
 

@@ -17,6 +17,7 @@ from estimation.engine.simulate import Simulator
 from estimation.estimators.arrow import pseudo_inverse
 from estimation.estimators.coloured import Piece, noise_spectrum, white_products, without_nuisance
 from estimation.estimators.input_error import LEAST_NOISE, Disturbed, Evidence, common_error, disturbed, edge_size
+from estimation.estimators.input_path import at_paths_of
 from estimation.estimators.likelihood import LikelihoodPoint, OutputErrorProblem, whiten_all
 from estimation.estimators.output_error import in_pieces_of
 from estimation.estimators.result import Result
@@ -125,7 +126,7 @@ def linearise(result: Result, data: Sequence[FlightData], substeps: int = 2) -> 
     result: by any method; data: its flights, prepared for its model.
     """
     tested = candidates(result.model)
-    model = with_candidates(result.model.with_starts(result.fitted_model.starts()), tested)
+    model = at_paths_of(with_candidates(result.model.with_starts(result.fitted_model.starts()), tested), result)
     flights = in_pieces_of(list(data), result)
     problem = OutputErrorProblem(model, flights, Simulator.build(model, substeps=substeps))
     unknowns = problem.pack(model.starts(), [list(f.initial_states) for f in result.flights])

@@ -151,6 +151,31 @@ def test_implausible_values(sound: Columns) -> None:
     assert finding(build(sound), "plausible values").verdict == "fail"
 
 
+def circling(columns: Columns, rate: float) -> Columns:
+    """The flight turning on at `rate` [rad/s] besides, its heading not wrapped."""
+    psi = columns["psi"] + rate * columns["time"]
+    p = columns["p"] - rate * np.sin(columns["theta"])
+    q = columns["q"] + rate * np.cos(columns["theta"]) * np.sin(columns["phi"])
+    r = columns["r"] + rate * np.cos(columns["theta"]) * np.cos(columns["phi"])
+    return {**columns, "psi": psi, "p": p, "q": q, "r": r}
+
+
+@pytest.mark.parametrize("rate", [-0.12, -0.6, 0.45])
+def test_a_heading_that_runs_on_is_taken_as_it_is(sound: Columns, rate: float) -> None:
+    turned = circling(sound, rate)
+    assert np.abs(turned["psi"]).max() > 3.5
+    assert not [s for s in suspicions(turned["time"], turned) if "psi" in s.columns]
+    assert "psi" not in finding(build(turned), "plausible values").text
+
+
+def test_a_heading_in_degrees_does_not_pass_for_one_that_runs_on(sound: Columns) -> None:
+    turned = circling(sound, -0.12)
+    degrees = {**turned, "psi": np.degrees(turned["psi"])}
+    assert any("psi" in s.columns and "deg" in s.what for s in suspicions(turned["time"], degrees))
+    gyroless = {n: v for n, v in turned.items() if n not in ("p", "q", "r")}
+    assert any("psi" in s.columns for s in suspicions(turned["time"], gyroless))
+
+
 def test_a_jet_at_cruise_is_plausible() -> None:
     n, rho, V = 200, 0.365, 230.0
     level = {

@@ -25,6 +25,12 @@ LEFT = 1.0 / 3.0  # of what is not explained as it is, at most, may be left then
 
 _GRAVITY_IN = {"g": 1.0, "ft/s2": 32.174, "mg (or cm/s2)": 990.0}
 _ANGLES = ("phi", "theta", "psi", "alpha", "beta", "delta_e", "delta_a", "delta_r", "cmd_e", "cmd_a", "cmd_r")
+_RUNS_ON = {"phi": "p", "psi": "r"}
+"""Angles that may run on through half a turn where they are not wrapped: with the gyro that turns them."""
+
+_RADIANS = (0.5, 2.0)
+"""Slope of an angle in radians against what its gyro turns: 57 in degrees, and -1 of the wrong sign."""
+
 _RATES = ("p", "q", "r")
 _LONG_UNITS = {"min": 60.0, "h": 3600.0, "days (of Excel or MATLAB)": 86400.0}
 _USUAL_STEP = (0.004, 1.0)  # s between samples of flight dynamics
@@ -64,7 +70,7 @@ def suspicions(time: Array, columns: Columns) -> list[Suspicion]:
     checks: Iterable[Iterator[Suspicion]] = (
         _time(time),
         _gravity(present),
-        _angles(present),
+        _angles(time, present),
         _rates(present),
         _speed(present),
         _others(present),
@@ -154,17 +160,29 @@ def _pulled(c: Columns) -> bool:
     return abs(ratio - 1.0) < PULL_AGREES
 
 
-def _angles(c: Columns) -> Iterator[Suspicion]:
+def _angles(time: Array, c: Columns) -> Iterator[Suspicion]:
     for name in _ANGLES:
         if name in c:
             low, high = COLUMN_BY_NAME[name].plausible
             lowest, highest = float(np.nanmin(c[name])), float(np.nanmax(c[name]))
             worst = highest if highest > -lowest else lowest
-            if lowest < low - 1e-3 or highest > high + 1e-3:
+            if (lowest < low - 1e-3 or highest > high + 1e-3) and not runs_on(time, c, name):
                 unit = "deg" if abs(worst) <= 370 else "cdeg or us"
                 yield Suspicion(
                     (name,), f"reaches {worst:.4g} rad, beyond {high if worst > 0 else low:.3g}; is it in {unit}?"
                 )
+
+
+def runs_on(time: Array, c: Columns, name: str) -> bool:
+    """Whether an angle (N,) beyond its range is one that was not wrapped: in radians by what the gyros turn.
+
+    False without gyros, or where they turn too little to tell the unit.
+    """
+    if name not in _RUNS_ON or not all(n in c for n in (name, _RUNS_ON[name])):
+        return False
+    turning = c[_RUNS_ON[name]] if name == "phi" else _heading_rate(c)
+    slope = _integral_slope(time, c[name], turning)
+    return slope is not None and _RADIANS[0] < slope < _RADIANS[1]
 
 
 def _rates(c: Columns) -> Iterator[Suspicion]:

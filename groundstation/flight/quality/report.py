@@ -17,7 +17,7 @@ from groundstation.flight.flight import GAP_FACTOR, Flight
 from groundstation.flight.manoeuvres import CONTROLS, find_manoeuvres
 from groundstation.flight.notes import NoteKind
 from groundstation.flight.quality.noise import noise
-from groundstation.flight.quality.plausibility import suspicions
+from groundstation.flight.quality.plausibility import runs_on, suspicions
 from groundstation.flight.quality.repeats import BIG, quantum, repeats, runs_of
 from groundstation.flight.quality.skew import Skew, attitude_skew, control_skew
 
@@ -250,7 +250,7 @@ def plausible_values(flight: Flight) -> Finding:
     words = [s.text for s in found]
     suspected = {name for s in found for name in s.columns}
     for name, values in _measured(flight):
-        if name in COLUMN_BY_NAME and name not in suspected:
+        if name in COLUMN_BY_NAME and name not in suspected and not runs_on(flight.time, flight.columns, name):
             low, high = COLUMN_BY_NAME[name].plausible
             outside = int(np.sum((values < low) | (values > high)))
             if outside:

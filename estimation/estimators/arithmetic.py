@@ -1,0 +1,73 @@
+"""The edge of all estimators: what a method's own arithmetic ends in becomes one sentence, whichever library it ended in.
+
+Every fit of a session runs within `numerical_failures`, and its result passes `believable`; a method need not guard itself
+against a record that it cannot settle, and a mistake in a program (a shape, a name, a type) stays the error that it is.
+"""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+
+import numpy as np
+
+from estimation.estimators.gauss_newton import Status
+from estimation.estimators.result import Result
+
+LINEAR_ALGEBRA = frozenset({"LinAlgError", "_LinAlgError"})
+"""Names of the errors of numpy, scipy and torch for a matrix that cannot be inverted, factored or decomposed."""
+
+OF_NUMBERS = ("infs or nans", "nan", "infinit", "inf ", "finite", "singular", "converge", "overflow")
+"""What a ValueError of numpy or scipy says where numbers are its cause; one on shapes and types says none of these."""
+
+LIBRARIES = ("numpy", "scipy")
+
+CURE = (
+    "the motion is unstable or the record too poor for this method: check units, signs and start values, fit a shorter stretch "
+    "about a manoeuvre, or use another method"
+)
+
+
+class NumericalFailure(ArithmeticError):
+    """A sentence on a fit that ended in its arithmetic: no fault of the program, and the results of other methods stand."""
+
+
+@contextmanager
+def numerical_failures() -> Iterator[None]:
+    """Raise NumericalFailure for whatever the arithmetic within ends in; all other errors pass."""
+    try:
+        yield
+    except NumericalFailure:
+        raise
+    except Exception as error:
+        if not of_arithmetic(error):
+            raise
+        raise NumericalFailure(f"failed in its arithmetic ({_one_line(error)}): {CURE}") from error
+
+
+def of_arithmetic(error: Exception) -> bool:
+    """Whether numbers are the cause: overflow, division, a singular matrix, an infinity that a library refuses."""
+    if isinstance(error, ArithmeticError) or LINEAR_ALGEBRA & {c.__name__ for c in type(error).__mro__}:
+        return True
+    return type(error) is ValueError and _of_library(error) and any(w in str(error).lower() for w in OF_NUMBERS)
+
+
+def _of_library(error: Exception) -> bool:
+    """Whether the error was raised within numpy or scipy."""
+    trace = error.__traceback__
+    while trace is not None and trace.tb_next is not None:
+        trace = trace.tb_next
+    where = "" if trace is None else str(trace.tb_frame.f_globals.get("__name__", ""))
+    return where.split(".")[0] in LIBRARIES
+
+
+def _one_line(error: Exception) -> str:
+    """The library's words as one line without a full stop."""
+    return " ".join(str(error).split()).rstrip(".") or type(error).__name__
+
+
+def believable(result: Result) -> Result:
+    """The result; diverged where it calls itself converged on estimates that are no numbers."""
+    lost = [n for n, e in result.parameters.items() if e.identifiable and not np.isfinite(e.estimate)]
+    if not result.converged or not lost:
+        return result
+    return replace(result, status=Status.DIVERGED, text=f"no finite estimate of {', '.join(lost)}: {CURE}")

@@ -1,0 +1,140 @@
+"""Where a surface was between the samples of its record, as unknowns of a fit.
+
+Where the edges of a control are alike at its samples (`engine.edges`) two numbers a control stand for what the record does not
+say: how much later than its samples the surface acts (earlier, where negative: a command that was logged up to one logging
+interval after it was given), and how far beyond the straight line it is half-way between two samples (a servo of first order
+that starts on a sample is there at 1 / (1 + exp(-dt / 2T)) of the step). Both have priors as wide as a logging interval and a
+servo make them; what the data cannot tell of them stays in the bounds of the derivatives, which are taken from the inverse of
+the whole information.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from estimation.engine.data import FlightData
+from estimation.engine.edges import clocked_controls
+from estimation.estimators.gauss_newton import Status
+from estimation.estimators.result import Estimate, Result, finite
+from estimation.models.base import InputTransform, Model, Parameter, ParameterRole
+from groundstation.flight.notes import Note, NoteKind
+
+SERVO = 0.04  # s: lags of model servos lie between .02 and .06; a record that is a command is wrong by this
+INTERVALS = 0.5  # of a sample interval: what an edge on the clock leaves open
+HALF_WAY = (
+    0.2  # of a step: .12 for a servo as slow as the interval, .38 for one four times as fast, both of either sign
+)
+MOST_BEND = 0.5  # half-way a surface is between where it was and where it will be
+MOST_LAG = 5.0  # of the prior
+PREFIX = {"lag": "lag_of_", "bend": "way_of_"}
+
+
+@dataclass(frozen=True)
+class InputPath:
+    """lag, std: s by which a surface acts later than its record, and the bound of that; bend, bend_std: share of a step by which
+    it is beyond the straight line half-way between samples."""
+
+    lag: float
+    std: float
+    bend: float
+    bend_std: float
+
+    def to_json(self) -> dict[str, Any]:
+        """An entry of `inputs` in `estimate --json`."""
+        return {
+            "lag": finite(self.lag),
+            "std": finite(self.std),
+            "model": "delay and way between samples",
+            "bend": finite(self.bend),
+            "bend_std": finite(self.bend_std),
+        }
+
+
+def with_paths(model: Model, flights: Sequence[FlightData]) -> Model:
+    """The model with two unknowns for each control whose way between samples is open; itself where there is none."""
+    step = float(np.median(np.concatenate([np.diff(s.time) for f in flights for s in f.segments])))
+    size = float(np.hypot(SERVO, INTERVALS * step))
+    if not model.free_names:
+        return model
+    busy = {
+        t.input for t in model.transforms if t.kind in ("delay", "lag", "bend")
+    }  # the model says itself how it follows
+    return _with_unknowns(model, [n for n in clocked_controls(model, flights) if n not in busy], size)
+
+
+def at_paths_of(model: Model, result: Result) -> Model:
+    """The model with the ways of the surfaces that a result found, as fixed numbers; itself where it found none."""
+    paths: Mapping[str, InputPath] = result.extra.get("input_paths", {})
+    values = path_values(result)
+    return _with_unknowns(model, list(paths), SERVO).fixed(**values) if values else model
+
+
+def _with_unknowns(model: Model, controls: Sequence[str], size: float) -> Model:
+    """size: s, of the prior of a delay."""
+    for name in controls:
+        lag, bend = PREFIX["lag"] + name, PREFIX["bend"] + name
+        model = model.plus(
+            parameters=[
+                Parameter(lag, "s", 0.0, -MOST_LAG * size, MOST_LAG * size, 0.0, size, role=ParameterRole.CONSTANT),
+                Parameter(bend, "1", 0.0, -MOST_BEND, MOST_BEND, 0.0, HALF_WAY, role=ParameterRole.CONSTANT),
+            ],
+            transforms=[InputTransform("delay", name, (lag,)), InputTransform("bend", name, (bend,))],
+        )
+    return model
+
+
+def path_values(result: Result) -> dict[str, float]:
+    """Values of those unknowns in an earlier result, by the names that `with_paths` gives them."""
+    paths: Mapping[str, InputPath] = result.extra.get("input_paths", {})
+    lags = {PREFIX["lag"] + n: p.lag for n, p in paths.items()}
+    return lags | {PREFIX["bend"] + n: p.bend for n, p in paths.items()}
+
+
+def in_own_terms(result: Result, model: Model) -> Result:
+    """The result in terms of the parameters of `model`, what was found of the inputs in `extra["input_paths"]`."""
+    e = result.parameters
+    names = [n for n in model.input_names if PREFIX["lag"] + n in e]
+    if not names:
+        return result
+    paths = {n: _path(e[PREFIX["lag"] + n], e[PREFIX["bend"] + n]) for n in names}
+    notes = tuple(Note(NoteKind.OTHER, _sentence(n, path)) for n, path in paths.items())
+    stated = replace(result, flights=tuple(replace(f, notes=(*f.notes, *notes)) for f in result.flights))
+    return without(stated, model, set(e) - set(model.free_names), {"input_paths": paths})
+
+
+def _sentence(control: str, path: InputPath) -> str:
+    return (
+        f"{control}: its edges fall on the sampling clock or were logged as steps, so its way between samples was estimated: it "
+        f"acts {path.lag * 1e3:+.1f} +- {path.std * 1e3:.1f} ms after its record and is {path.bend:+.2f} +- {path.bend_std:.2f} "
+        "of a step beyond a straight line half-way; the bounds count that; log surfaces faster to narrow it"
+    )
+
+
+def _path(lag: Estimate, bend: Estimate) -> InputPath:
+    return InputPath(lag.estimate, lag.std_coloured, bend.estimate, bend.std_coloured)
+
+
+def without(result: Result, model: Model, nuisance: set[str], extra: Mapping[str, Any]) -> Result:
+    """The result in terms of the model's own parameters; what else was estimated goes into `extra`."""
+    keep = np.array([i for i, n in enumerate(result.names) if n not in nuisance], int)
+    parameters = {n: e for n, e in result.parameters.items() if n not in nuisance}
+    blind = [n for n, e in parameters.items() if not e.identifiable]
+    status, text = result.status, result.text
+    if status in (Status.CONVERGED, Status.NOT_IDENTIFIABLE):
+        status = Status.NOT_IDENTIFIABLE if blind else Status.CONVERGED
+        text = status.value + (f": {', '.join(blind)}" if blind else "")
+    pick = np.ix_(keep, keep)
+    return replace(
+        result,
+        model=model,
+        status=status,
+        text=text,
+        names=tuple(n for n in result.names if n not in nuisance),
+        parameters=parameters,
+        covariance=result.covariance[pick],
+        covariance_coloured=result.covariance_coloured[pick],
+        collinear=tuple(c for c in result.collinear if not nuisance & {c[0], c[1]}),
+        extra={**result.extra, **extra},
+    )
