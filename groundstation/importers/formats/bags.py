@@ -19,11 +19,8 @@ from groundstation.importers.formats.bag_series import Topic, numbers_of
 SQLITE = b"SQLite format 3\0"
 OURS = "sideslip"  # profile of the recordings and flights that this program writes
 MCAP_MAGIC = b"\x89MCAP0\r\n"
-HEADER_OPCODE, HEADER_AT, HEAD_BYTES = (
-    1,
-    17,
-    4096,
-)  # the header record, where its profile begins, and what is read to find it
+HEADER_OPCODE, HEADER_AT = 1, 17  # the header record, and where its profile begins
+HEAD_BYTES = 4096  # read to find the profile
 LARGEST_RECORD = 256 << 20  # bytes of one record of an MCAP file: a chunk of a bag has a few megabytes
 _DAMAGE = (
     ValueError,
