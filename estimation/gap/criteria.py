@@ -267,6 +267,12 @@ class Criteria:
         "between wrong names of 1.4 to 2.9 bounds (a separation by the states it begins anew, an offset centre of gravity and a "
         "play of a light aircraft) and right ones (3.4 and more, of 330); 2026-11-26",
     )
+    control_noise_known: float = criterion(
+        0.2,
+        "1",
+        "so much of what the noise of the controls gives a hypothesis may be its own, or not",
+        "theory: twice a tenth, to which the scatter of 100 differences between steps tells a standard deviation",
+    )
     unsampled: float = criterion(
         0.2,
         "sample intervals",

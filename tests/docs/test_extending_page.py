@@ -73,6 +73,7 @@ def test_a_file_that_is_not_what_it_says_is_one_sentence(followed: tuple[Path, l
     (followed[0] / "odd.roll").write_bytes(b"12345")
     said = follow("sideslip import odd.roll -o odd.mcap", followed[0], root, status=2)
     assert said == "sideslip: odd.roll: 5 bytes are no whole samples of 12 bytes; is it a .roll file?\n"
-    said = follow("sideslip import rig.mcap -o odd.mcap", followed[0], root, status=2)
+    (followed[0] / "odd.unheard").write_bytes(b"12345")
+    said = follow("sideslip import odd.unheard -o odd.mcap", followed[0], root, status=2)
     assert ".roll" in said
     assert len(said.splitlines()) == 1

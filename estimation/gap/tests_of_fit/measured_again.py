@@ -20,6 +20,7 @@ from functools import cached_property
 import numpy as np
 
 from estimation.engine.kernel import Array
+from estimation.gap.criteria import Criteria
 from estimation.gap.likelihood.baseline import Baseline
 from estimation.gap.likelihood.fitting import Fit
 from estimation.gap.random_streams import Stream
@@ -63,13 +64,15 @@ class MeasuredAgain:
         return tuple(made)
 
     def share(self, gain: float, found: Fit) -> float:
-        """The share of a fitted hypothesis' gain on the flights (twice a log-likelihood) that is its own: half the difference
-        from
-        its mean gain on flights without the effect, within 0 to 1; 1 where these cannot be flown."""
+        """The share of a fitted hypothesis' gain on the flights (twice a log-likelihood) that is its own, within 0 to 1.
+
+        Half the difference from its mean gain on flights without the effect, less what the sum of both, twice what the noise of
+        the controls gives it, may be wrong by. 1 where these flights cannot be flown.
+        """
         gains = [g for remade in self.sets if (g := self._gain(remade, found)) is not None]
         if not gains or gain <= 0.0:
             return 1.0
-        return float(np.clip(0.5 * (1.0 - np.mean(gains) / gain), 0.0, 1.0))
+        return own_share(gain, float(np.mean(gains)), self.baseline.criteria)
 
     def _gain(self, remade: Sequence[Remade], found: Fit) -> float | None:
         problem = replace(self.baseline.problem, model=found.model)
@@ -95,6 +98,13 @@ class MeasuredAgain:
         if outputs is None or usual is None:
             return None
         return Remade(outputs, prepared, problem.whiteners[index].energy(outputs - usual))
+
+
+def own_share(gain: float, without: float, criteria: Criteria) -> float:
+    """The share of a gain that is the effect's own, within 0 to 1. without: what is gained where the effect is not."""
+    by_noise = max(0.5 * (gain + without), 0.0)
+    own = 0.5 * (gain - without) - criteria.control_noise_known * by_noise
+    return float(np.clip(own / gain, 0.0, 1.0))
 
 
 def course(record: Record, name: str, prepared: Array, noise: float, rng: np.random.Generator) -> Array:

@@ -14,6 +14,7 @@ from estimation.gap.search import confirm
 from estimation.gap.search.confirm import Candidate, assess, deflated, freed_by, impossible, leading, price
 from estimation.gap.search.select import Choice, comparable, credible_set, material, promise, worth_comparing
 from estimation.gap.tests_of_fit.hypotheses import Hypothesis
+from estimation.gap.tests_of_fit.measured_again import own_share
 from estimation.gap.tests_of_fit.omnibus import Omnibus
 from estimation.gap.tests_of_fit.screen import Projected, equivalent_z
 from estimation.gap.verdict.steps import misfit_of
@@ -279,3 +280,10 @@ def test_a_fit_that_ends_above_the_base_it_holds_begins_nearer_to_no_effect(
     hypothesis = stub(form=stub(parameters=(EffectParameter("play", "rad", 1.0, 0.0, 3.0),), nonlinear=True))
     _, found = confirm.fit_hypothesis(stub(model=None, criteria=AS_SET), stub(cost=20.0), hypothesis, {"play": 0.0})
     assert found.cost == kept
+
+
+@pytest.mark.parametrize(("gain", "without", "share"), [(60.0, 20.0, 0.2), (40.0, -40.0, 1.0), (30.0, 30.0, 0.0)])
+def test_a_fifth_of_what_the_noise_of_the_controls_gives_is_not_counted(
+    gain: float, without: float, share: float
+) -> None:
+    assert own_share(gain, without, AS_SET) == pytest.approx(share, abs=1e-12)
