@@ -16,7 +16,7 @@ MODELS = ("lateral", "lateral-simple")
 LACKING: Mapping[str, str] = {
     "beta": (
         "beta not measured: it follows from p, r, phi and ay and begins at zero as an unknown, so that CY_0, Cl_0 and Cn_0 "
-        "cannot be told from the sideslip at the beginning, and what is slower than the manoeuvres tells nothing of derivatives by beta"
+        "cannot be told from the sideslip at the beginning, and what is slower than the manoeuvres tells nothing of beta"
     ),
     "ay": (
         "ay not measured: the side force CY is told by how beta moves alone, and what turns the air or the vane passes for it: "
