@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 
+from daq.acquisition.air_truth import AirTruth
 from daq.acquisition.sampler import Sampler
 from daq.actuation.actuation import Actuation, output_of
 from daq.actuation.devices import AutopilotPort, Devices
@@ -33,7 +34,6 @@ from daq.recorder.storage import Storage
 from daq.recorder.timing import LoopTiming
 from daq.sensors.bus import I2cBus, SerialPort
 from daq.telemetry.link import RadioLink, radio_link
-from daq.telemetry.pitot_zero import PitotZero
 from daq.telemetry.uplink import TURN_NS
 from daq.transport.ports import BytePort
 
@@ -166,8 +166,8 @@ def assemble(
         new_recorder=next_recorder,
         housekeeping=housekeeping,
         opening=opening,
-        zero=PitotZero(config.scan.rate_hz).look if config.preflight.auto_zero_pitot else None,
     )
+    logger.judge(AirTruth(config.sensors, auto_zero=config.preflight.auto_zero))
     if actuation is not None:
         logger.actuate(actuation)
     link = None

@@ -15,11 +15,13 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
+from daq.acquisition.air_truth import AirTruth
 from daq.acquisition.health import HealthSummary, as_message, repetitions
 from daq.acquisition.sampler import EventMark, UnfinishedScan
 from daq.actuation.actuation import Actuation
 from daq.clock import NS, Clock
 from daq.contract.control import Control, Weigh
+from daq.contract.link.commands import parse_pitot_zero, pitot_zero_text
 from daq.contract.recordings.messages import Event, LogLevel, SequencerFrame, Statistics
 from daq.contract.scan import Scan, SensorState
 from daq.recorder.recorder import Recorder
@@ -29,6 +31,7 @@ _LOG = logging.getLogger("sideslip.logger")
 
 _HOUSEKEEPING_NS = NS
 _HEALTH_PAUSE_NS = NS // 5  # between two health reports of a flapping sensor
+_GONE = (SensorState.ABSENT, SensorState.STUCK, SensorState.FAULT)  # said on the ground display, required or not
 _DEAF_NS = NS  # so long the uplink may be passed over because a scan is due, before it has its turn all the same
 
 
@@ -127,7 +130,6 @@ class Logger:
     `connect` adds a link that itself needs the logger.
     timing: the histograms that the recorder reports; give the recorder the same object.
     housekeeping: called about once a second in the slack after a scan (watchdog, garbage collection).
-    zero: looks at every scan, and gives the text of an event where the pitot is to be zeroed.
     """
 
     def __init__(
@@ -144,7 +146,6 @@ class Logger:
         new_recorder: Callable[[], Recorder] | None = None,
         housekeeping: Callable[[], None] = _nothing,
         opening: Iterable[Opening] = (),
-        zero: Callable[[Scan], str | None] | None = None,
     ) -> None:
         self.timing = timing or LoopTiming()
         self._period_ns = round(NS / rate_hz)
@@ -156,7 +157,6 @@ class Logger:
         self._uplink = uplink
         self._housekeeping = housekeeping
         self._opening = tuple(opening)
-        self._zero = zero
         self._number = 0
         self._tried = -1  # number of the last slot in which a scan was begun
         self._first = 0  # number of the slot at `_start_ns`
@@ -174,6 +174,7 @@ class Logger:
         self._link_fault = ""
         self._actuator: Actuation | None = None
         self._listener: Listener | None = None
+        self._truth: AirTruth | None = None
         self._closers: list[threading.Thread] = []
         self._last_books: Statistics | None = None
         self._ended = 0  # recordings given up for closing
@@ -193,6 +194,10 @@ class Logger:
     def listen(self, listener: Listener) -> None:
         """Give the logger somebody who looks at scans, before it runs."""
         self._listener = listener
+
+    def judge(self, truth: AirTruth) -> None:
+        """Give the logger what holds the sensors against each other, before it runs."""
+        self._truth = truth
 
     # ------------------------------------------------------------------------------------------ the loop
 
@@ -276,8 +281,8 @@ class Logger:
             if self._recorder is not None:
                 self._recorder.scan(scan)
             self._watch_states(scan)
-            if self._zero is not None and (text := self._zero(scan)) is not None:
-                self.mark_event(text, "logger")
+            if self._truth is not None:
+                self._judge(self._truth, scan)
         if self._health_due:
             self._report(self._clock.monotonic_ns())
         self._serve_link(scans)
@@ -330,6 +335,15 @@ class Logger:
                 self._states[group] = status.state
                 self._health_due = True
 
+    def _judge(self, truth: AirTruth, scan: Scan) -> None:
+        """Say which sensors contradict each other, and zero the pitot before the first motion."""
+        for contradiction in truth.look(scan):
+            self.say(LogLevel.WARNING, "sensors", contradiction.text)
+        rest = truth.zero()
+        if rest is not None:
+            self.mark_event(pitot_zero_text(rest.count, rest.scans), "logger")
+            self.say(LogLevel.WARNING, "pitot", f"pitot rested at {rest.words}: zeroed before motion")
+
     def _report(self, now: int) -> None:
         """A health report at every change of a sensor's state, and a sentence with it."""
         if now < self._next_health_ns:
@@ -342,7 +356,8 @@ class Logger:
             self._recorder.detail(self._sampler.metadata())
         if summary.words != self._words:
             self._words = summary.words
-            self.say(LogLevel.INFO if summary.ready else LogLevel.WARNING, "sensors", summary.words)
+            gone = any(g.state in _GONE for g in summary.failing)
+            self.say(LogLevel.WARNING if gone or not summary.ready else LogLevel.INFO, "sensors", summary.words)
 
     # ------------------------------------------------------------------------------------------ control
 
@@ -383,6 +398,9 @@ class Logger:
 
     def mark_event(self, text: str, origin: str) -> Event:
         """Record an event marker at the present scan and tell the ground."""
+        zero = parse_pitot_zero(text)
+        if zero is not None and self._truth is not None:
+            self._truth.zeroed(zero)
         return self._mark(self._clock.monotonic_ns(), self._number, text, origin)
 
     def ask_sequencer(self, digest: int | None) -> str:

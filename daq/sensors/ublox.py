@@ -15,11 +15,12 @@ from daq.sensors.base import MS, SECOND, Driver, Reading, SelfTestError, Wait
 from daq.sensors.bus import SerialPort
 from daq.sensors.config import GnssConfig
 from daq.sensors.timebase import TimeBase
-from daq.sensors.ubx import NAV_PVT, NavPvt, UbxParser, parse_nav_pvt, setup_m8, setup_m9
+from daq.sensors.ubx import ACK_ACK, ACK_NAK, NAV_PVT, NavPvt, UbxParser, parse_nav_pvt, setup_m8, setup_m9
 
 _SETUP = {"m9": setup_m9, "m8": setup_m8}
 _BACKLOG = 32
 _READ_LIMIT = 4096
+_ANSWER_LOOKS = 20  # of 5 ms: receivers answer within a navigation epoch, mostly in 10 ms; older ones not at all
 _SILENT = 2 * SECOND
 _FIX_3D = (3, 4)
 
@@ -36,6 +37,8 @@ class Ublox(Driver):
         self._now = now_ns
         self._timebase = timebase
         self._parser = UbxParser()
+        self._answers: deque[bool] = deque(maxlen=_BACKLOG)  # to settings: whether they were taken
+        self._nmea = False
         self._backlog: deque[tuple[NavPvt, int]] = deque(maxlen=_BACKLOG)
         self._last_byte_ns = self._last_fix_ns = now_ns()
         # A fix is missing once it should have been seen at the scan before; receivers are some ten milliseconds uneven.
@@ -43,9 +46,20 @@ class Ublox(Driver):
 
     def initialise(self) -> Generator[Wait, None, None]:
         setup = _SETUP.get(self._config.generation)
-        for message in setup(self._config.rate_hz) if setup else ():
+        messages = setup(self._config.rate_hz) if setup else []
+        refused: list[int] = []
+        for number, message in enumerate(messages):
+            self._answers.clear()
             self._port.write(message)
-            yield 5 * MS
+            for _ in range(_ANSWER_LOOKS):
+                yield 5 * MS
+                self._receive()
+                if self._answers:
+                    break
+            if self._answers and not self._answers.pop():
+                refused.append(number)
+        self._check_answers(messages, refused)
+        self._backlog.clear()
         self._last_byte_ns = self._now()
         for _ in range(40):
             self._receive()
@@ -53,10 +67,27 @@ class Ublox(Driver):
                 return
             yield 50 * MS
         silent = self._last_byte_ns + _SILENT <= self._now()
+        if not silent and self._nmea:
+            raise SelfTestError(
+                f"no NAV-PVT from the GPS receiver on {self._config.device} in 2 s, only NMEA: its port is not configured;"
+                " check generation, or save NAV-PVT for this port in u-center"
+            )
         raise SelfTestError(
             f"no {'byte' if silent else 'NAV-PVT'} from the GPS receiver on {self._config.device} in 2 s;"
             " check wiring, baud rate and generation"
         )
+
+    def _check_answers(self, messages: list[bytes], refused: list[int]) -> None:
+        """Rate and dynamic model must be taken; of the ports' keys those of a port that the receiver has not may be refused."""
+        if self._config.generation == "m9":
+            essential = bool(refused) and (refused[0] == 0 or len(refused) == len(messages))
+        else:
+            essential = bool(refused)
+        if essential:
+            raise SelfTestError(
+                f"the GPS receiver on {self._config.device} refuses (NAK) its rate, dynamic model or outputs:"
+                " correct sensors.gnss.generation, or set it up in u-center and write generation = 'none'"
+            )
 
     def _receive(self) -> None:
         waiting = min(self._port.in_waiting, _READ_LIMIT)
@@ -64,8 +95,12 @@ class Ublox(Driver):
             return
         now = self._now()
         self._last_byte_ns = now
-        for message, payload in self._parser.feed(self._port.read(waiting)):
-            if message == NAV_PVT and len(payload) == 92:
+        data = self._port.read(waiting)
+        self._nmea = self._nmea or b"$G" in data
+        for message, payload in self._parser.feed(data):
+            if message in (ACK_ACK, ACK_NAK):
+                self._answers.append(message == ACK_ACK)
+            elif message == NAV_PVT and len(payload) == 92:
                 fix = parse_nav_pvt(payload)
                 self._last_fix_ns = now
                 self._backlog.append((fix, now))

@@ -139,25 +139,30 @@ def _midnight(year: int, month: int, day: int) -> int:
 # Configuration keys of generation 9 and 10 (CFG-VALSET): key, size in bytes.
 _RATE_MEASURE_MS = (0x30210001, 2)
 _DYNAMIC_MODEL = (0x20110021, 1)
-_OUT_UBX, _OUT_NMEA = (0x10740001, 1), (0x10740002, 1)
-_OUT_NAV_PVT = (0x20910007, 1)
+_OUT_UBX = {"UART1": (0x10740001, 1), "USB": (0x10780001, 1), "UART2": (0x10760001, 1)}
+_OUT_NMEA = {"UART1": (0x10740002, 1), "USB": (0x10780002, 1), "UART2": (0x10760002, 1)}
+_OUT_NAV_PVT = {"UART1": (0x20910007, 1), "USB": (0x20910009, 1), "UART2": (0x20910008, 1)}
+ACK_ACK, ACK_NAK = (0x05, 0x01), (0x05, 0x00)
 AIRBORNE_2G = 7
 _RAM = 0x01
 
 
 def setup_m9(rate_hz: float) -> list[bytes]:
-    """CFG-VALSET for UART1: NAV-PVT at every fix, no NMEA, airborne dynamics, fixes at `rate_hz`."""
-    values = (
-        (_RATE_MEASURE_MS, round(1000 / rate_hz)),
-        (_DYNAMIC_MODEL, AIRBORNE_2G),
-        (_OUT_UBX, 1),
-        (_OUT_NMEA, 0),
-        (_OUT_NAV_PVT, 1),
-    )
+    """CFG-VALSET: NAV-PVT at every fix, no NMEA, airborne dynamics, fixes at `rate_hz`.
+
+    The outputs of each port in a message of their own: nobody knows which port the receiver hangs on, and a receiver refuses a
+    whole message for one key it has not (a MAX-M10S has neither USB nor UART2).
+    """
+    messages = [_valset(((_RATE_MEASURE_MS, round(1000 / rate_hz)), (_DYNAMIC_MODEL, AIRBORNE_2G)))]
+    ports = zip(_OUT_UBX.values(), _OUT_NMEA.values(), _OUT_NAV_PVT.values(), strict=True)
+    return [*messages, *(_valset(((ubx, 1), (nmea, 0), (pvt, 1))) for ubx, nmea, pvt in ports)]
+
+
+def _valset(values: tuple[tuple[tuple[int, int], int], ...]) -> bytes:
     body = bytes((0, _RAM, 0, 0))
     for (key, size), value in values:
         body += key.to_bytes(4, "little") + value.to_bytes(size, "little")
-    return [frame((0x06, 0x8A), body)]
+    return frame((0x06, 0x8A), body)
 
 
 def setup_m8(rate_hz: float) -> list[bytes]:

@@ -5,10 +5,8 @@ listened to. A no-go refuses the recording unless a person overrides it, and the
 """
 
 import contextlib
-import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from enum import StrEnum
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -21,30 +19,13 @@ from daq.config import LoggerConfig
 from daq.contract.scan import Scan, SensorState
 from daq.logger import SensorSource
 from daq.recorder.storage import Storage, in_memory
-from daq.telemetry.display import SEA_LEVEL_DENSITY
-from daq.telemetry.flight_state import flight_evidence, pitot_offset
+from daq.service.checks import Check, Verdict
+from daq.service.rest_checks import rest_checks
 
+_LEVEL_SCANS = 10  # half a second at 20 Hz
 _PROBE_BYTES = 64 * 1024
 _PROBE_WRITES = 8
 _BYTES_PER_SCAN = 480  # of an uncompressed recording, with its share of the index
-
-
-class Verdict(StrEnum):
-    """What a check says."""
-
-    GO = "go"
-    CAUTION = "caution"
-    NO_GO = "no-go"
-
-
-@dataclass(frozen=True, slots=True)
-class Check:
-    """One line of the table. of_sequencer: it concerns what moves the controls."""
-
-    name: str
-    verdict: Verdict
-    text: str
-    of_sequencer: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +86,7 @@ def run_preflight(
     summary = sampler.health()
     checks = [
         *_sensor_checks(summary, scans),
-        *_pitot_checks(config, scans),
+        *rest_checks(config, scans),
         _timing_check(config, lateness_us),
         _clock_check(config, clock, scans[-1]),
         *(_card_checks(config, clock, storage)),
@@ -137,8 +118,12 @@ def _sensor_checks(summary: HealthSummary, scans: list[Scan]) -> Iterable[Check]
 
 
 def _sensor_check(health: GroupHealth, scans: list[Scan]) -> Check:
-    """A sensor passes when it is well at the end and was in nearly all of the second half of the scans."""
-    states = [s.groups[health.group].state for s in scans[len(scans) // 2 :] if health.group in s.groups]
+    """A sensor passes when it is well at the end and was in nearly all of the second half of the scans.
+
+    The attitude filter needs seconds to find its level, whatever the sensors do: of it the last scans count.
+    """
+    since = len(scans) - _LEVEL_SCANS if health.group == "attitude" else len(scans) // 2
+    states = [s.groups[health.group].state for s in scans[max(0, since) :] if health.group in s.groups]
     well = sum(1 for s in states if s is SensorState.OK)
     steady = bool(states) and well >= 0.9 * len(states)
     bad = Verdict.NO_GO if health.required else Verdict.CAUTION
@@ -147,26 +132,6 @@ def _sensor_check(health: GroupHealth, scans: list[Scan]) -> Check:
     if health.state is SensorState.OK or (health.group == "gnss" and health.state is SensorState.STALE and well):
         return Check(health.group, Verdict.CAUTION, f"{health.words}, but well in only {well} of {len(states)} scans")
     return Check(health.group, bad, health.words)
-
-
-def _pitot_checks(config: LoggerConfig, scans: list[Scan]) -> Iterable[Check]:
-    """What the pitot of the standard fit reads while nothing else moves."""
-    pitot, read = config.sensors.pitot, pitot_offset(scans)
-    if pitot is None or pitot.driver != "ms4525do" or read is None:
-        return
-    offset, scatter = read
-    moving, limit = flight_evidence(scans), config.preflight.pitot_offset_pa
-    airspeed = math.sqrt(2.0 * abs(offset) / SEA_LEVEL_DENSITY)
-    text = f"reads {offset:+.0f} Pa ({airspeed:.0f} m/s) +- {scatter:.1f} Pa at rest (limit {limit:g} Pa)"
-    if moving is not None:
-        yield Check("pitot at rest", Verdict.CAUTION, f"not judged: {moving}")
-    elif abs(offset) <= limit:
-        yield Check("pitot at rest", Verdict.GO, text)
-    elif config.preflight.auto_zero_pitot:
-        yield Check("pitot at rest", Verdict.GO, f"{text}; it is zeroed before flight")
-    else:
-        cure = "zero it: command 'zero' at the ground station, or auto_zero_pitot = true under [preflight]"
-        yield Check("pitot at rest", Verdict.NO_GO, f"{text}; {cure}")
 
 
 def _timing_check(config: LoggerConfig, lateness_us: list[int]) -> Check:
@@ -266,7 +231,8 @@ def _calibration_check(config: LoggerConfig) -> Check:
 def _radio_check(config: LoggerConfig, radio: Callable[[], RadioReport | None] | None) -> Check:
     bad = Verdict.NO_GO if config.preflight.require_radio else Verdict.CAUTION
     if radio is None:
-        return Check("radio", bad, "no downlink configured")
+        wanted = config.preflight.require_radio
+        return Check("radio", bad if wanted else Verdict.GO, "no downlink configured")
     report = radio()
     if report is None:
         return Check("radio", bad, "nothing heard from the radio; is it powered, and is the ground station on?")

@@ -15,10 +15,12 @@ _READ_BYTES = 4096  # a step: more than fourteen times what a radio at 57600 bau
 _FIXED_WING, _STANDBY, _MAVLINK_2 = 1, 3, 3
 
 
-def listen(port: BytePort, clock: Clock, *, seconds: float = 3.0, system_id: int = 1) -> RadioReport | None:
+def listen(
+    port: BytePort, clock: Clock, *, seconds: float = 3.0, system_id: int = 1, component_id: int = 191
+) -> RadioReport | None:
     """Send heartbeats and wait for the radio's report; None when there is none within `seconds`, or no port."""
     decoder = FrameDecoder()
-    encoder = FrameEncoder(system_id, 1)
+    encoder = FrameEncoder(system_id, component_id)
     start = now = clock.monotonic_ns()
     next_heartbeat = start
     while now - start < seconds * NS:

@@ -22,10 +22,12 @@ from daq.contract.recordings.messages import LogLevel, Statistics
 from daq.logger import Opening
 from daq.recorder.storage import RealStorage
 from daq.sensors.open import Hardware, open_hardware
+from daq.service.checks import Check, Verdict
 from daq.service.notify import Notifier
-from daq.service.preflight import Check, Preflight, RadioReport, Verdict, run_preflight
+from daq.service.preflight import Preflight, RadioReport, run_preflight
 from daq.service.radio_probe import listen
 from daq.service.realtime import GarbageDiscipline, prepare_process
+from daq.telemetry.config import DownlinkConfig
 from daq.telemetry.link import open_port
 from daq.transport.ports import BytePort
 from daq.transport.reconnecting_port import ReconnectingPort
@@ -167,7 +169,8 @@ def _preflight(
     )
     heard: Callable[[], RadioReport | None] | None = None
     if radio is not None:
-        heard = lambda: listen(radio, clock)  # noqa: E731
+        ours = config.downlink or DownlinkConfig()
+        heard = lambda: listen(radio, clock, system_id=ours.system_id, component_id=ours.component_id)  # noqa: E731
     table = run_preflight(config, clock, sampler, RealStorage(), heard, devices)
     away = (Check("hardware", Verdict.CAUTION, f"{why}; it joins when it comes") for why in absent(hardware, radio))
     return replace(table, checks=(*table.checks, *away))

@@ -67,7 +67,12 @@ class DownlinkConfig(BaseModel):
     rate_hz: Annotated[float, Field(ge=MIN_RATE_HZ, le=100)] = 11.5
     budget_bytes_per_s: Annotated[float, Field(gt=0)] = 1636.0
     system_id: Annotated[int, Field(ge=1, le=250)] = 1
-    component_id: Annotated[int, Field(ge=1, le=250)] = 1  # 1: ground stations show only an autopilot as an aircraft
+    # MAV_COMP_ID_ONBOARD_COMPUTER, beside an autopilot of the same system. QGroundControl shows only component 1 as an aircraft:
+    # write 1 where no autopilot sends.
+    component_id: Annotated[int, Field(ge=1, le=250)] = 191
+    data_component_id: Annotated[int, Field(ge=1, le=250)] = (
+        192  # of the messages that only Sideslip knows; own sequence
+    )
     slow_rate_hz: Annotated[float, Field(gt=0, le=20)] = 1.0
     gnss_rate_hz: Annotated[float, Field(gt=0, le=20)] = 1.0
     # For standard ground stations only: in all some 120 bytes/s signed, within what the default budget leaves (docs/link.md).

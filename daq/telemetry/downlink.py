@@ -91,7 +91,7 @@ class Downlink:
         self.status = status
         self.recording: Callable[[], bool] = lambda: self.status().recording
         self.messages = StandardMessages(config, lambda: self.recording(), facts)
-        encoder = FrameEncoder(config.system_id, config.component_id, signer)
+        encoder = FrameEncoder(config.system_id, config.component_id, signer, private=config.data_component_id)
         self.send_queue = SendQueue(port, encoder, config.budget_bytes_per_s, config.scan_queue)
         self._wanted_rate = config.rate_hz
         self._factor = 1.0

@@ -28,7 +28,12 @@ _UNKNOWN_16 = 65535
 _NAN = math.nan
 _FRESH_S = 3.0
 """A fix older than this is not shown as the present position: three of a slow receiver's intervals."""
-_LEAST_FIX = 3
+_FIXES = (3, 4)
+"""gnss_fix of a position: three-dimensional, or combined with dead reckoning (5 is time only)."""
+_HOME_FIXES = 5
+"""Home is where so many fixes in a row agree, so that one bad first fix does not place it for the whole flight."""
+_HOME_SPREAD_E7, _HOME_SPREAD_MM = 3_000, 30_000
+"""Fixes that agree lie within 0.0003 degrees (33 m) and 30 m of height: a few accuracies of a receiver just started."""
 _ALL_FUNCTIONS = 1  # MAV_BATTERY_FUNCTION_ALL
 _CELLS = 10
 _NAMES = 64
@@ -62,7 +67,8 @@ class StandardMessages:
         self.fix: Scan | None = None
         """The latest scan with a fix report."""
         self.home: Scan | None = None
-        """The first scan with a three-dimensional fix since the start: heights are above it."""
+        """The scan of the first fix that several before it agreed with: heights are above it."""
+        self._candidates: list[Scan] = []
         self._wind = d.WindMean()
         self._config = config
         self._recording = recording
@@ -89,11 +95,21 @@ class StandardMessages:
         if "gnss_fix" not in scan.values:
             return
         self.fix = scan
-        if self.home is None and scan.values["gnss_fix"] >= _LEAST_FIX:
-            self.home = scan
+        if self.home is None:
+            self._seek_home(scan)
         wind = self.display.wind(scan)
         if wind is not None:
             self._wind.add(scan.time, wind)
+
+    def _seek_home(self, scan: Scan) -> None:
+        if not _is_position(scan):
+            self._candidates.clear()
+            return
+        if self._candidates and not _agree(self._candidates[0], scan):
+            self._candidates.clear()
+        self._candidates.append(scan)
+        if len(self._candidates) >= _HOME_FIXES:
+            self.home = scan
 
     def set_named(self, name: str, value: float) -> None:
         """Show a value that has no message of its own from now on (a derivative estimated on board).
@@ -172,7 +188,7 @@ class StandardMessages:
 
     def _fresh_fix(self, scan: Scan) -> Scan | None:
         fix = self.fix
-        if fix is None or fix.values["gnss_fix"] < _LEAST_FIX or scan.time - fix.time > _FRESH_S:
+        if fix is None or not _is_position(fix) or scan.time - fix.time > _FRESH_S:
             return None
         return fix
 
@@ -291,7 +307,7 @@ def gps_raw(scan: Scan | None) -> Item | None:
     return item(
         "GPS_RAW_INT",
         time_usec=_usec(scan),
-        fix_type=min(3, max(1, int(v.get("gnss_fix", 0)))),
+        fix_type=3 if _is_position(scan) else 1,
         lat=v.get("latitude_e7", 0),
         lon=v.get("longitude_e7", 0),
         alt=v.get("height_msl_mm", 0),
@@ -354,6 +370,17 @@ def autopilot_version() -> Item:
         capabilities=_MAVLINK_2 | _PLAIN_PARAMETERS,
         flight_sw_version=major << 24 | minor << 16 | patch << 8 | _OFFICIAL,
     )
+
+
+def _is_position(scan: Scan) -> bool:
+    """Whether the receiver vouches for a position (gnssFixOK) of a type that has one."""
+    status = scan.groups.get("gnss")
+    return status is not None and status.state is SensorState.OK and scan.values.get("gnss_fix", 0) in _FIXES
+
+
+def _agree(one: Scan, other: Scan) -> bool:
+    limits = (("latitude_e7", _HOME_SPREAD_E7), ("longitude_e7", _HOME_SPREAD_E7), ("height_msl_mm", _HOME_SPREAD_MM))
+    return all(abs(one.values.get(name, 0) - other.values.get(name, 0)) <= limit for name, limit in limits)
 
 
 def _boot_ms(scan: Scan) -> int:

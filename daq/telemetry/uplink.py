@@ -183,7 +183,8 @@ class Uplink:
         self._saver = self._worker.submit(signer.save)
 
     def _take(self, frame: Frame, now_ns: int, control: Control) -> None:
-        if frame.system == self._downlink.config.system_id and frame.component == self._downlink.config.component_id:
+        ours = self._downlink.config
+        if frame.system == ours.system_id and frame.component in (ours.component_id, ours.data_component_id):
             return  # our own words come back: an echoing line
         if self._signer is not None and frame.msg_id != RADIO_STATUS_ID:
             verdict = self._signer.judge(frame.signed_part, (frame.system, frame.component), frame.signature)

@@ -21,6 +21,8 @@ from daq.transport.signing import SIGNATURE_BYTES, Signer
 
 MAGIC = 0xFD
 MAGIC_V1 = 0xFE
+FIRST_OWN_ID = 44100
+"""Messages from here on are Sideslip's own (docs/mavlink.md): stock programs do not know them."""
 HEADER_BYTES = 10
 CHECKSUM_BYTES = 2
 MAX_FRAME_BYTES = HEADER_BYTES + 255 + CHECKSUM_BYTES + SIGNATURE_BYTES
@@ -293,13 +295,20 @@ def _sik_frame_at(buffer: bytes, at: int, size: int, last: bool) -> Frame | int 
 
 
 class FrameEncoder:
-    """Makes frames of one sender: counts the sequence and signs if there is a signer."""
+    """Makes frames of one sender: counts the sequence and signs if there is a signer.
 
-    def __init__(self, system: int, component: int, signer: Signer | None = None) -> None:
+    private: the component that sends Sideslip's own messages, by a sequence of its own. A stock program cannot read those,
+    so that in one sequence with the others it would count each of them as lost. None: the same component.
+    """
+
+    def __init__(
+        self, system: int, component: int, signer: Signer | None = None, *, private: int | None = None
+    ) -> None:
         self.system = system
         self.component = component
+        self._private = component if private is None else private
         self._signer = signer
-        self._sequence = 0
+        self._sequences = dict.fromkeys((self.component, self._private), 0)
 
     def message(self, name: str, **values: Any) -> bytes:
         """A frame of a message by name and fields; fields not given are zero."""
@@ -310,10 +319,10 @@ class FrameEncoder:
         """A frame of a packed payload."""
         payload = payload.rstrip(b"\0") or payload[:1]
         flags = SIGNED if self._signer else 0
-        head = _HEAD.pack(
-            len(payload), flags, 0, self._sequence, self.system, self.component, msg_id & 0xFFFF, msg_id >> 16
-        )
-        self._sequence = (self._sequence + 1) & 255
+        component = self._private if msg_id >= FIRST_OWN_ID else self.component
+        sequence = self._sequences[component]
+        head = _HEAD.pack(len(payload), flags, 0, sequence, self.system, component, msg_id & 0xFFFF, msg_id >> 16)
+        self._sequences[component] = (sequence + 1) & 255
         extra = _checks()[msg_id][0]
         body = head + payload
         frame = bytes([MAGIC]) + body + _mcrf4xx(body + bytes([extra])).to_bytes(2, "little")

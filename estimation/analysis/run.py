@@ -19,6 +19,8 @@ from groundstation.flight.marks import marks_of
 METHODS_MEASURED = ("ml", "fem", "ls")
 METHODS_RECONSTRUCTED = ("ml",)
 """Where angles are reconstructed others take them for known, which they are not."""
+STRUCTURES = ("test", "auto")
+"""How terms beside the model are treated: as it is, and where it is found to lack some, with those added."""
 FEWEST_FOR_GAP = 2
 """Flights, those held out included, of which one tells what another lacks."""
 MOST_NEXT = 12
@@ -113,12 +115,16 @@ def _estimated(
         methods = METHODS_RECONSTRUCTED if any(f.reconstructed for f in flights) else METHODS_MEASURED
         first: Estimates | None = None
         tried: list[str] = []
-        for i, model in enumerate(models):
-            tell(f"estimate of {model}", 0.35 + 0.3 * i / len(models))
-            answer = estimate(flights, model, methods, aircraft=aircraft, joint=len(flights) > 1, structure="auto")
+        lacks = False
+        for i, (model, structure) in enumerate((m, s) for m in models for s in STRUCTURES):
+            if structure == "auto" and not lacks:
+                continue  # no term would help
+            tell(f"estimate of {model}", 0.35 + 0.3 * i / (len(STRUCTURES) * len(models)))
+            answer = estimate(flights, model, methods, aircraft=aircraft, joint=len(flights) > 1, structure=structure)
             best = recommended(answer.to_json())
             if best.get("method", "none") != "none":
                 return _kept(answer, stages.folder, tried)
+            lacks = bool(best.get("lacks"))
             tried.append(f"{model}: {best.get('why', 'nothing recommended')}")
             first = first or answer
         return _kept(first, stages.folder, tried[1:]) if first is not None else {}

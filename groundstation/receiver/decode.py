@@ -58,10 +58,15 @@ class AircraftDecoder:
         self._layouts = layouts()
         self._out: list[ev.Event] = []
         self._told_of_foreign_channels = False
+        self._scan_component = -1  # the component of the latest scan that was believed
 
     @property
     def tracker(self) -> SequenceTracker:
-        """The tracker of the component that sends most."""
+        """The tracker of the component that sends the scans, for the link is judged by the logger's numbers; before there are
+        any, of the one that sends most.
+        """
+        if self._scan_component in self.trackers:
+            return self.trackers[self._scan_component]
         if not self.trackers:
             return SequenceTracker()
         return max(self.trackers.values(), key=lambda t: t.received)
@@ -148,11 +153,18 @@ class AircraftDecoder:
         elif self._restarts.take(1, held.now_ns):
             books = self._new_session(first.boot, held.now_ns)
             books.line = Line(first, proven.parts[0].now_ns)
-            self.trackers[held.component].restart(proven.lost)
+            self._restart_trackers(held.component, proven.lost)
         else:
             self._doubts.note(self.system, d.RESTARTS)
             return
         self._believe_all(books, proven)
+
+    def _restart_trackers(self, component: int, lost: int) -> None:
+        """The logger has started anew, and with it all its components; of an autopilot's a second's loss is forgiven."""
+        for number, tracker in self.trackers.items():
+            tracker.restart(lost if number == component else tracker.lost)
+            if number != component:
+                tracker.forget()
 
     def _believe_all(self, books: SessionAccounting, proven: Proven) -> None:
         for held in proven.parts:
@@ -164,7 +176,9 @@ class AircraftDecoder:
         books.line.advance(part, now_ns)
         if self._claims:
             self._claims.clear()
-        self.trackers[held.component].settle()
+        self._scan_component = held.component
+        for tracker in self.trackers.values():
+            tracker.settle()
         books.see(part.number)
         parts = self._parts.get(part.number)
         if parts is None:

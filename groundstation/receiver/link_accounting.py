@@ -11,6 +11,8 @@ from groundstation.receiver.timeline import NS
 
 _RATE_SPAN_NS = 10 * NS
 _LAST = 2**32 - 1
+_COPY_NS = 2 * NS
+"""An equal frame comes so soon as a copy by another way; later it is a new one of a slow sender that has come round."""
 
 
 class SequenceTracker:
@@ -23,7 +25,7 @@ class SequenceTracker:
         self._settled = 0  # lost when the sender was last known to be the one it was
         self._next: int | None = None
         self._missing: set[int] = set()
-        self._recent: OrderedDict[int, int] = OrderedDict()
+        self._recent: OrderedDict[int, tuple[int, int]] = OrderedDict()
         self._last_ns = 0
         self._anchor: tuple[int, int] | None = None  # time and frames since when the rate is counted
         self._rate = 0.0
@@ -32,11 +34,12 @@ class SequenceTracker:
         """Count a frame; False for a duplicate of a recent one."""
         sequence = frame.sequence
         digest = hash(frame.raw)
-        if self._recent.get(sequence) == digest:
+        earlier, since_ns = self._recent.get(sequence, (None, 0))
+        if earlier == digest and now_ns - since_ns < _COPY_NS:
             self.duplicates += 1
             return False
         self._recent.pop(sequence, None)
-        self._recent[sequence] = digest
+        self._recent[sequence] = digest, now_ns
         if len(self._recent) > 128:  # a sequence number may return after that many
             self._recent.popitem(last=False)
         self.received += 1
@@ -65,6 +68,10 @@ class SequenceTracker:
         """
         self.lost = self._settled + self.lost - lost_at_jump
         self._missing.clear()
+
+    def forget(self) -> None:
+        """Whatever number comes next is no gap."""
+        self._next = None
 
     def _measure_rate(self, now_ns: int) -> None:
         total = self.received + self.lost

@@ -14,7 +14,7 @@ from typing import Any
 from daq.contract.link.scan_map import BLOCK
 from daq.contract.link.wire import SCAN_IDS
 from daq.contract.manoeuvre import Manoeuvre, ManoeuvreError
-from daq.transport.mavlink_codec import RADIO_STATUS_ID, Frame, FrameEncoder, message_types
+from daq.transport.mavlink_codec import FIRST_OWN_ID, RADIO_STATUS_ID, Frame, FrameEncoder, message_types
 from daq.transport.ports import BytePort
 from groundstation.receiver import doubts as d
 from groundstation.receiver import events as ev
@@ -37,7 +37,6 @@ from groundstation.receiver.sending.manoeuvre_sender import ManoeuvreSender
 from groundstation.receiver.summary import counters
 from groundstation.receiver.timeline import NS, Clock
 
-_FIRST_OWN_ID = 44100
 _HEARTBEAT_NS = NS
 _REPORT_NS = NS
 _SYNC_FAST_NS, _SYNC_NS, _SYNC_FAST_COUNT = NS // 2, 5 * NS, 6
@@ -182,7 +181,7 @@ class Receiver:
 
     def _believed(self, aircraft: _Aircraft, frame: Frame, sender: Sender, now: int) -> bool:
         """Whether the sender may speak for the aircraft: with a key always, for its signature holds."""
-        own = frame.msg_id >= _FIRST_OWN_ID
+        own = frame.msg_id >= FIRST_OWN_ID
         before = aircraft.senders.speaker(sender.port) if own else None
         if self._gate.signer is None:
             if not aircraft.senders.allows(sender, frame.component, own, now):
@@ -467,7 +466,7 @@ class Receiver:
 
 
 def _is_aircraft(frame: Frame) -> bool:
-    if frame.msg_id >= _FIRST_OWN_ID:
+    if frame.msg_id >= FIRST_OWN_ID:
         return True
     if frame.name != "HEARTBEAT":
         return False

@@ -18,7 +18,8 @@ from daq.contract.scan import GroupStatus, Scan, SensorState
 from daq.recorder.config import RecorderConfig
 from daq.recorder.storage import RealStorage, in_memory
 from daq.sensors.config import ImuConfig, SensorsConfig
-from daq.service.preflight import Preflight, RadioReport, Verdict, run_preflight
+from daq.service.checks import Verdict
+from daq.service.preflight import Preflight, RadioReport, run_preflight
 from daq.service.radio_probe import listen
 from daq.service.run import PreflightRefusal, _opening, without_sequencer
 from daq.transport.mavlink_codec import FrameDecoder, frames_of
@@ -119,8 +120,8 @@ def test_a_required_sensor_that_is_not_well_forbids(tmp_path: Path, state: Senso
 def test_time_must_be_known_well_enough(tmp_path: Path) -> None:
     assert verdict(table(tmp_path, accuracy_ns=0), "clock") is Verdict.NO_GO
     assert verdict(table(tmp_path, accuracy_ns=0, require_time=False), "clock") is Verdict.CAUTION
-    assert verdict(table(tmp_path, accuracy_ns=20_000_000), "clock") is Verdict.NO_GO
-    assert verdict(table(tmp_path, accuracy_ns=20_000_000, time_accuracy_ms=50.0), "clock") is Verdict.GO
+    assert verdict(table(tmp_path, accuracy_ns=40_000_000), "clock") is Verdict.NO_GO
+    assert verdict(table(tmp_path, accuracy_ns=40_000_000, time_accuracy_ms=50.0), "clock") is Verdict.GO
     wrong = SimulatedClock(START_UTC_NS - 86400 * NS)
     result = table(tmp_path, clock=wrong)
     assert verdict(result, "clock") is Verdict.CAUTION

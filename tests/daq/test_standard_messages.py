@@ -160,7 +160,9 @@ def test_height_is_above_the_first_fix_which_is_home() -> None:
     about = messages()
     low, high = scan(5.0, **FIX), scan(60.0, **{**FIX, "height_msl_mm": 520_000, "latitude_e7": 473990000})
     assert about.make("HOME_POSITION") is None
-    here = shown(about, "GLOBAL_POSITION_INT", scan(4.0, gnss_fix=0), low, high)
+    bad = scan(4.5, **{**FIX, "height_msl_mm": 3_000_000})
+    again = [scan(5.0 + 0.1 * n, **FIX) for n in range(5)]
+    here = shown(about, "GLOBAL_POSITION_INT", scan(4.0, gnss_fix=0), bad, low, *again, high)
     assert here is not None
     assert (here["alt"], here["relative_alt"], here["lat"]) == (520_000, 32_000, 473990000)
     assert (here["vx"], here["vy"], here["vz"], here["hdg"]) == (1500, -200, -50, 0)

@@ -40,7 +40,10 @@ def test_frames_agree_with_known_messages() -> None:
 
 def test_setup_messages_ask_for_the_rate() -> None:
     assert bytes.fromhex("b5620608060064000100010 07a12".replace(" ", "")) in setup_m8(10.0)
-    (valset,) = setup_m9(10.0)
+    valset = b"".join(setup_m9(10.0))
+    assert bytes.fromhex("0900912001") in valset  # CFG-MSGOUT-UBX_NAV_PVT_USB = 1
+    assert bytes.fromhex("0200781000") in valset  # CFG-USBOUTPROT-NMEA = 0
+    assert len(setup_m9(10.0)) == 4, "a receiver without USB refuses the message with the keys of USB alone"
     assert bytes.fromhex("01002130 6400".replace(" ", "")) in valset  # CFG-RATE-MEAS = 100 ms
     assert bytes.fromhex("07009120 01".replace(" ", "")) in valset  # CFG-MSGOUT-UBX_NAV_PVT_UART1 = 1
 
@@ -130,10 +133,31 @@ class TestDriver:
         setup = driver.initialise()
         now[0] += next(setup)
         assert port.sent.startswith(b"\xb5\x62\x06\x8a")
-        now[0] += next(setup)
-        port.received += frame(NAV_PVT, pvt())
         with pytest.raises(StopIteration):
-            next(setup)
+            for _ in range(200):  # a receiver that answers nothing is waited for at each message
+                port.received += frame(NAV_PVT, pvt())
+                now[0] += next(setup)
+
+    @pytest.mark.parametrize(("refused", "passes"), [((), True), ((2, 3), True), ((0,), False), ((0, 1, 2, 3), False)])
+    def test_answers_are_read(self, refused: tuple[int, ...], passes: bool) -> None:
+        """A port that the receiver has not may be refused; rate and dynamic model not."""
+        driver, port, now = self.driver()
+        setup, heard, number = driver.initialise(), 0, 0
+        fault = ""
+        try:
+            for _ in range(400):
+                now[0] += next(setup)
+                if len(port.sent) > heard:
+                    heard = len(port.sent)
+                    port.received += frame((0x05, 0x00 if number in refused else 0x01), bytes((0x06, 0x8A)))
+                    number += 1
+                port.received += frame(NAV_PVT, pvt())
+        except StopIteration:
+            pass
+        except SelfTestError as error:
+            fault = str(error)
+        assert (fault == "") == passes
+        assert passes or "refuses (NAK)" in fault
 
     def test_silent_receiver_fails_its_self_test(self) -> None:
         driver, _, now = self.driver("none")

@@ -1,0 +1,234 @@
+"""What the sensors say of each other, at rest and in flight: an unzeroed, swapped, covered or blocked pitot, a frozen vane, a
+turned IMU. Raw counts at nominal scales; every sentence has value, unit and limit. Once a second over the last five.
+
+At rest a pitot off by more than `OFFSET_PA` is zeroed before motion; wind is told apart by its variance: gusts of a fifth of
+the mean speed shake the pressure by two fifths of its mean.
+"""
+
+import math
+from collections import deque
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from statistics import fmean, pstdev
+
+from daq.contract.scan import Scan
+from daq.sensors.config import Axis, Mounting, SensorsConfig, check_mounting
+from daq.sensors.icm20948 import COUNTS_PER_DPS, COUNTS_PER_G
+from daq.sensors.ms4525do import nominal_transfer
+from daq.sensors.standstill import LEAST_SCANS, counts, ground_speed, pitot_unrest, unrest
+
+GRAVITY = 9.80665
+DENSITY = 1.225
+WINDOW_S = 5.0
+LOOK_S = 1.0
+MOVING_M_S = 8.0
+"""Ground speed that only flight gives: small aircraft lift off at it."""
+OFFSET_PA = 10.0
+"""Pitot at rest further off than this is zeroed: 5 % of the dynamic pressure at 18 m/s, so 5 % of each derivative."""
+BROKEN_PA = 300.0
+"""Further off than twice what makers and users report at rest, it is no zero but a fault: trapped pressure or a wrong range."""
+STEADY = 0.25
+"""A pressure that spreads by less than this share of its mean is an offset, not wind (which has 0.4)."""
+NEGATIVE_PA = -20.0
+"""In flight no tube in front of its static port reads less: wake and zero error together are below it."""
+LEAST_SHARE = 0.1
+"""Of the dynamic pressure of the ground speed: less means a tail wind of two thirds of it, or a cover."""
+MOST_SHARE = 4.0
+"""More means a head wind as fast as the ground speed, or pressure trapped in the tube."""
+FROZEN_COUNTS = 8.0
+"""A vane in flight moves by more in five seconds: eight counts of an ADS1115 at 4.096 V are 1 mV, a tenth of a degree."""
+TILT_RAD = math.radians(35.0)
+"""More than any aircraft stands or lies on its gear, tail draggers (15 degrees) and a wing on the ground included."""
+FORCE_ERROR = 0.1
+"""Specific force at rest may be off by this share: six times a consumer accelerometer's zero and scale together."""
+_AXES: tuple[Axis, ...] = ("+x", "-x", "+y", "-y", "+z", "-z")
+_VANES = {"alpha_vane": "angle-of-attack vane", "beta_vane": "sideslip vane"}
+
+
+@dataclass(frozen=True, slots=True)
+class Contradiction:
+    """What is wrong. of: sensor or channel; text: a sentence with value, unit and limit."""
+
+    of: str
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class PitotAtRest:
+    """Mean reading at rest [counts], the same against the data sheet's zero and its spread [Pa], how many scans."""
+
+    count: float
+    offset_pa: float
+    spread_pa: float
+    scans: int
+
+    @property
+    def steady(self) -> bool:
+        """Whether it is an offset rather than wind."""
+        return self.spread_pa <= max(STEADY * abs(self.offset_pa), OFFSET_PA / 2)
+
+    @property
+    def words(self) -> str:
+        """The reading for a person, with the airspeed it would be."""
+        speed = math.sqrt(2 * abs(self.offset_pa) / DENSITY)
+        return f"{self.offset_pa:+.0f} Pa ({speed:.0f} m/s), spread {self.spread_pa:.1f} Pa"
+
+
+class Scales:
+    """Nominal scales of what is fitted: m/s2 and rad/s a count, Pa a count and at count zero (NaN: not known)."""
+
+    def __init__(self, config: SensorsConfig) -> None:
+        imu = config.section("imu")
+        self.accel = GRAVITY / COUNTS_PER_G[getattr(imu, "accel_range_g", 8)]
+        self.gyro = math.radians(1 / COUNTS_PER_DPS[getattr(imu, "gyro_range_dps", 500)])
+        self.pascal, self.pascal_at_zero = nominal_transfer(config.pitot)
+        self.mounting: Mounting = getattr(imu, "mounting", ("+x", "+y", "+z"))
+
+    def force(self, scans: Sequence[Scan]) -> tuple[float, float, float] | None:
+        """Mean specific force, body axes [m/s2]; None without an IMU that vouches for it."""
+        axes = [counts(scans, f"accel_{a}") for a in "xyz"]
+        if len(axes[0]) < LEAST_SCANS:
+            return None
+        x, y, z = (fmean(axis) * self.accel for axis in axes)
+        return x, y, z
+
+
+def pitot_at_rest(scans: Sequence[Scan], scales: Scales) -> PitotAtRest | None:
+    """The pitot's offset; None while something moves, or where there is no pitot of known scale."""
+    pitot = counts(scans, "pitot_pressure")
+    if math.isnan(scales.pascal) or len(pitot) < LEAST_SCANS or unrest(scans):
+        return None
+    mean = fmean(pitot)
+    offset = mean * scales.pascal + scales.pascal_at_zero
+    return PitotAtRest(mean, offset, pstdev(pitot) * scales.pascal, len(pitot))
+
+
+def level(scans: Sequence[Scan], scales: Scales) -> tuple[bool, str] | None:
+    """Whether gravity lies along body z at rest, and a sentence; None while something moves, or without an IMU."""
+    force = scales.force(scans)
+    if force is None or unrest(scans):
+        return None
+    size = math.hypot(*force)
+    seen = "specific force " + ", ".join(f"{n} {f:+.1f}" for n, f in zip("xyz", force, strict=True)) + " m/s2"
+    if abs(size - GRAVITY) > FORCE_ERROR * GRAVITY:
+        return (
+            False,
+            f"{seen} is {size:.1f} in all, not 9.8 (limit {FORCE_ERROR:.0%}); check accel_range_g, or calibrate",
+        )
+    tilt = math.acos(max(-1.0, min(1.0, -force[2] / size)))
+    said = f"{seen}: {math.degrees(tilt):.0f} deg from level (limit {math.degrees(TILT_RAD):.0f})"
+    if tilt <= TILT_RAD:
+        return True, said
+    right = mounting_for(force, scales.mounting)
+    written = "[" + ", ".join(f"'{axis}'" for axis in right) + "]"
+    return (
+        False,
+        f"{said}; z should be -9.8 at rest: if the aircraft stands upright write sensors.imu.mounting = {written}",
+    )
+
+
+def mounting_for(force: tuple[float, float, float], mounting: Mounting) -> Mounting:
+    """The mounting under which gravity would lie along body z, of those that leave most axes as they are."""
+    up = max(range(3), key=lambda i: abs(force[i]))
+    sign = 1 if force[up] < 0 else -1  # which way the axis must be named to read -9.8
+    down = mounting[up] if sign > 0 else _reversed(mounting[up])
+    best, kept_axes = mounting, -1
+    for x in _AXES:
+        for y in _AXES:
+            if len({x[1], y[1], down[1]}) < 3:
+                continue
+            try:
+                trial = check_mounting((x, y, down))
+            except ValueError:
+                continue
+            same = 2 * (x == mounting[0]) + (y == mounting[1])
+            if same > kept_axes:
+                best, kept_axes = trial, same
+    return best
+
+
+def _reversed(axis: Axis) -> Axis:
+    return _AXES[_AXES.index(axis) ^ 1]
+
+
+class AirTruth:
+    """Looks at scans as they come. `look` gives what is newly wrong; `zero` a pitot offset to be recorded before motion."""
+
+    def __init__(self, config: SensorsConfig, *, auto_zero: bool = True) -> None:
+        self._scales = Scales(config)
+        self._scans: deque[Scan] = deque()
+        self._next = -math.inf
+        self._standing: set[str] = set()
+        self._auto_zero = auto_zero
+        self._moved = False
+        self._zero_count = -self._scales.pascal_at_zero / self._scales.pascal if self._scales.pascal else math.nan
+
+    def zeroed(self, count: float) -> None:
+        """The pitot was zeroed at this count, by whomever."""
+        self._zero_count, self._auto_zero = count, False
+
+    def look(self, scan: Scan) -> list[Contradiction]:
+        """Take a scan; once a second, what has become wrong since the last look."""
+        self._scans.append(scan)
+        while scan.time - self._scans[0].time > WINDOW_S:
+            self._scans.popleft()
+        if scan.time < self._next:
+            return []
+        self._next = scan.time + LOOK_S
+        present = list(self._present()) if self._full else []
+        new = [c for c in present if c.of not in self._standing]
+        self._standing = {c.of for c in present} if self._full else self._standing
+        return new
+
+    def zero(self) -> PitotAtRest | None:
+        """Once, on the ground before the first motion: an offset beyond the bound that is steady."""
+        if not self._auto_zero or self._moved or not self._full:
+            return None
+        scans = list(self._scans)
+        rest = pitot_at_rest(scans, self._scales)
+        if rest is None or pitot_unrest(counts(scans, "pitot_pressure"), level_tells=False):
+            return None
+        if not OFFSET_PA < abs(rest.offset_pa) < BROKEN_PA or not rest.steady:
+            return None
+        self.zeroed(rest.count)
+        return rest
+
+    @property
+    def _full(self) -> bool:
+        return len(self._scans) >= LEAST_SCANS and self._scans[-1].time - self._scans[0].time > 0.8 * WINDOW_S
+
+    def _present(self) -> Iterator[Contradiction]:
+        scans = list(self._scans)
+        speeds = [s for s in map(ground_speed, scans) if s is not None]
+        if len(speeds) < 2 or min(speeds) < MOVING_M_S:
+            return
+        self._moved = True
+        yield from self._pitot(scans, fmean(speeds))
+        for name, words in _VANES.items():
+            seen = counts(scans, name)
+            if len(seen) >= LEAST_SCANS and max(seen) - min(seen) < FROZEN_COUNTS:
+                moved = f"moves by {max(seen) - min(seen):.0f} counts in {WINDOW_S:.0f} s at {fmean(speeds):.0f} m/s"
+                yield Contradiction(name, f"{words} is frozen: {moved} (at least {FROZEN_COUNTS:.0f} in flight)")
+        force = self._scales.force(scans)
+        if force is not None and force[2] > -0.3 * GRAVITY:
+            seen_z = f"mean specific force on body z is {force[2]:+.1f} m/s2 in flight (at most {-0.3 * GRAVITY:.1f})"
+            yield Contradiction("imu", f"IMU is turned: {seen_z}; correct sensors.imu.mounting")
+
+    def _pitot(self, scans: Sequence[Scan], speed: float) -> Iterator[Contradiction]:
+        pitot = counts(scans, "pitot_pressure")
+        if len(pitot) < LEAST_SCANS or math.isnan(self._zero_count):
+            return
+        pressure = (fmean(pitot) - self._zero_count) * self._scales.pascal
+        by_gps = DENSITY / 2 * speed**2
+        at = f"at GPS {speed:.0f} m/s"
+        if pressure < NEGATIVE_PA:
+            words = f"pitot pressure is negative in flight: {pressure:.0f} Pa {at} (limit {NEGATIVE_PA:.0f}): tubes swapped?"
+            yield Contradiction("pitot sign", words)
+        elif pressure < LEAST_SHARE * by_gps:
+            words = f"pitot reads {pressure:.0f} Pa {at} (at least {LEAST_SHARE * by_gps:.0f}): covered or blocked?"
+            yield Contradiction("pitot level", words)
+        elif pressure > MOST_SHARE * by_gps:
+            words = (
+                f"pitot reads {pressure:.0f} Pa {at} (at most {MOST_SHARE * by_gps:.0f}): blocked with pressure in it?"
+            )
+            yield Contradiction("pitot level", words)
