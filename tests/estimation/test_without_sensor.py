@@ -1,6 +1,7 @@
 """Lateral estimates of flights without a sideslip vane or a side accelerometer, against made truth."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from estimation.models import load_model
 from estimation.session import runner
 from estimation.session.session import Session
 from estimation.session.structured import Wish
+from estimation.session.without_sensor import without_sensor
 from groundstation.flight import Flight, MissingColumnError
 from tests.estimation.truth import NOISE, STRONG, TRUE, Case, fly
 
@@ -67,6 +69,17 @@ def test_every_method_and_the_structure_test_end_in_a_result_or_a_sentence(lacki
     assert set(flight.results) | set(flight.failures) == {"ml", "ls", "ngn-improved"}
     assert flight.verdict is not None
     session.to_json()
+
+
+def test_an_aircraft_of_which_nothing_is_believed_has_starts_from_the_kinematics() -> None:
+    flights = made(37, "beta")
+    blank = LATERAL.with_starts(dict.fromkeys(LATERAL.free_names, 0.0))
+    unknown = replace(blank, parameters=tuple(replace(p, reference=None) for p in blank.parameters))
+    model, _ = without_sensor(unknown, flights)
+    start = model.starts()
+    assert all(start[n] * TRUE[n] > 0.0 for n in ("CY_beta", "Cl_beta", "Cl_p", "Cl_da", "Cn_beta", "Cn_dr"))
+    session = runner.estimate(unknown, flights, load_aircraft("cdfp"), ["ml"], structure=Wish.OFF)
+    assert np.abs(misses(session.flights[0].results["ml"])).max() < 4.0
 
 
 def test_both_lacking_is_refused() -> None:
