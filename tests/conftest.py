@@ -27,6 +27,8 @@ if os.environ.get("CI"):
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN and threading.current_thread() is threading.main_thread():
     # A shell starts what runs in its background with SIGINT ignored, and children inherit that: Ctrl-C could not be tried.
     signal.signal(signal.SIGINT, signal.default_int_handler)
+if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN and threading.current_thread() is threading.main_thread():
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)  # so does nohup with a hang-up
 
 ROOT = Path(__file__).resolve().parent.parent
 LOCAL_FAMILIES = {socket.AF_UNIX}

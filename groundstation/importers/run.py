@@ -209,10 +209,10 @@ def _dataflash(path: Path) -> list[Log]:
 
 
 def _bag(path: Path) -> tuple[Log, Map]:
-    from groundstation.importers.formats.bags import OURS, first_schema
+    from groundstation.importers.formats.bags import OURS, mcap_profile
     from groundstation.importers.ros import read_ros
 
-    if path.suffix.lower() == ".mcap" and (first_schema(path) or "").startswith(OURS):
+    if path.suffix.lower() == ".mcap" and mcap_profile(path) == OURS:
         raise ImportDataError(
             f"{path}: written by this program: a flight is taken as it is, a raw recording by 'sideslip calibrate'"
         )

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from daq.clock import SimulatedClock
-from daq.contract.durable import make_directories, write_text
+from daq.contract.durable import make_directories, whole, write_text
 from daq.contract.recordings.accounting import recover, verify
 from daq.contract.recordings.reading import read_recording
 from daq.contract.scan import encode_scan
@@ -238,7 +238,8 @@ def test_text_goes_through_a_link_and_leaves_the_old_one_when_it_fails(tmp_path:
     link.symlink_to(target)
     write_text(link, "through")
     assert (link.is_symlink(), target.read_text()) == (True, "through")
-    with pytest.raises(UnicodeEncodeError):
-        write_text(target, "\ud800")
+    with pytest.raises(OSError), whole(target) as new:
+        new.write_text("half")
+        raise OSError(errno.ENOSPC, "no space")
     assert target.read_text() == "through"
     assert sorted(p.name for p in tmp_path.iterdir()) == ["link", "target"]

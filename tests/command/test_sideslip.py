@@ -81,7 +81,7 @@ def test_unknown_verb_and_option_are_status_2() -> None:
         (("rec",), "did you mean 'sideslip record' or 'sideslip recover' or 'sideslip reconstruct'?"),
         (("Import",), "did you mean 'sideslip import'"),
         (("log.csv",), "it is a file: did you mean 'sideslip info log.csv'?"),
-        (("info", "log.ulg"), "sideslip import"),
+        (("info", "log.ulg"), "log.ulg: damaged ULog"),
         (("calibrate", "log.csv", "-o", "out.mcap"), "sideslip import"),
         (("estimate", "log.csv"), "sideslip import"),
         (("estimate", "none.csv", "--model", "latral"), "did you mean lateral?"),

@@ -7,6 +7,7 @@ definitions: those of the standard messages are in `ros_definitions`.
 
 import json
 import sqlite3
+import struct
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,9 +17,22 @@ from groundstation.importers.errors import ImportDataError
 from groundstation.importers.formats.bag_series import Topic, numbers_of
 
 SQLITE = b"SQLite format 3\0"
-OURS = ("sideslip.",)
-"""What the names of schemas of our own recordings and flights begin with."""
-_DAMAGE = (ValueError, KeyError, IndexError, TypeError, AttributeError, OverflowError, EOFError, MemoryError)
+OURS = "sideslip"  # profile of the recordings and flights that this program writes
+MCAP_MAGIC = b"\x89MCAP0\r\n"
+HEADER_OPCODE, HEADER_AT = 1, 17  # the header record, and where its profile begins
+HEAD_BYTES = 4096  # read to find the profile
+LARGEST_RECORD = 256 << 20  # bytes of one record of an MCAP file: a chunk of a bag has a few megabytes
+_DAMAGE = (
+    ValueError,
+    KeyError,
+    IndexError,
+    TypeError,
+    AttributeError,
+    OverflowError,
+    EOFError,
+    MemoryError,
+    struct.error,
+)
 _WITHOUT = "a package is missing: pip install 'sideslip[ground]'"
 
 Decode = Callable[[bytes], Any]
@@ -71,21 +85,22 @@ def is_bag(path: Path) -> bool:
     with path.open("rb") as file:
         if file.read(len(SQLITE)) == SQLITE:
             return True
-    schema = first_schema(path) if path.suffix.lower() == ".mcap" else None
-    return schema is not None and not schema.startswith(OURS)
+    profile = mcap_profile(path) if path.suffix.lower() == ".mcap" else None
+    return profile is not None and profile != OURS
 
 
-def first_schema(path: Path) -> str | None:
-    """Name of the first schema of an MCAP file; None where it cannot be read that far."""
-    from mcap.exceptions import McapError
-    from mcap.stream_reader import StreamReader
-
+def mcap_profile(path: Path) -> str | None:
+    """The profile that the header of an MCAP file names; None where it has no header. Reads its first bytes only."""
     try:
         with path.open("rb") as file:
-            every: Iterator[Any] = StreamReader(file).records
-            return next((str(r.name) for r in every if type(r).__name__ == "Schema"), None)
-    except (McapError, *_DAMAGE, OSError):
+            head = file.read(HEAD_BYTES)
+    except OSError:
         return None
+    if not head.startswith(MCAP_MAGIC) or len(head) < HEADER_AT + 4 or head[len(MCAP_MAGIC)] != HEADER_OPCODE:
+        return None
+    size = int.from_bytes(head[HEADER_AT : HEADER_AT + 4], "little")
+    profile = head[HEADER_AT + 4 : HEADER_AT + 4 + size]
+    return profile.decode("utf-8", "replace") if len(profile) == size else None
 
 
 # ------------------------------------------------------------------------------------------------------------------- MCAP
@@ -101,7 +116,7 @@ def _mcap(path: Path) -> Bag:
     decoders: dict[int, Decode | None] = {}
     try:
         with path.open("rb") as file:
-            every: Iterator[Any] = StreamReader(file).records
+            every: Iterator[Any] = StreamReader(file, record_size_limit=LARGEST_RECORD).records
             for record in every:
                 match type(record).__name__:
                     case "Schema":
