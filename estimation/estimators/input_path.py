@@ -99,7 +99,7 @@ def in_own_terms(result: Result, model: Model) -> Result:
     if not names:
         return result
     paths = {n: _path(e[PREFIX["lag"] + n], e[PREFIX["bend"] + n]) for n in names}
-    notes = tuple(Note(NoteKind.OTHER, _sentence(n, path)) for n, path in paths.items())
+    notes = tuple(Note(NoteKind.OTHER, _sentence(n, path)) for n, path in paths.items() if np.isfinite(path.lag))
     stated = replace(result, flights=tuple(replace(f, notes=(*f.notes, *notes)) for f in result.flights))
     return without(stated, model, set(e) - set(model.free_names), {"input_paths": paths})
 

@@ -19,6 +19,7 @@ from estimation.session.scatter import scatter
 from estimation.session.session import FlightEstimates, Session
 from estimation.session.structured import Wish, structured
 from estimation.session.verdict import verdict
+from estimation.session.without_sensor import without_sensor
 from groundstation.flight import Flight
 from groundstation.flight.contradictions import contradictions
 from groundstation.flight.quality.plausibility import suspicions
@@ -61,6 +62,7 @@ def estimate(
         raise DataError(
             f"{second} is of the same record as {first}, which would count twice jointly: give every flight once"
         )
+    model, flights = without_sensor(model, flights)
     task = Task(model, flights, aircraft, extras, device, tell=progress or (lambda text: None))
     session = _fitted(task, chosen, joint)
     if structure is not Wish.OFF:
