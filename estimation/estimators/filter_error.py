@@ -200,13 +200,11 @@ def process_noise_error(
     """
     chosen = load_model(model).with_starts(start or {})
     chosen, data = compared(chosen, prepared(chosen, flights, options.preparation))
-    plain = replace(
-        options, paths=False
-    )  # a way between samples and process noise of the angles explain the same residuals
-    first = output_error(chosen, data, options=plain)
+    full = with_paths(chosen, data) if options.paths else chosen
+    first = output_error(full, data, options=replace(options, paths=False))
     if first.status is Status.DIVERGED:
-        return first.with_method("fem-noise")
-    return _by_process_noise(chosen, data, first, plain)
+        return in_own_terms(first.with_method("fem-noise"), chosen)
+    return in_own_terms(_by_process_noise(full, data, first, options), chosen)
 
 
 def _by_process_noise(chosen: Model, data: list[FlightData], first: Result, options: OutputErrorOptions) -> Result:

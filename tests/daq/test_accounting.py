@@ -19,6 +19,7 @@ from daq.contract.recordings.recording import RecordingError, RecordingWriter
 from daq.recorder.config import RecorderConfig
 from daq.recorder.recorder import Recorder
 from groundstation.flight import Flight, Provenance, write_flight
+from sideslip.contents import info
 from tests.daq.synthetic import PERIOD_NS, make_info, make_scan
 
 
@@ -132,7 +133,7 @@ def test_commands_print_write_json_and_exit(session: Path, tmp_path: Path) -> No
     assert done.exit_code == 0
     assert "sound: 200 scans, 0 to 199; none missing" in done.output
     assert json.loads((out / "v.json").read_text())["ok"] is True
-    done = run(commands.info, [str(session)])
+    done = run(info, [str(session)])
     assert done.exit_code == 0
     assert "200 scans in 9.95 s" in done.output
     done = run(commands.recover, [str(session), "-o", str(out / "copy.mcap")])

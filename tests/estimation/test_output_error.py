@@ -83,7 +83,7 @@ def test_arrow_elimination_equals_the_dense_solution(made_flights: list[Flight])
     from estimation.engine.simulate import simulate_with_sensitivities
 
     model = LATERAL.with_local("Cn_0")
-    result = output_error(model, made_flights[:2], options=OutputErrorOptions(substeps=4))
+    result = output_error(model, made_flights[:2], options=OutputErrorOptions(substeps=4, paths=False))
     shared = [n for n in model.free_names if n != "Cn_0"]
     blocks = []
     for i, flight in enumerate(made_flights[:2]):

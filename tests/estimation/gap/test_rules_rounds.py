@@ -22,6 +22,8 @@ from estimation.gap.search.select import Choice
 from estimation.gap.tests_of_fit.calibration import Round
 from tests.estimation.gap.candidates_by_hand import REST, ROUND, candidate, hypothesis, stub
 
+SETTING: Any = stub(options=Options())
+
 
 # ------------------------------------------------------------------------------------------------ when one is accepted
 @pytest.mark.parametrize(("gain", "enough"), [(73.0, False), (77.0, True)])
@@ -86,7 +88,30 @@ def test_timing_is_freed_of_its_prior(moved: float, followed: bool) -> None:
     assert by_timing(stub(baseline=baseline, criteria=AS_SET), found) is followed
 
 
-def test_the_first_candidate_that_is_confirmed_becomes_the_effect(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture
+def own_gains(monkeypatch: pytest.MonkeyPatch) -> dict[str, float]:
+    """Share of the gain of each hypothesis that the noise of the controls does not give it: all of it where nothing is said."""
+    shares: dict[str, float] = {}
+    monkeypatch.setattr(accepting.MeasuredAgain, "share", lambda self, gain, fit: shares.get(str(gain), 1.0))
+    return shares
+
+
+@pytest.mark.parametrize(("share", "stands"), [(0.9, True), (0.1, False)])
+def test_what_the_noise_of_the_controls_gives_is_no_effect(
+    monkeypatch: pytest.MonkeyPatch, own_gains: dict[str, float], share: float, stands: bool
+) -> None:
+    monkeypatch.setattr(accepting, "confirmed", lambda *_: ("child", ""))
+    one = candidate("a", evidence=50.0)
+    own_gains[str(one.gain)] = share
+    finding, said = accept(SETTING, ROUND, Choice((one,), {}, ()), REST)
+    assert (finding is not None) is stands
+    assert stands or "controls are measured again" in said[0].why
+    assert finding is None or finding.candidate.score == pytest.approx(one.score * np.sqrt(share))
+
+
+def test_the_first_candidate_that_is_confirmed_becomes_the_effect(
+    monkeypatch: pytest.MonkeyPatch, own_gains: dict[str, float]
+) -> None:
     asked: list[tuple[str, float]] = []
 
     def confirmed(setting: Any, round_: Any, one: Candidate, nameless: float) -> tuple[Any, str]:
@@ -95,7 +120,7 @@ def test_the_first_candidate_that_is_confirmed_becomes_the_effect(monkeypatch: p
 
     monkeypatch.setattr(accepting, "confirmed", confirmed)
     rivals = tuple(candidate(n, evidence=50.0) for n in ("a", "b", "c"))
-    finding, said = accept(stub(), ROUND, Choice(rivals, {}, ()), REST)
+    finding, said = accept(SETTING, ROUND, Choice(rivals, {}, ()), REST)
     assert asked == [("a", 80.0), ("b", 80.0)], "a nameless term is the strongest term, not a burst"
     assert finding is not None
     assert (finding.candidate, finding.child) == (rivals[1], "child")
@@ -116,12 +141,12 @@ def test_a_name_is_doubted_where_a_shape_gains_clearly_more_and_by_what_is_signi
 
 def test_nothing_below_the_threshold_is_asked() -> None:
     rivals = (candidate(score=3.9),)
-    assert accept(stub(), ROUND, Choice(rivals, {}, ()), REST) == (None, [])
+    assert accept(SETTING, ROUND, Choice(rivals, {}, ()), REST) == (None, [])
 
 
 @pytest.mark.parametrize(("shape", "nameless"), [(30.0, 80.0), (900.0, 900.0)])
 def test_a_name_is_held_against_a_shape_without_one(
-    monkeypatch: pytest.MonkeyPatch, shape: float, nameless: float
+    monkeypatch: pytest.MonkeyPatch, own_gains: dict[str, float], shape: float, nameless: float
 ) -> None:
     asked: list[float] = []
 
@@ -130,9 +155,9 @@ def test_a_name_is_held_against_a_shape_without_one(
         return None, "no"
 
     monkeypatch.setattr(accepting, "confirmed", confirmed)
-    accept(stub(), ROUND, Choice((candidate(evidence=50.0),), {}, ()), REST, lambda: shape)
+    accept(SETTING, ROUND, Choice((candidate(evidence=50.0),), {}, ()), REST, lambda: shape)
     assert asked == [nameless]
-    accept(stub(), ROUND, Choice((candidate(score=3.9),), {}, ()), REST, lambda: pytest.fail("asked for nothing"))
+    accept(SETTING, ROUND, Choice((candidate(score=3.9),), {}, ()), REST, lambda: pytest.fail("asked for nothing"))
 
 
 def test_a_model_that_cannot_be_examined_is_withdrawn_and_what_was_found_before_it_stands(
