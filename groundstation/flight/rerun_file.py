@@ -23,7 +23,9 @@ def rerun_file(stream: "rr.RecordingStream", path: Path, blueprint: Any) -> Iter
     """
     encoded = stream.binary_stream()
     try:
-        stream.send_blueprint(blueprint, make_active=False, make_default=True)
+        stream.send_blueprint(
+            blueprint
+        )  # active: the stream names its recording first, and a viewer would lay that out by itself
         yield
         write_bytes(path, encoded.read() or b"")
     finally:
