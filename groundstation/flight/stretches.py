@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 
 SHORTEST = 1.0
 """[s] of a stretch by name or condition: less holds no manoeuvre."""
-_TIMES = re.compile(r"[\s\d.eE+\-:,]*:[\s\d.eE+\-:,]*|[\s\d.eE+\-,]+")
+_TIMES = re.compile(r"(?:[\s\d.eE+\-,]|inf|nan)*:(?:[\s\d.eE+\-:,]|inf|nan)*|[\s\d.eE+\-,]+")
 _SHOWN = 12
 
 

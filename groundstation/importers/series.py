@@ -137,7 +137,10 @@ def resample(series: Series, time: Array, *, hold: bool = False) -> Array:
     y = y[first]
     if t.size < 2:
         return np.full_like(time, np.nan)
-    interval = 1.0 / native_rate(Series(t, y))
+    rate = native_rate(Series(t, y))
+    if not rate:  # all at one instant
+        return np.full_like(time, np.nan)
+    interval = 1.0 / rate
     step = float(np.median(np.diff(time))) if time.size > 1 else interval
     if hold and (series.lag or interval > 0.5 * step):
         return held_at(replace(series, command=True), time)

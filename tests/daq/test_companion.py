@@ -152,7 +152,7 @@ def test_a_simulated_logger_records_what_it_identifies(tmp_path: Path) -> None:
     kept = [json.loads(line.message) for line in recording.log if line.name == "identification"]
     assert kept
     assert kept[-1]["values"]["Cn_beta"][0] == pytest.approx(0.0286, rel=0.1)
-    assert len(recording.numbers) == 594
+    assert len(recording.numbers) == 595
 
 
 @pytest.mark.parametrize(

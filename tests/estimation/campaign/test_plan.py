@@ -46,7 +46,7 @@ def checked(plan: Plan, folder: Path) -> WorkList:
         ({"seed": -1}, "^plan test: seed: "),
         ({"method": "ls"}, "^plan test: method: no such key; did you mean methods"),
         ({"flights": [""]}, "flights.0"),
-        ({"table": "nosuch.csv"}, "table .*nosuch.csv: cannot be read"),
+        ({"table": "nosuch.csv"}, "nosuch.csv: no such table"),
         ({"flight": [{"path": "nosuch.csv", "aircraft": "nosuch"}]}, "aircraft .*nosuch"),
         ({"flight": [{"path": FLIGHT, "date": "2026-13-01"}]}, "flight.0.date: '2026-13-01' is no date; write"),
         ({"flight": [{"path": FLIGHT, "mass": 0}]}, "flight.0.mass"),
