@@ -48,6 +48,7 @@ class Ublox(Driver):
         setup = _SETUP.get(self._config.generation)
         messages = setup(self._config.rate_hz) if setup else []
         refused: list[int] = []
+        answered = 0
         for number, message in enumerate(messages):
             self._answers.clear()
             self._port.write(message)
@@ -56,8 +57,13 @@ class Ublox(Driver):
                 self._receive()
                 if self._answers:
                     break
+            answered += bool(self._answers)
             if self._answers and not self._answers.pop():
                 refused.append(number)
+        if 0 < answered < len(messages):  # it came back, or lost a byte, while it was being set up
+            raise SelfTestError(
+                f"the GPS receiver answered {answered} of {len(messages)} settings only; it is set up again"
+            )
         self._check_answers(messages, refused)
         self._backlog.clear()
         self._last_byte_ns = self._now()

@@ -9,7 +9,7 @@ from estimation.engine.data import FlightData, prepare
 from estimation.engine.prepared import prepared
 from estimation.engine.simulate import Compile, Hold, Simulator
 from estimation.estimators import input_error
-from estimation.estimators.output_error import output_error
+from estimation.estimators.output_error import OutputErrorOptions, output_error
 from estimation.models import load_model
 from estimation.signals.preprocess import denoise_many
 from groundstation.flight import Flight
@@ -94,7 +94,7 @@ def _sizes(monkeypatch: pytest.MonkeyPatch, flights: list[FlightData]) -> np.nda
         return result
 
     monkeypatch.setattr("estimation.estimators.uncertainty.common_error", spy)
-    output_error(LATERAL.with_local("CY_0", "Cl_0", "Cn_0"), flights)
+    output_error(LATERAL.with_local("CY_0", "Cl_0", "Cn_0"), flights, options=OutputErrorOptions(paths=False))
     return found[0]
 
 

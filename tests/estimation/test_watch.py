@@ -177,7 +177,8 @@ def test_the_notebook_says_what_the_verb_says(flights: dict[str, Path], tmp_path
     _, verb = answered(flights, "elevon_stuck", tmp_path)
     found = sideslip.watch(flights["elevon_stuck"], flights["model"], aircraft="cdfp", hours=1.0)
     saved = json.loads(found.save(tmp_path / "notebook.json").read_text())
-    assert saved == {k: v for k, v in verb.items() if k != "next"}
+    assert saved.keys() == verb.keys()
+    assert all(saved[k] == verb[k] for k in verb if k != "next")  # the verb's reads the stretch that its report wrote
     assert f"{len(found.alarms)} alarm" in repr(found)
     assert found.summary().count("t = ") == len(found.alarms) == found._repr_html_().count("<tr><td>")
     frame = found.to_pandas()
@@ -188,7 +189,7 @@ def test_the_notebook_says_what_the_verb_says(flights: dict[str, Path], tmp_path
     assert stretch.time[-1] <= found.alarms[0].time + 20.1
     assert len(found.plot().lines) == 2 + len(found.alarms)
     assert "svg" in found.figures()["watch_history"].uri[:20]
-    with pytest.raises(UserError, match=r"end the name in \.json"):
+    with pytest.raises(UserError, match=r"end the name in one of \.json"):
         found.save(tmp_path / "notebook.csv")
 
 

@@ -1,11 +1,14 @@
 """Parts on disk: whole or not at all, each key once, set aside where they cannot be read."""
 
+import subprocess
+import sys
 from pathlib import Path
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from daq.contract.durable import ENDING
 from estimation.campaign.errors import CampaignError
 from estimation.campaign.schema import RESULTS, VERSION_KEY, arrow_schema
 from estimation.campaign.store import EVERY_S, Store
@@ -64,11 +67,15 @@ def test_a_damaged_part_is_set_aside_and_half_written_ones_go(tmp_path: Path) ->
         store.add(rows("a"))
     broken = tmp_path / "results" / "part-broken.parquet"
     broken.write_bytes(parts(tmp_path)[0].read_bytes()[:-20])
-    (tmp_path / "results" / "part-half.tmp").write_bytes(b"PAR1")
+    gone = subprocess.run(
+        [sys.executable, "-c", "import os; print(os.getpid())"], capture_output=True, text=True, check=True
+    )
+    half = tmp_path / "results" / f".part-half.parquet.{int(gone.stdout)}.00ff00ff00ff{ENDING}"
+    half.write_bytes(b"PAR1")
     with Store(tmp_path, Clock()) as store:
         assert set(store.load()["key"].to_pylist()) == {"a"}
         assert store.damaged == [tmp_path / "damaged" / "part-broken.parquet"]
-    assert not list(tmp_path.glob("results/*.tmp"))
+    assert not half.exists()
     assert store.damaged[0].is_file()
 
 

@@ -52,23 +52,36 @@ def test_a_shape_gains_three_quarters_of_what_the_best_term_does(
     of it the plain gap of eleven channels shows. Only terms count: restless seconds have no gain."""
     signals = (stub(kind="term", gain=100.0), stub(kind="time", gain=500.0))
     monkeypatch.setattr(searching, "examine", lambda round_: stub(leading=signals))
-    monkeypatch.setattr(searching, "fit_increment", lambda baseline, increment: stub(gain=gain))
+    monkeypatch.setattr(searching, "fit_increment", lambda baseline, increment: stub(gain=gain, fit=None))
     monkeypatch.setattr(searching.Increment, "of", lambda place, flown, criteria: None)
+    monkeypatch.setattr(searching.MeasuredAgain, "share", lambda self, gain, fit: 1.0)
     left: list[float] = []
     monkeypatch.setattr(searching, "left_out", lambda baseline, fitted, flown: left.append(fitted.gain) or [])
-    ranking = stub(order=[0], places=[PLACE], gains=[gain])
-    shape, tried = searching._best(stub(baseline=None, criteria=AS_SET), stub(), stub(), ranking)
+    ranking = stub(order=[0], places=[PLACE], gains=[gain], scores=[9.0], threshold=4.0)
+    shape, tried = searching._best(stub(baseline=None, criteria=AS_SET), stub(seed=1), stub(), ranking)
     assert shape is None
     assert bool(left) is asked
     assert (tried[0].why == "explains only 74% of what a nameless term or swing does") is not asked
 
 
+def test_a_shape_that_the_noise_of_the_controls_gives_is_not_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Half of a gain is its own: seven tenths of its score, here below the threshold."""
+    monkeypatch.setattr(searching, "examine", lambda round_: stub(leading=()))
+    monkeypatch.setattr(searching, "fit_increment", lambda baseline, increment: stub(gain=74.0, fit=None))
+    monkeypatch.setattr(searching.Increment, "of", lambda place, flown, criteria: None)
+    monkeypatch.setattr(searching.MeasuredAgain, "share", lambda self, gain, fit: 0.5)
+    ranking = stub(order=[0], places=[PLACE], gains=[74.0], scores=[5.0], threshold=4.0)
+    shape, tried = searching._best(stub(baseline=None, criteria=AS_SET), stub(seed=1), stub(), ranking)
+    assert shape is None
+    assert tried[0].why == "gains nearly as much where only the controls are measured again"
+
+
 def test_a_shape_gains_three_quarters_of_what_a_swing_does(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(searching, "examine", lambda round_: stub(leading=()))
-    monkeypatch.setattr(searching, "fit_increment", lambda baseline, increment: stub(gain=74.0))
+    monkeypatch.setattr(searching, "fit_increment", lambda baseline, increment: stub(gain=74.0, fit=None))
     monkeypatch.setattr(searching.Increment, "of", lambda place, flown, criteria: None)
-    ranking = stub(order=[0], places=[PLACE], gains=[74.0])
-    _, tried = searching._best(stub(baseline=None, criteria=AS_SET), stub(), stub(), ranking, 100.0)
+    ranking = stub(order=[0], places=[PLACE], gains=[74.0], scores=[9.0], threshold=4.0)
+    _, tried = searching._best(stub(baseline=None, criteria=AS_SET), stub(seed=1), stub(), ranking, 100.0)
     assert tried[0].why == "explains only 74% of what a nameless term or swing does"
 
 
