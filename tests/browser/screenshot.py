@@ -25,6 +25,7 @@ ARGUMENTS = (
 )
 TIME_LINE_UP = 15  # pixels from the lower edge of the page to the time line
 TIME_LINE = (0.24, 0.82)  # where it begins and ends, as shares of the page's width
+SETTLING_MS = 6000  # the layout comes behind the first data of a recording, on a busy machine by seconds
 COLOURFUL = 1500  # saturated pixels that make a page count as drawn
 
 
@@ -81,6 +82,7 @@ def take(
             page.screenshot(path=str(target))
             if saturated(target) > COLOURFUL:
                 break
+        page.wait_for_timeout(SETTLING_MS)
         if at is not None:
             page.mouse.click(at * size[0], size[1] - TIME_LINE_UP)
             page.wait_for_timeout(1000 * apart_s)
