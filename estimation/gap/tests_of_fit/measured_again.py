@@ -22,7 +22,7 @@ import numpy as np
 from estimation.engine.kernel import Array
 from estimation.gap.criteria import Criteria
 from estimation.gap.likelihood.baseline import Baseline
-from estimation.gap.likelihood.fitting import Fit
+from estimation.gap.likelihood.fitting import Fit, Problem
 from estimation.gap.random_streams import Stream
 from estimation.gap.records.flight_records import Record
 from estimation.gap.tests_of_fit.nulls import InputErrors, NullFlyer
@@ -69,20 +69,15 @@ class MeasuredAgain:
         Half the difference from its mean gain on flights without the effect, less what the sum of both, twice what the noise of
         the controls gives it, may be wrong by. 1 where these flights cannot be flown.
         """
-        gains = [g for remade in self.sets if (g := self._gain(remade, found)) is not None]
-        if not gains or gain <= 0.0:
+        if gain <= 0.0:
+            return 1.0
+        trial = replace(
+            self.baseline.problem, model=found.model
+        )  # one for all repeats: it keeps what it has worked out
+        gains = [g for remade in self.sets if (g := _gain(trial, remade, found)) is not None]
+        if not gains:
             return 1.0
         return own_share(gain, float(np.mean(gains)), self.baseline.criteria)
-
-    def _gain(self, remade: Sequence[Remade], found: Fit) -> float | None:
-        problem = replace(self.baseline.problem, model=found.model)
-        total = 0.0
-        for index, record in enumerate(remade):
-            outputs = problem.modelled(index, found.values, found.locals[index], inputs=record.inputs)
-            if outputs is None:
-                return None
-            total += record.energy - problem.whiteners[index].energy(record.outputs - outputs)
-        return total
 
     def _remade(self, flyer: NullFlyer, index: int, rng: np.random.Generator) -> Remade | None:
         problem, values = self.baseline.problem, self.baseline.fit.values
@@ -98,6 +93,17 @@ class MeasuredAgain:
         if outputs is None or usual is None:
             return None
         return Remade(outputs, prepared, problem.whiteners[index].energy(outputs - usual))
+
+
+def _gain(problem: Problem, remade: Sequence[Remade], found: Fit) -> float | None:
+    """What a fitted hypothesis gains on one set made anew (twice a log-likelihood); None where its motion runs away."""
+    total = 0.0
+    for index, record in enumerate(remade):
+        outputs = problem.modelled(index, found.values, found.locals[index], inputs=record.inputs)
+        if outputs is None:
+            return None
+        total += record.energy - problem.whiteners[index].energy(record.outputs - outputs)
+    return total
 
 
 def own_share(gain: float, without: float, criteria: Criteria) -> float:
